@@ -207,7 +207,7 @@ Config settings_of(const Config& config, std::size_t n_frames) {
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
-    c.loss.intensity_ssim = c.loss.normal = 0.0f;  // compare neighbours in an image
+    c.loss.intensity_ssim = 0.0f;  // compare neighbours in an image
     return c;
 }
 

@@ -20,7 +20,7 @@ struct DensifiedSurfel {
     std::optional<double> scale_w{};  ///< of a 3D Gaussian
 };
 
-enum class Fate { invalid, faint, large, outside, keep, clone, split, share };
+enum class Fate { invalid, faint, large, outside, keep, clone, split };
 
 struct DensifyRules {
     double min_opacity = 0.0;
@@ -28,7 +28,6 @@ struct DensifyRules {
     double clone_scale = 0.0;
     double gradient_threshold = 1e30;
     glm::dvec3 half_size{0.0};  ///< 0 = unbounded
-    bool share = false;         ///< grow by opacity
     std::uint32_t key = 0;      ///< of the random numbers
 };
 
@@ -48,14 +47,5 @@ glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z
 /// copies of each
 std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
                                      std::uint32_t phase);
-
-/// What one of n surfels needs so that all together stand for one of this opacity.
-struct SharedSurfel {
-    double opacity;
-    double scale_factor;
-};
-/// From the double sum over binomials as the paper prints it, with 1 / (k + 1) for the
-/// area of a surfel.
-SharedSurfel share(double opacity, int n);
 
 }  // namespace relidar::reference

@@ -39,7 +39,6 @@ Config sparse_config() {
     config.densify.every = 20;
     config.densify.until = 81;
     config.densify.gradient_threshold = 5e-4;
-    config.densify.growth = 0.2;
     return config;
 }
 
@@ -54,8 +53,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
     const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
     std::map<DensifyStrategy, double> loss;
-    for (const DensifyStrategy strategy :
-         {DensifyStrategy::none, DensifyStrategy::adaptive, DensifyStrategy::mcmc}) {
+    for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
         Config config = sparse_config();
         config.densify.strategy = strategy;
         const TrainResult result =
@@ -73,8 +71,6 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
     // how much depends on rates, length and seed: 0.90 and 0.97 seen, and losses above 1
     // at the small rates of `quick`
     EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
-    // 0.90 and 0.91 seen with two seeds
-    EXPECT_LT(loss[DensifyStrategy::mcmc], 0.97 * loss[DensifyStrategy::none]);
 }
 
 /// Actors grow in their own model.

@@ -72,10 +72,8 @@ public:
     /// growth leaves room for it Out of memory is no error: growth ends where it is, and
     /// the report says so once.
     DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes = 0.0);
-    /// Records what happens every step or at its own times: opacity reset (adaptive),
-    /// noise (mcmc).
-    /// @param rate_share learning rate of the means now over that at the start
-    void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share);
+    /// Records the reset of opacities if it is due after this step.
+    void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
     std::vector<double>& extents_m();              ///< of each model, metres
     const std::vector<double>& extents_m() const;  ///< the same

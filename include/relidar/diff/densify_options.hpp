@@ -13,10 +13,7 @@ namespace relidar {
 /// What is added and removed.
 enum class DensifyStrategy {
     none,
-    adaptive,  ///< the paper's: clone and split by gradient, prune, reset opacities
-    /// "3D Gaussian Splatting as Markov Chain Monte Carlo": the dead move to the living,
-    /// growth by a share, noise on means
-    mcmc
+    adaptive  ///< the paper's: clone and split by gradient, prune, reset opacities
 };
 
 /// When and by which bounds; the defaults are the paper's (section 6). An extent is 4 x
@@ -36,20 +33,16 @@ struct DensifyOptions {
     double min_opacity = 0.003;
     double max_extent_share = 0.01;  ///< of the extent: larger ones are removed ...
     int large_from = 3000;           ///< ... after this step
-    int opacity_reset_every = 3000;  ///< adaptive, until `until`; 0 = never
+    int opacity_reset_every = 3000;  ///< until `until`; 0 = never
     double reset_opacity = 0.01;     ///< at least 2.5 times ImageModel::alpha_min, which is traced
     int max_surfels = 4000000;       ///< no growth beyond; a scene that starts larger is not cut
-    double growth = 0.05;            ///< mcmc: share of surfels added each time
-    /// mcmc: standard deviation of the noise a step on the means of faint surfels, in
-    /// scales
-    double noise = 0.2;
     bool operator==(const DensifyOptions&) const = default;
 };
 
 /// What one densification did.
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
-    std::uint32_t added = 0;  ///< rows more than survivors: a clone, a split and a relocation add one each
+    std::uint32_t added = 0;  ///< rows more than survivors: a clone and a split add one each
     /// wanted by their gradient; where the sum exceeds `added` there was no room for all
     std::uint32_t clones = 0, splits = 0;
     /// removed: not finite, opacity, scale, box

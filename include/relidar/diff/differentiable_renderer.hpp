@@ -24,11 +24,10 @@ struct GradientOptions {
 /// dL/d(rendered) of every ray, one array for each of Rendering's that has a gradient. An
 /// empty one stands for zeros.
 struct RenderedGradients {
-    std::vector<float> depth{};       ///< [n] of D = sum w t, 1/m
-    std::vector<float> weight{};      ///< [n]
-    std::vector<float> intensity{};   ///< [n]
-    std::vector<float> hit_logit{};   ///< [n]
-    std::vector<float> drop_logit{};  ///< [n]
+    /// [n] of depth (1/m), weight, intensity, hit_logit and drop_logit, as in Rendering
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name{};
+    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
 };
 
 /// Gradients as host arrays; what they mean is said in Gradients. Those that were not

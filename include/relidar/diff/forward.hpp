@@ -17,11 +17,11 @@ namespace relidar {
 
 /// What a ray brings back; one entry a ray.
 struct Rendering {
-    std::vector<float> depth;          ///< D = sum w t, not normalised, metres
-    std::vector<float> weight;         ///< W = sum w
-    std::vector<float> intensity;      ///< sum w * intensity
-    std::vector<float> hit_logit;      ///< sum w * hit logit
-    std::vector<float> drop_logit;     ///< sum w * drop logit + T * 1 (background)
+    /// depth, weight, intensity, hit_logit and drop_logit: <relidar/diff/blended_values.h>
+    /// says what each one is.
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name;
+    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
     std::vector<float> transmittance;  ///< T after the last blended surfel
     std::vector<float> median_depth;   ///< t at which T crosses 0.5, 0 where it never does, metres
     std::vector<std::uint32_t> hits;   ///< blended surfels
@@ -31,7 +31,7 @@ struct Rendering {
     /// without a hit.
     std::vector<std::int32_t> instance;
     /// sum w n of unit normals that face the sensor, world; empty without
-    /// TraceOptions::geometry
+    /// TraceOptions::normals
     std::vector<glm::vec3> normal;
     /// mean t of the heaviest surface, 0 without hits, metres; empty without
     /// TraceOptions::mode_gap_m
@@ -49,9 +49,10 @@ public:
     /// @param rendered  [>= n_rays] output
     /// @param kept      output, for the backward pass of the same batch; null where it
     /// shall cast the rays again
-    /// @param geometry  output, with TraceOptions::geometry
+    /// @param surfaces  [>= n_rays] output, needed with TraceOptions::has_surfaces()
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-             Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr, RayGeometry* geometry = nullptr);
+             Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr,
+             const Array<shared::RenderedSurface>* surfaces = nullptr);
     /// Rays that reached the cap of passes since the last call (they end early, which is
     /// an error). Blocks.
     std::uint32_t take_pass_cap_count();
@@ -68,9 +69,9 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Rendered rays as host arrays. @param geometry  of as many rays, where it was rendered
+/// Returns rendered rays as host arrays. @param surfaces  of as many rays, or empty
 Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
-                       const std::vector<shared::RenderedGeometry>& geometry = {});
+                       const std::vector<shared::RenderedSurface>& surfaces = {});
 
 /// What a renderer is made with beside a scene and its image model.
 struct RendererOptions {

@@ -74,8 +74,7 @@ class Loss {
 public:
     virtual ~Loss() = default;
     /// Records terms of what rays render; between the forward and the backward pass.
-    /// @param rendered  its upstream, and the gradient of its geometry, are accumulated;
-    /// those of ImageLoss, which comes first, and of GeometryLoss are output
+    /// @param rendered  its upstream is accumulated; ImageLoss, which comes first, writes it
     /// @param terms     accumulated
     virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                          const TermRow& terms);
@@ -134,26 +133,13 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Geometric losses, means over returned rays; the first two are those of "2D Gaussian
-/// Splatting for Geometrically Accurate Radiance Fields" (2024):
-///   distortion  sum over pairs of hits of a ray, each pair once, of w_i w_j |t_i - t_j|   (half of that paper's Eq. 13), metres
-///   normal      sum_i w_i (1 - n_i . N) = W - B . N   (its Eq. 14), n_i and N turned to face the sensor
+/// Likelihood of the measured ranges (docs/method.md M12), a mean over returned rays:
 ///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k about the measured range, f the likelihood_floor
-/// N is the normal of the plane through the points of the pixels beside, and those above
-/// and below, in the rendered range image (range D / W or D, normalised_depth). A pixel
-/// has one where all five returned and render a W above 0.5, where the inverse ranges r /
-/// r_left + r / r_right, and above and below, differ from 2 by less than 0.1 (a plane has
-/// 2), and where the two chords are not nearly parallel; others have no normal term. The
-/// derivative goes to B, W and, through N, to the ranges of the pixels beside and to
-/// their rays; which pixels have a normal is held fixed. The batch must be rendered with
-/// TraceOptions::geometry (distortion, normal) and TraceOptions::likelihood, as far as
-/// their weights are above 0, the latter with the same targets; and be an image where
-/// normal > 0.
-class GeometryLoss final : public Loss {
+/// The batch must be rendered with TraceOptions::likelihood and with the same targets.
+class LikelihoodLoss final : public Loss {
 public:
-    /// @param n_rays  most rays of a batch
-    GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
-    ~GeometryLoss() override;
+    LikelihoodLoss(Device& device, const LossWeights& weights);
+    ~LikelihoodLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                  const TermRow& terms) override;
 

@@ -25,7 +25,6 @@ struct LossWeights {
     float likelihood_scale_m = 0.05f;  ///< spread of measured ranges about what is there, metres
     float likelihood_floor = 0.01f;    ///< share of returns that may lie anywhere
 
-    bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
     bool operator==(const LossWeights&) const = default;
 };
 

@@ -4,6 +4,7 @@
 #ifndef RELIDAR_INCLUDED_DIFF_RAYS_H
 #define RELIDAR_INCLUDED_DIFF_RAYS_H
 #include "relidar/base/lang.h"
+#include "relidar/diff/blended_values.h"
 
 RELIDAR_SHARED_BEGIN
 
@@ -25,13 +26,11 @@ struct DeviceTarget {
 };
 RELIDAR_POINTER(Targets, DeviceTarget);
 
-/// What a ray renders (M5).
+#define RELIDAR_FIELD(name, built, value, input, slope, meaning) float name;
+
+/// What a ray renders (M5): its blended values, and what else there is to say of its hits.
 struct RenderedRay {
-    float depth;   // D = sum w t, m
-    float weight;  // W = sum w
-    float intensity;
-    float hit_logit;
-    float drop_logit;     // includes the background's T * 1
+    RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
     float transmittance;  // T after the last blended surfel
     float median_depth;   // t where T crosses 0.5, 0 where it never does
     uint n_hits;
@@ -41,40 +40,19 @@ struct RenderedRay {
 };
 RELIDAR_POINTER(RenderedRays, RenderedRay);
 
-/// Gradient of the loss with respect to what a ray renders.
+/// Gradient of the loss with respect to the blended values of a ray.
 struct RayGradient {
-    float depth;
-    float weight;
-    float intensity;
-    float hit_logit;
-    float drop_logit;
+    RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
+#undef RELIDAR_FIELD
 
-/// What a ray renders beside its image, where the geometric losses (M10-M12) or a range
-/// image (M13) want it; n is a surfel's unit normal in the world on the side that faces
-/// the sensor, t_0 the distance of the ray's first hit.
-struct RenderedGeometry {
-    vec3 normal;       // B = sum w n
-    float distortion;  // sum over pairs of hits, each once, of w_i w_j |t_i - t_j|, m
-    float moment;      // sum w (t - t_0), m
-    // S = sum w k(t), k the kernel about the range that was measured (M12), 0 where none
-    // was
-    float likelihood;
-    float mode;  // m, mean of t over the heaviest surface of the ray (M13), 0 without hits
+/// What a scan needs of the surface that a ray meets; without gradients.
+struct RenderedSurface {
+    vec3 normal;  // sum w n, n a surfel's unit normal in the world, facing the sensor
+    float mode;   // m, mean of t over the heaviest surface of the ray (M13), 0 without hits
 };
-RELIDAR_POINTER(RenderedGeometries, RenderedGeometry);
-
-// What the losses give back: gradients of the above, and of the ray's point origin +
-// range * direction where that moves with the ray.
-struct GeometryGradient {
-    vec3 normal;
-    float distortion;
-    vec3 point;
-    float range;  // m
-    float likelihood;
-};
-RELIDAR_POINTER(GeometryGradients, GeometryGradient);
+RELIDAR_POINTER(RenderedSurfaces, RenderedSurface);
 
 /// A hit, in the buffer of a ray, in its list, or kept for the backward pass.
 struct Hit {

@@ -64,17 +64,16 @@ struct TraceOptions {
     /// Hits that a list has room for at first, 1..512; twice as many while any ray has
     /// more. Rays that have more are traced in chunks.
     int list_room = 64;
-    /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and
-    /// BackwardPass::run, which must then be given one, what the geometric losses want.
-    bool geometry = false;
-    /// Its likelihood is rendered, of the rays that have a measured range.
+    /// Blends the normals of surfels, for RenderedSurface. They have no gradient.
+    bool normals = false;
+    /// Blends the likelihood of each ray that has a measured range.
     std::optional<RangeKernel> likelihood{};
     /// The heaviest surface of each ray is rendered (docs/method.md M13): hits no farther
     /// than this behind the one before are one, metres.
     std::optional<float> mode_gap_m{};
 
-    /// a RayGeometry, for one of them
-    bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }
+    /// Returns whether a forward pass writes a RenderedSurface for each ray.
+    bool has_surfaces() const { return normals || mode_gap_m; }
 };
 
 /// Threads that trace a batch: whole tiles of 16 x 2 rays over an image, some of them
@@ -106,17 +105,6 @@ struct KeptHits {
 /// as many as now.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
-/// What the geometric losses want of each ray of a batch beside its image, and what they
-/// give back.
-struct RayGeometry {
-    Array<shared::RenderedGeometry> rendered;  ///< [n_rays] of the forward pass
-    Array<shared::GeometryGradient> gradient;  ///< [n_rays] of GeometryLoss
-
-    /// @param n_rays  of the largest batch
-    RayGeometry(Device& device, std::size_t n_rays)
-        : rendered(device, n_rays, "geometry of rays"), gradient(device, n_rays, "geometry gradients") {}
-};
-
 /// A batch that has been rendered, as losses compare it and the backward pass
 /// differentiates it.
 struct RenderedBatch {
@@ -125,9 +113,8 @@ struct RenderedBatch {
     /// [n_rays] dL/d(rendered): losses write it, the backward pass reads it
     Array<shared::RayGradient>* upstream = nullptr;
     const KeptHits* kept = nullptr;  ///< of the same ForwardPass::run, or null
-    /// of the same ForwardPass::run, where TraceOptions wants geometry; its gradient is
-    /// as upstream
-    RayGeometry* geometry = nullptr;
+    /// [n_rays] of the same ForwardPass::run, or null without TraceOptions::has_surfaces()
+    const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 
 /// Rays as kernels read them.

@@ -175,7 +175,7 @@ struct Config {
 
     /// Whether a loss compares neighbouring pixels: steps then see windows of columns in
     /// the place of groups of columns from all around.
-    bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f || loss.normal > 0.0f; }
+    bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };
 

@@ -17,7 +17,7 @@
     X(COALESCED_ATOMICS, 7u)   /* 1: neighbouring lanes add the floats of one hit; 0: each lane those of its own */ \
     X(SINGLE_DROP_LOGIT, 8u)   /* 1: hit logits are 0, whatever the scene holds */ \
     X(PRIMITIVE, 9u)           /* number of a row of relidar/scene/primitives.h */ \
-    X(GEOMETRY, 10u)           /* 1: blended normal and distortion too */ \
+    X(NORMAL, 10u)             /* 1: blended normal too */ \
     X(KEY_WORDS, 11u)          /* 32-bit words of a sort key */ \
     X(UNTIL_DONE, 12u)         /* 1: a single workgroup goes on until nothing is left */ \
     X(STAGED, 13u)             /* 1: threads of a workgroup move harmonics together, through shared memory */ \
