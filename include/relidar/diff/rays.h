@@ -28,7 +28,7 @@ RELIDAR_POINTER(Targets, DeviceTarget);
 
 #define RELIDAR_FIELD(name, built, value, input, slope, meaning) float name;
 
-/// What a ray renders (M5): its blended values, and what else there is to say of its hits.
+/// Output of the forward pass for a ray (M5): the blended values and data about the hits.
 struct RenderedRay {
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
     float transmittance;  // T after the last blended surfel
