@@ -33,8 +33,7 @@ constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"render.range", "mode"},
                                  {"trace.chunk", "16"},
                                  {"trace.chunk", "64"},
-                                 {"densify.strategy", "adaptive"},
-                                 {"densify.strategy", "mcmc"}};
+                                 {"densify.strategy", "adaptive"}};
 
 Scene smallest_scene(const Sequence& street, Primitive primitive) {
     Scene scene;

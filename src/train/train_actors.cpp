@@ -215,8 +215,7 @@ Config settings_of(const Config& config, std::size_t n_frames) {
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
-    // these losses need the neighbours of a pixel in an image
-    c.loss.intensity_ssim = c.loss.normal = 0.0f;
+    c.loss.intensity_ssim = 0.0f;  // compare neighbours in an image
     return c;
 }
 

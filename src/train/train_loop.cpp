@@ -259,8 +259,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (densifier_.due(step))
         change_surfels(
             [&](double others_bytes) { return densifier_.run(stream_, scene, adam_, step, others_bytes); });
-    densifier_.after_step(stream_, scene, adam_, step,
-                          rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
+    densifier_.after_step(stream_, scene, adam_, step);
     if (ends_line || reports_.is_full()) close_report(step, ends_line);
     if (step % kGrowthEvery == 0) renderer_.accel().check_growth(stream_);
     submitted_ = stream_.submit();
@@ -357,8 +356,7 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    // no image windows, so that rays are drawn from all directions
-    some_rays.loss.intensity_ssim = some_rays.loss.normal = 0.0f;
+    some_rays.loss.intensity_ssim = 0.0f;  // no windows: rays from all directions
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
     renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));

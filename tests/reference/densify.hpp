@@ -20,7 +20,7 @@ struct DensifiedSurfel {
     std::optional<double> scale_w{};  ///< third scale of a 3D Gaussian
 };
 
-enum class Fate { invalid, faint, large, outside, keep, clone, split, share };
+enum class Fate { invalid, faint, large, outside, keep, clone, split };
 
 struct DensifyRules {
     double min_opacity = 0.0;
@@ -28,8 +28,7 @@ struct DensifyRules {
     double clone_scale = 0.0;
     double gradient_threshold = 1e30;
     glm::dvec3 half_size{0.0};  ///< 0 = unbounded
-    bool share = false;         ///< if true, surfels grow by opacity
-    std::uint32_t key = 0;      ///< key of the random numbers
+    std::uint32_t key = 0;      ///< of the random numbers
 };
 
 /// Returns what densification does with a surfel.
@@ -51,14 +50,5 @@ glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z
 /// @return number of copies of each surfel
 std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
                                      std::uint32_t phase);
-
-/// Opacity and scale factor of one of n equal surfels that together replace one surfel.
-struct SharedSurfel {
-    double opacity;
-    double scale_factor;
-};
-/// Computes the shared surfel from the double sum over binomials in the paper, with 1 /
-/// (k + 1) for the area of a surfel.
-SharedSurfel share(double opacity, int n);
 
 }  // namespace relidar::reference

@@ -9,6 +9,8 @@
 #include <cstdint>
 #include <vector>
 
+#include <relidar/diff/blended_values.h>
+
 #include "traversal.hpp"
 
 namespace relidar::reference {
@@ -20,13 +22,15 @@ struct Settings {
     double likelihood_scale_m = 0.05;  ///< s of M12
 };
 
-/// Rendered values of one ray (M5).
-struct Pixel {
-    double depth = 0.0;          ///< D = sum w t
-    double weight = 0.0;         ///< W = sum w
-    double intensity = 0.0;      ///< sum w c, background 0
-    double hit_logit = 0.0;      ///< sum w c, background 0
-    double drop_logit = 1.0;     ///< sum w c + T_N * 1
+/// A number for each blended value.
+struct BlendedValues {
+#define RELIDAR_FIELD(name, built, value, input, slope, meaning) double name = 0.0;
+    RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
+#undef RELIDAR_FIELD
+};
+
+/// What one ray brings back (M5): sum w c of each blended value c, plus T_N in drop_logit.
+struct Pixel : BlendedValues {
     double transmittance = 1.0;  ///< T_N, after the last blended surfel
     /// t of the surfel that reduces T from above 0.5 to 0.5 or less; 0 if there is none
     double median_depth = 0.0;
@@ -34,22 +38,13 @@ struct Pixel {
     /// instance of the surfel of median_depth, otherwise of the nearest blended surfel;
     /// -1 if no surfel was blended
     std::int64_t instance = -1;
-    /// sum w n, where n is the surfel's unit normal in the world on the side that faces
-    /// the sensor (M11)
+    /// sum w n, n the surfel's unit normal in the world on the side that faces the sensor
     glm::dvec3 normal{0.0};
-    double distortion = 0.0;  ///< sum over pairs, each counted once, of w_i w_j |t_i - t_j|, metres (M10)
-    double likelihood = 0.0;  ///< S = sum w k(t), 0 if the ray has no measured range (M12)
 };
 
-/// dL/d(Pixel) for the outputs that a loss can use.
-struct PixelGradient {
-    double depth = 0.0, weight = 0.0, intensity = 0.0, hit_logit = 0.0, drop_logit = 0.0;
-    glm::dvec3 normal{0.0};
-    double distortion = 0.0;
-    double likelihood = 0.0;
-};
-/// Returns the sum of gradient times output over all outputs, which is a loss with this
-/// gradient.
+/// dL/d(Pixel) of its blended values.
+using PixelGradient = BlendedValues;
+/// sum of gradient times output, over all outputs: a loss with that gradient.
 double inner_product(const PixelGradient& g, const Pixel& p);
 
 /// Kernel of M12 around the measured range z of a ray: s^2 / (s^2 + (t - z)^2). It is 0
@@ -73,6 +68,10 @@ struct ShadedHit {
     double side;             ///< -1 if the surfel's normal points along the ray, else 1
     glm::dvec3 normal;       ///< world, facing the sensor
 };
+/// Returns c of each blended value of a hit.
+BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHit& hit);
+/// Returns dc/dt of each, with the channels of the hit held fixed.
+BlendedValues slopes_of(const Settings& settings, const Ray& ray, const ShadedHit& hit);
 ShadedHit shade(const World& world, const Settings& settings, const Ray& ray, const Hit& hit);
 
 /// Renders a ray, `chunk` hits at a time.

@@ -11,9 +11,8 @@ namespace {
 /// Derivatives of the loss with respect to one hit.
 struct HitGradient {
     double alpha = 0.0;
-    double t = 0.0;  // direct part g_D w; the part through u and v is added with the geometry
+    double t = 0.0;  // direct part; what flows through u, v is added with the geometry
     glm::dvec3 value{0.0};
-    glm::dvec3 normal{0.0};  // world
 };
 
 /// Gradients of a hit's geometry in the model's frame.
@@ -21,67 +20,26 @@ struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// Adds the gradients of distortion (pair by pair), blended normal and likelihood
-/// (M10-M12). dL/dw_i is the derivative for a unit of weight. alpha_i makes w_i from T_i
-/// and reduces every weight behind it by the same share.
-void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels,
-                  const PixelGradient& g, std::vector<HitGradient>& result) {
-    std::vector<double> transmittance, w, d_w(hits.size(), 0.0);
-    for (const ShadedHit& s : hits) {
-        transmittance.push_back(w.empty() ? 1.0 : transmittance.back() * (1.0 - hits[w.size() - 1].alpha));
-        w.push_back(s.alpha * transmittance.back());
-    }
-    for (std::size_t i = 0; i < hits.size(); ++i) {
-        d_w[i] += glm::dot(g.normal, hits[i].normal) + g.likelihood * kernels[i].value;
-        result[i].t += g.likelihood * w[i] * kernels[i].slope;
-        for (std::size_t j = 0; j < hits.size(); ++j) {
-            d_w[i] += g.distortion * w[j] * std::abs(hits[i].t - hits[j].t);
-            result[i].t += g.distortion * w[i] * w[j] *
-                           (hits[i].t > hits[j].t   ? 1.0
-                            : hits[i].t < hits[j].t ? -1.0
-                                                    : 0.0);
-        }
-    }
-    for (std::size_t i = 0; i < hits.size(); ++i) {
-        result[i].alpha += transmittance[i] * d_w[i];
-        for (std::size_t k = i + 1; k < hits.size(); ++k)
-            result[i].alpha -= w[k] * d_w[k] / (1.0 - hits[i].alpha);
-    }
-}
-
-/// Computes M7 from front to back. It needs the final pixel, the running sums, and T
-/// before each hit.
-std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits,
-                                       const std::vector<RangeKernel>& kernels, const Pixel& pixel,
-                                       const PixelGradient& g) {
+/// M7, front to back: needs the final pixel, the running sums and T before each hit.
+std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Settings& settings,
+                                       const Ray& ray, const Pixel& pixel, const PixelGradient& g) {
     std::vector<HitGradient> result(hits.size());
     double transmittance = 1.0;
-    Pixel sum;  // C_{<=i}, without background
-    sum.drop_logit = 0.0;
+    BlendedValues sum;  // C_{<=i}: without any background
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
         const double w = s.alpha * transmittance;
-        sum.depth += w * s.t;
-        sum.weight += w;
-        sum.intensity += w * s.value[0];
-        sum.hit_logit += w * s.value[1];
-        sum.drop_logit += w * s.value[2];
-        const auto slope = [&](double c, double total, double so_far) {
-            return transmittance * c - (total - so_far) / (1.0 - s.alpha);
-        };
-        result[i].alpha = g.depth * slope(s.t, pixel.depth, sum.depth) +
-                          g.weight * slope(1.0, pixel.weight, sum.weight) +
-                          g.intensity * slope(s.value[0], pixel.intensity, sum.intensity) +
-                          g.hit_logit * slope(s.value[1], pixel.hit_logit, sum.hit_logit) +
-                          g.drop_logit * slope(s.value[2], pixel.drop_logit, sum.drop_logit);
-        result[i].normal = g.normal * w;
-        result[i].t = g.depth * w;
+        const BlendedValues c = values_of(settings, ray, s), by_t = slopes_of(settings, ray, s);
+#define RELIDAR_VALUE(name, built, value, input, slope, meaning)                                      \
+    sum.name += w * c.name;                                                                           \
+    result[i].alpha += g.name * (transmittance * c.name - (pixel.name - sum.name) / (1.0 - s.alpha)); \
+    result[i].t += g.name * w * by_t.name;
+        RELIDAR_BLENDED_VALUES(RELIDAR_VALUE)
+#undef RELIDAR_VALUE
+        if (s.alpha_clamped) result[i].alpha = 0.0;
         result[i].value = w * glm::dvec3(s.intensity_clamped ? 0.0 : g.intensity, g.hit_logit, g.drop_logit);
         transmittance *= 1.0 - s.alpha;
     }
-    add_geometry(hits, kernels, g, result);
-    for (std::size_t i = 0; i < hits.size(); ++i)
-        if (hits[i].alpha_clamped) result[i].alpha = 0.0;
     return result;
 }
 
@@ -139,12 +97,10 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     *d_surfel.log_scale_w += d_log_scale(2);
 }
 
-/// Propagates gradients to opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2
-/// + v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
-/// @param d_normal dL/d(normal) in the model's frame, without the part through t
+/// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q
+/// with q = mean - origin, t = n.q / n.d.
 void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
-                       const HitGradient& g, const glm::dvec3& d_normal, Surfel& d_surfel,
-                       LocalGradient& d_local) {
+                       const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
     const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
@@ -161,7 +117,7 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_local.origin -= d_q;
     d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
     // dt/dn = (mean - hit) / (n.d)
-    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), d_normal - p * (d_t / facing));
+    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), -p * (d_t / facing));
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
 }
 
@@ -197,9 +153,7 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
                      const Ray& ray, int chunk, const PixelGradient& d_pixel, Gradients& gradients) {
     std::vector<ShadedHit> hits;
     const Pixel pixel = render(world, provider, settings, ray, chunk, &hits);
-    std::vector<RangeKernel> kernels;
-    for (const ShadedHit& s : hits) kernels.push_back(range_kernel(settings, ray, s.t));
-    const std::vector<HitGradient> d_hits = hit_gradients(hits, kernels, pixel, d_pixel);
+    const std::vector<HitGradient> d_hits = hit_gradients(hits, settings, ray, pixel, d_pixel);
     RayGradient d_ray;
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
@@ -214,15 +168,8 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         glm::dvec3 d_value = d_hits[i].value;
         if (settings.image.single_drop_logit) d_value[1] = 0.0;
         value_backward(surfel, settings, local, view, d_value, d_surfel, d_local);
-        if (surfel.log_scale_w) {
-            gaussian_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
-        } else {
-            const glm::dvec3 d_normal =
-                s.side * (glm::transpose(glm::mat3_cast(pose.rotation)) * d_hits[i].normal);
-            geometry_backward(surfel, local, s, d_hits[i], d_normal, d_surfel, d_local);
-            gradients.instances[s.hit.instance].rotation +=  // the normal turns with the model
-                placed.unturned(ray.time_s) * glm::cross(s.normal, d_hits[i].normal);
-        }
+        if (surfel.log_scale_w) gaussian_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
+        else geometry_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
         pose_backward(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray,
                       gradients.view_origin);
     }

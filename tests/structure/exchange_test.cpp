@@ -29,7 +29,7 @@ struct OwnElements {
 };
 const OwnElements kOwnElements[] = {{"diff/accel/bvh_wide_scan", {"tiles"}},
                                     {"diff/forward/sort_hits", {"lists.hits"}},
-                                    {"diff/loss/geometry_loss", {"upstream"}},
+                                    {"diff/loss/likelihood_loss", {"upstream"}},
                                     {"diff/loss/surfel_loss", {"d_surfels.mean"}},
                                     {"diff/network/conv", {"to.values"}}};
 

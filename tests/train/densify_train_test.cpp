@@ -40,7 +40,6 @@ Config sparse_config() {
     config.densify.every = 20;
     config.densify.until = 81;
     config.densify.gradient_threshold = 5e-4;
-    config.densify.growth = 0.2;
     return config;
 }
 
@@ -56,8 +55,7 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
     const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
     std::map<DensifyStrategy, double> loss;
-    for (const DensifyStrategy strategy :
-         {DensifyStrategy::none, DensifyStrategy::adaptive, DensifyStrategy::mcmc}) {
+    for (const DensifyStrategy strategy : {DensifyStrategy::none, DensifyStrategy::adaptive}) {
         Config config = sparse_config();
         config.densify.strategy = strategy;
         const TrainResult result =
@@ -74,8 +72,6 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
     }
     // Ratios of 0.90 and 0.97 were measured; they depend on rates, length and seed.
     EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
-    // ratios of 0.90 and 0.91 were measured with two seeds
-    EXPECT_LT(loss[DensifyStrategy::mcmc], 0.97 * loss[DensifyStrategy::none]);
 }
 
 /// Actors must grow in their model.

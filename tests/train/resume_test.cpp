@@ -158,7 +158,6 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
     for (const auto& [strategy, primitive] : {std::pair{none, Primitive::surfel},
                                               {adaptive, Primitive::surfel},
-                                              {mcmc, Primitive::surfel},
                                               {adaptive, Primitive::gaussian}}) {
         Config config = resumed_config();
         config.image.primitive = primitive;

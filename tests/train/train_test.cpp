@@ -179,7 +179,6 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
         config.train.iterations = 20;
         config.train.deterministic = true;
         config.loss.likelihood = 0.01f;
-        config.loss.distortion = config.loss.normal = direction == ShDirection::surfel ? 0.05f : 0.0f;
         const auto run = [&] {
             return train(device(), street, split, config, [](const TrainProgress&) { return true; });
         };

@@ -81,10 +81,8 @@ public:
     /// @param others_bytes bytes per surfel that other objects will allocate again for
     /// the new size; growth leaves this memory free
     DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes = 0.0);
-    /// Records actions between densifications: the opacity reset (adaptive) and the noise
-    /// (mcmc).
-    /// @param rate_share current learning rate of the means, relative to the initial rate
-    void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share);
+    /// Records the reset of opacities if it is due after this step.
+    void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
     std::vector<double>& extents_m();              ///< Extent of each model, metres.
     const std::vector<double>& extents_m() const;  ///< Extent of each model, metres.

@@ -13,10 +13,7 @@ namespace relidar {
 /// Strategy for adding and removing surfels.
 enum class DensifyStrategy {
     none,
-    adaptive,  ///< Strategy of the paper: clone and split by gradient, prune, reset opacities.
-    /// Strategy of "3D Gaussian Splatting as Markov Chain Monte Carlo": move dead surfels
-    /// to live surfels, grow by a share, add noise to means.
-    mcmc
+    adaptive  ///< the paper's: clone and split by gradient, prune, reset opacities
 };
 
 /// Schedule and thresholds of densification. The defaults are the paper's (section 6).
@@ -37,33 +34,19 @@ struct DensifyOptions {
     /// Minimum opacity; fainter surfels are removed. ImageModel::alpha_min, which tracing
     /// uses, is a lower bound of this value.
     double min_opacity = 0.003;
-    /// Maximum scale, relative to the extent; larger surfels are removed after step
-    /// large_from.
-    double max_extent_share = 0.01;
-    int large_from = 3000;  ///< Step after which large surfels are removed.
-    /// Adaptive: steps between opacity resets, up to step `until`; 0 = never.
-    int opacity_reset_every = 3000;
-    /// Opacity after a reset. At least 2.5 times ImageModel::alpha_min, which tracing
-    /// uses.
-    double reset_opacity = 0.01;
-    /// Maximum number of surfels for growth. A scene that starts with more surfels is not
-    /// reduced.
-    int max_surfels = 4000000;
-    double growth = 0.05;  ///< Mcmc: share of surfels added by each densification.
-    /// Mcmc: standard deviation of the noise that each step adds to the means of faint
-    /// surfels, relative to their scales.
-    double noise = 0.2;
+    double max_extent_share = 0.01;  ///< of the extent: larger ones are removed ...
+    int large_from = 3000;           ///< ... after this step
+    int opacity_reset_every = 3000;  ///< until `until`; 0 = never
+    double reset_opacity = 0.01;     ///< at least 2.5 times ImageModel::alpha_min, which is traced
+    int max_surfels = 4000000;       ///< no growth beyond; a scene that starts larger is not cut
     bool operator==(const DensifyOptions&) const = default;
 };
 
 /// Result of a densification.
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
-    /// Number of surfels added to the survivors. A clone, a split and a relocation each
-    /// add one.
-    std::uint32_t added = 0;
-    /// Number of surfels selected for cloning and splitting by their gradient. If the sum
-    /// exceeds `added`, not all of them fitted.
+    std::uint32_t added = 0;  ///< rows more than survivors: a clone and a split add one each
+    /// wanted by their gradient; where the sum exceeds `added` there was no room for all
     std::uint32_t clones = 0, splits = 0;
     /// Number of removed surfels by reason: not finite, low opacity, large scale, outside
     /// the actor's box.

@@ -27,11 +27,10 @@ struct GradientOptions {
 /// dL/d(rendered) of every ray, one array for each differentiable array of Rendering. An
 /// empty array means zeros.
 struct RenderedGradients {
-    std::vector<float> depth{};       ///< dL/dD for D = sum w t, [n], 1/m.
-    std::vector<float> weight{};      ///< dL/d(weight), [n].
-    std::vector<float> intensity{};   ///< dL/d(intensity), [n].
-    std::vector<float> hit_logit{};   ///< dL/d(hit logit), [n].
-    std::vector<float> drop_logit{};  ///< dL/d(drop logit), [n].
+    /// [n] of depth (1/m), weight, intensity, hit_logit and drop_logit, as in Rendering
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name{};
+    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
 };
 
 /// Gradients as host arrays; struct Gradients explains their meaning. Arrays that were

@@ -17,22 +17,21 @@ namespace relidar {
 
 /// Rendered values, one entry per ray.
 struct Rendering {
-    std::vector<float> depth;          ///< Depth D = sum w t, not normalised, metres.
-    std::vector<float> weight;         ///< Accumulated weight W = sum w.
-    std::vector<float> intensity;      ///< Intensity, sum w * intensity.
-    std::vector<float> hit_logit;      ///< Hit logit, sum w * hit logit.
-    std::vector<float> drop_logit;     ///< Drop logit, sum w * drop logit + T * 1 (background).
-    std::vector<float> transmittance;  ///< Transmittance T after the last blended surfel.
-    /// Median range: t at which T crosses 0.5, metres; 0 if T stays above 0.5.
-    std::vector<float> median_depth;
-    std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
-    /// Instance whose surface the ray hits, as an index in Scene::instances. It is the
-    /// instance of the surfel at which T crosses 0.5. Faint surfels in front of it are
-    /// skipped, because the surface behind them is visible. If T stays above 0.5, it is
-    /// the instance of the nearest blended surfel. -1 if the ray has no hit.
+    /// depth, weight, intensity, hit_logit and drop_logit: <relidar/diff/blended_values.h>
+    /// says what each one is.
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name;
+    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
+    std::vector<float> transmittance;  ///< T after the last blended surfel
+    std::vector<float> median_depth;   ///< t at which T crosses 0.5, 0 where it never does, metres
+    std::vector<std::uint32_t> hits;   ///< blended surfels
+    /// Whose surface a ray meets, an index into Scene::instances: that of the surfel at
+    /// which T crosses 0.5, since a faint surfel before it would give its own name to
+    /// what is seen through it; where T stays above, of the nearest blended one; -1
+    /// without a hit.
     std::vector<std::int32_t> instance;
-    /// Blended normal: sum w n of unit normals that face the sensor, world frame. Empty
-    /// without TraceOptions::geometry.
+    /// sum w n of unit normals that face the sensor, world; empty without
+    /// TraceOptions::normals
     std::vector<glm::vec3> normal;
     /// Mean t of the heaviest surface, metres; 0 without hits. Empty without
     /// TraceOptions::mode_gap_m.
@@ -46,15 +45,16 @@ public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
     ~ForwardPass();
     /// Records the trace of a batch. The scene must be activated and accel updated
-    /// earlier in the same stream.
-    /// @param rendered output, [>= n_rays]
-    /// @param kept output: hits for the backward pass of the same batch. If null, the
-    /// backward pass must trace the rays again
-    /// @param geometry output, required with TraceOptions::geometry
+    /// before, in the same stream.
+    /// @param rendered  [>= n_rays] output
+    /// @param kept      output, for the backward pass of the same batch; null where it
+    /// shall cast the rays again
+    /// @param surfaces  [>= n_rays] output, needed with TraceOptions::has_surfaces()
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-             Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr, RayGeometry* geometry = nullptr);
-    /// Returns the number of rays that have reached the maximum number of passes since
-    /// the last call. Such rays end too early, which is an error. Blocks.
+             Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr,
+             const Array<shared::RenderedSurface>* surfaces = nullptr);
+    /// Rays that reached the cap of passes since the last call (they end early, which is
+    /// an error). Blocks.
     std::uint32_t take_pass_cap_count();
     /// Number of rays that reached the maximum number of passes, [1] on the device. It
     /// grows until it is set to 0. Can be read back without waiting.
@@ -69,10 +69,9 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Converts rendered rays to host arrays.
-/// @param geometry geometry of the same rays, if it was rendered
+/// Returns rendered rays as host arrays. @param surfaces  of as many rays, or empty
 Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
-                       const std::vector<shared::RenderedGeometry>& geometry = {});
+                       const std::vector<shared::RenderedSurface>& surfaces = {});
 
 /// Options of a renderer, in addition to the scene and its image model.
 struct RendererOptions {

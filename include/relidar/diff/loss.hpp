@@ -78,12 +78,9 @@ struct SurfelGradients {
 class Loss {
 public:
     virtual ~Loss() = default;
-    /// Records terms that depend on rendered values. Called between the forward and the
-    /// backward pass.
-    /// @param rendered rendered batch. The loss adds to its upstream gradient and the
-    /// gradient of its geometry. ImageLoss, which runs first, and GeometryLoss overwrite
-    /// them instead
-    /// @param terms accumulated
+    /// Records terms of what rays render; between the forward and the backward pass.
+    /// @param rendered  its upstream is accumulated; ImageLoss, which comes first, writes it
+    /// @param terms     accumulated
     virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                          const TermRow& terms);
     /// Records terms that depend directly on the parameters. Called after the backward
@@ -147,33 +144,13 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Geometric losses, averaged over returned rays. The first two are those of "2D Gaussian
-/// Splatting for Geometrically Accurate Radiance Fields" (2024):
-///
-///   distortion  sum over pairs of hits of a ray, each pair once, of w_i w_j |t_i - t_j|,
-///               metres (half of that paper's Eq. 13)
-///   normal      sum_i w_i (1 - n_i . N) = W - B . N   (its Eq. 14), n_i and N facing the sensor
-///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k at the
-///               measured range, f the likelihood_floor
-///
-/// N is the normal of the plane through the points of the left, right, upper and lower
-/// neighbour pixels in the rendered range image (range D / W, or D; normalised_depth). A
-/// pixel has an N if all five pixels returned and have a rendered W above 0.5. In
-/// addition, the inverse ranges r / r_left + r / r_right must differ from 2 by less than
-/// 0.1 (a plane has 2), and likewise above and below. The two chords must not be nearly
-/// parallel. Other pixels have no normal term. The gradient is with respect to B, W and,
-/// through N, the ranges of the neighbour pixels and their rays. The set of pixels with a
-/// normal is constant.
-///
-/// The batch must be rendered with TraceOptions::geometry if the weight of distortion or
-/// normal is above 0. It must be rendered with TraceOptions::likelihood and the same
-/// targets if the weight of likelihood is above 0. It must be an image if normal > 0.
-class GeometryLoss final : public Loss {
+/// Likelihood of the measured ranges (docs/method.md M12), a mean over returned rays:
+///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k about the measured range, f the likelihood_floor
+/// The batch must be rendered with TraceOptions::likelihood and with the same targets.
+class LikelihoodLoss final : public Loss {
 public:
-    /// Creates the geometric losses.
-    /// @param n_rays number of rays of the largest batch
-    GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
-    ~GeometryLoss() override;
+    LikelihoodLoss(Device& device, const LossWeights& weights);
+    ~LikelihoodLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                  const TermRow& terms) override;
 

@@ -26,7 +26,6 @@ struct LossWeights {
     float likelihood_scale_m = 0.05f;  ///< Spread of measured ranges around the true surface, metres.
     float likelihood_floor = 0.01f;    ///< Share of returns that may have any range.
 
-    bool uses_geometry() const { return distortion > 0.0f || normal > 0.0f; }
     bool operator==(const LossWeights&) const = default;
 };
 

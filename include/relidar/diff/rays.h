@@ -4,6 +4,7 @@
 #ifndef RELIDAR_INCLUDED_DIFF_RAYS_H
 #define RELIDAR_INCLUDED_DIFF_RAYS_H
 #include "relidar/base/lang.h"
+#include "relidar/diff/blended_values.h"
 
 RELIDAR_SHARED_BEGIN
 
@@ -26,15 +27,13 @@ struct DeviceTarget {
 };
 RELIDAR_POINTER(Targets, DeviceTarget);
 
-/// Rendered values of a ray (M5).
+#define RELIDAR_FIELD(name, built, value, input, slope, meaning) float name;
+
+/// Output of the forward pass for a ray (M5): the blended values and data about the hits.
 struct RenderedRay {
-    float depth;   // Depth D = sum w t, metres.
-    float weight;  // Accumulated weight W = sum w.
-    float intensity;
-    float hit_logit;
-    float drop_logit;     // Drop logit, including the background's T * 1.
-    float transmittance;  // Transmittance T after the last blended surfel.
-    float median_depth;   // Median range: t at which T crosses 0.5, metres; 0 if T stays above 0.5.
+    RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
+    float transmittance;  // T after the last blended surfel
+    float median_depth;   // t where T crosses 0.5, 0 where it never does
     uint n_hits;
     // Instance of the surfel at which T crosses 0.5; otherwise of the nearest blended
     // surfel; RELIDAR_NO_INSTANCE without hits.
@@ -42,41 +41,19 @@ struct RenderedRay {
 };
 RELIDAR_POINTER(RenderedRays, RenderedRay);
 
-/// Gradient of the loss with respect to the rendered values of a ray.
+/// Gradient of the loss with respect to the blended values of a ray.
 struct RayGradient {
-    float depth;
-    float weight;
-    float intensity;
-    float hit_logit;
-    float drop_logit;
+    RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
 };
 RELIDAR_POINTER(RayGradients, RayGradient);
+#undef RELIDAR_FIELD
 
-/// Additional rendered values of a ray for the geometric losses (M10-M12) and for range
-/// images (M13). n is the unit normal of a surfel in the world frame, facing the sensor.
-/// t_0 is the range of the ray's first hit.
-struct RenderedGeometry {
-    vec3 normal;  // Blended normal B = sum w n.
-    // Distortion: sum over pairs of hits, each pair once, of w_i w_j |t_i - t_j|, metres.
-    float distortion;
-    float moment;  // First moment of the hits: sum w (t - t_0), metres.
-    // Likelihood S = sum w k(t), where the kernel k is centred at the measured range
-    // (M12); 0 without a measured range.
-    float likelihood;
-    float mode;  // Mean of t over the heaviest surface of the ray (M13), metres; 0 without hits.
+/// What a scan needs of the surface that a ray meets; without gradients.
+struct RenderedSurface {
+    vec3 normal;  // sum w n, n a surfel's unit normal in the world, facing the sensor
+    float mode;   // m, mean of t over the heaviest surface of the ray (M13), 0 without hits
 };
-RELIDAR_POINTER(RenderedGeometries, RenderedGeometry);
-
-// Gradients of the loss with respect to RenderedGeometry, and to the ray's point origin +
-// range * direction, which moves with the ray.
-struct GeometryGradient {
-    vec3 normal;
-    float distortion;
-    vec3 point;
-    float range;  // Gradient with respect to the range, 1/m.
-    float likelihood;
-};
-RELIDAR_POINTER(GeometryGradients, GeometryGradient);
+RELIDAR_POINTER(RenderedSurfaces, RenderedSurface);
 
 /// Hit of a ray: in the buffer of the ray, in its list, or kept for the backward pass.
 struct Hit {

@@ -67,18 +67,16 @@ struct TraceOptions {
     /// Initial capacity of a hit list, 1..512. It is doubled while any ray has more hits.
     /// Rays with too many hits are traced in chunks.
     int list_room = 64;
-    /// If true, also renders a RayGeometry: the normals of a Renderer and the inputs of
-    /// the geometric losses. ForwardPass::run and BackwardPass::run must then receive a
-    /// RayGeometry.
-    bool geometry = false;
-    /// If set, also renders the likelihood of the measured range, for rays that have one.
+    /// Blends the normals of surfels, for RenderedSurface. They have no gradient.
+    bool normals = false;
+    /// Blends the likelihood of each ray that has a measured range.
     std::optional<RangeKernel> likelihood{};
     /// If set, also renders the heaviest surface of each ray (docs/method.md M13).
     /// Consecutive hits at most this far apart belong to one surface, metres.
     std::optional<float> mode_gap_m{};
 
-    /// Returns true if an option requires a RayGeometry.
-    bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }
+    /// Returns whether a forward pass writes a RenderedSurface for each ray.
+    bool has_surfaces() const { return normals || mode_gap_m; }
 };
 
 /// Returns the number of threads that trace a batch. For an image these are full tiles of
@@ -113,19 +111,7 @@ struct KeptHits {
 /// kB per ray), or `per_ray` if that is larger.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
-/// Additional rendered values of each ray for the geometric losses, and the gradients of
-/// these values.
-struct RayGeometry {
-    Array<shared::RenderedGeometry> rendered;  ///< Rendered values of the forward pass, [n_rays].
-    Array<shared::GeometryGradient> gradient;  ///< Gradients from GeometryLoss, [n_rays].
-
-    /// Allocates the arrays.
-    /// @param n_rays number of rays of the largest batch
-    RayGeometry(Device& device, std::size_t n_rays)
-        : rendered(device, n_rays, "geometry of rays"), gradient(device, n_rays, "geometry gradients") {}
-};
-
-/// Rendered batch, as losses compare it with the measurement and the backward pass
+/// A batch that has been rendered, as losses compare it and the backward pass
 /// differentiates it.
 struct RenderedBatch {
     RayBatch rays;
@@ -133,10 +119,9 @@ struct RenderedBatch {
     const Array<shared::RenderedRay>* rendered = nullptr;
     /// dL/d(rendered), [n_rays]: written by losses, read by the backward pass.
     Array<shared::RayGradient>* upstream = nullptr;
-    const KeptHits* kept = nullptr;  ///< Kept hits of the same ForwardPass::run, or null.
-    /// Geometry of the same ForwardPass::run, if TraceOptions requires it. Losses write
-    /// its gradient, the backward pass reads it.
-    RayGeometry* geometry = nullptr;
+    const KeptHits* kept = nullptr;  ///< of the same ForwardPass::run, or null
+    /// [n_rays] of the same ForwardPass::run, or null without TraceOptions::has_surfaces()
+    const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 
 /// Converts rays to the struct that kernels read.

@@ -190,9 +190,9 @@ struct Config {
     RenderConfig render;
     TraceConfig trace;
 
-    /// Returns true if a loss compares neighbouring pixels. Training steps then use
-    /// windows of adjacent columns instead of groups of columns from the full image.
-    bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f || loss.normal > 0.0f; }
+    /// Whether a loss compares neighbouring pixels: steps then see windows of columns in
+    /// the place of groups of columns from all around.
+    bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };
 

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts rendered rays to the measurements of a sensor: ranges and intensity as the
-// beam measures them, and the drop probability:
-//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))  (M6)
-//   drop_prob = 1 if the ray hit nothing within the sensor's limits
-// A ray with drop_prob 1 never returns, so only this kernel decides which rays can
-// return. One thread per ray. Input: rays, fired, rendered, geometry, beams,
-// response. Output: measured.
+// What a sensor makes of what its rays render: ranges and intensity as the beam measures
+// them, and whether anything returns,
+//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))  (M6),   1 if the ray met nothing within the sensor's limits
+// A ray with a drop_prob of 1 never returns: this kernel alone decides which rays can.
+// One thread a ray. Input: rays, fired, rendered, surfaces, beams, response. Output:
+// measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -56,12 +55,12 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_rays) return;
     RenderedRay r = params.rendered.at[i];
-    RenderedGeometry geometry = params.geometry.at[min(i, params.n_geometry - 1u)];
+    RenderedSurface surface = params.surfaces.at[min(i, params.n_surfaces - 1u)];
     uint channel = params.rays.at[i].channel;
     SensorBeam beam = SensorBeam(0.0, 1.0, 0.0);
     if (channel < params.n_beams) beam = params.beams.at[channel];
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
-    float normalised = r.depth / r.weight, chosen_m = chosen_range(r, geometry.mode, normalised);
+    float normalised = r.depth / r.weight, chosen_m = chosen_range(r, surface.mode, normalised);
     float surface_m = dominated ? r.median_depth : chosen_m;
     MeasuredRay m;
     m.range_m = measured_range(chosen_m, beam);
@@ -73,7 +72,7 @@ void main() {
     m.drop_prob =
         1.0 - (is_met && within_limits(m.range_m) && within_limits(m.median_range_m) ? returns : 0.0);
     m.weight = r.weight;
-    m.incidence = is_met ? incidence(geometry.normal, params.fired.at[i].direction) : 0.0;
+    m.incidence = is_met ? incidence(surface.normal, params.fired.at[i].direction) : 0.0;
     m.instance = is_met ? r.instance : RELIDAR_NO_INSTANCE;
     params.measured.at[i] = m;
 }

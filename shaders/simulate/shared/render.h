@@ -63,16 +63,15 @@ RELIDAR_POINTER(MeasuredRays, MeasuredRay);
 #define RELIDAR_RANGE_MEDIAN 3u
 
 struct MeasureRaysParams {
-    SensorRays rays;        // input [n_rays]
-    Rays fired;             // input [n_rays] the same rays in the world frame
-    RenderedRays rendered;  // input [n_rays]
-    // input [n_geometry] one for each ray; a single entry of zeros if none were rendered
-    RenderedGeometries geometry;
-    SensorBeams beams;  // input [n_beams]; rays of other beams measure the surface unchanged
-    Vec2s response;     // input [n_response] range in m, intensity factor at that range; empty: 1 everywhere
+    SensorRays rays;            // input [n_rays]
+    Rays fired;                 // input [n_rays] the same in the world
+    RenderedRays rendered;      // input [n_rays]
+    RenderedSurfaces surfaces;  // input [n_surfaces] as many as rays; one of zeros if none were rendered
+    SensorBeams beams;          // input [n_beams]; rays of others measure what is there
+    Vec2s response;         // input [n_response] range in m, factor of intensities there; none: 1 everywhere
     MeasuredRays measured;  // output [n_rays]
     uint n_rays;
-    uint n_geometry;
+    uint n_surfaces;
     uint n_beams;
     uint n_response;
     uint range_kind;

@@ -84,7 +84,7 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
             {ConstantId::TOGETHER, walks_together(device, options)},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
+            {ConstantId::NORMAL, options.normals ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
             {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }

@@ -261,9 +261,8 @@ void visit(C& c, Visitor&& f) {
     visit_keeping(c, f);
     f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
       "the log is trained in blocks of at most so many metres of its trajectory; 0: in one piece");
-    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "mcmc"}),
-      "surfels are added and removed: by gradient (adaptive, paper), or moved from dead to living and grown "
-      "(mcmc)");
+    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive"}),
+      "surfels are added and removed by their gradients (adaptive, paper)");
     visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
       expert("range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the "

@@ -89,11 +89,6 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
                      {device, "train/gather_columns"}}) {
     if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
         check_images("loss.intensity_ssim", frames);
-    if (config.loss.normal > 0.0f) check_images("loss.normal", frames);
-    if (config.loss.normal > 0.0f && !kind_of(config.image.primitive).has_normals)
-        throw UsageError(fmt::format(
-            "setting loss.normal: found image.primitive={}, which has no normal, expected surfel, or 0",
-            kind_of(config.image.primitive).name));
 }
 BatchSampler::~BatchSampler() = default;
 

@@ -237,7 +237,7 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.loss.intensity, 0.1f);
     EXPECT_EQ(c.loss.intensity_ssim, 0.0f);
     EXPECT_EQ(c.loss.chamfer, 0.01f);
-    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.distortion + c.loss.normal + c.loss.likelihood, 0.0f);
+    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.likelihood, 0.0f);
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
@@ -276,24 +276,20 @@ TEST(Config, EnumFieldsReachTheirStages) {
 /// them, except for the normals of surfels.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
-    EXPECT_FALSE(training_trace_options(config).wants_geometry());
+    EXPECT_FALSE(training_trace_options(config).likelihood);
     set_key(config, "loss.likelihood", "0.1");
     config.loss.likelihood_scale_m = 0.2f;
     const TraceOptions likelihood = training_trace_options(config);
-    EXPECT_FALSE(likelihood.geometry);
+    EXPECT_FALSE(likelihood.has_surfaces());
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
-    EXPECT_TRUE(rendering_trace_options(config).geometry);
+    EXPECT_TRUE(rendering_trace_options(config).normals);
     set_key(config, "image.primitive", "gaussian");
-    EXPECT_FALSE(rendering_trace_options(config).wants_geometry());
+    EXPECT_FALSE(rendering_trace_options(config).has_surfaces());
     set_key(config, "render.range", "mode");
     set_key(config, "sensor.return_separation_m", "0.7");
     EXPECT_EQ(rendering_trace_options(config).mode_gap_m, 0.7f);
     EXPECT_FALSE(training_trace_options(config).mode_gap_m);
-    set_key(config, "loss.likelihood", "0");
-    set_key(config, "loss.normal", "0.1");
-    EXPECT_TRUE(training_trace_options(config).geometry);
-    EXPECT_FALSE(training_trace_options(config).likelihood);
 }
 
 TEST_F(ConfigFile, BadFilesNameFileAndKey) {

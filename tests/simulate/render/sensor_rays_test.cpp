@@ -119,13 +119,13 @@ Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees
 TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     const RayTable rays = spinning_rays(333);
     const std::vector<shared::RenderedRay> rendering = random_rendering(rays.size());
-    RayGeometry geometry(device(), rays.size());
-    std::vector<shared::RenderedGeometry> of_rays(rays.size());
+    std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
         of_rays[i].mode = 1.05f * rendering[i].median_depth;
         of_rays[i].normal = glm::vec3(float(i % 3), 1.0f, float(i % 5) - 2.0f);
     }
-    geometry.rendered.upload(of_rays);
+    const Array<shared::RenderedSurface> surfaces(device(), std::span<const shared::RenderedSurface>(of_rays),
+                                                  "surfaces");
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
                                               "rendered rays");
     const std::vector<Beam> beams = {
@@ -143,7 +143,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
         const RayMeasuring how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
         Stream stream(device());
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry},
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .surfaces = &surfaces},
                           how);
         const std::span<const shared::MeasuredRay> measured = on_device.wait(stream);
         ASSERT_EQ(measured.size(), rays.size());
@@ -233,14 +233,14 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
     Stream stream(device());
     on_device.fire(stream, bend(0.0, 1), 0.0);
-    RayGeometry geometry(device(), rays.size());
-    std::vector<shared::RenderedGeometry> of_rays(rays.size());
+    std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i)
         of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
-    geometry.rendered.upload(of_rays);
+    const Array<shared::RenderedSurface> surfaces(device(), std::span<const shared::RenderedSurface>(of_rays),
+                                                  "surfaces");
     const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
     const auto measure = [&] {
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry},
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .surfaces = &surfaces},
                           {"median", {}, {}, {0.0, 80.0}, 1e-3f});
     };
     measure();

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blended normals, distortion and likelihood of the forward pass (M10-M12) against the
-// double reference, which sums distortion pair by pair: random scenes with instances,
-// chunk sizes, lists, rays of many hits. The image is the same, bit for bit, whether they
-// are wanted or not.
+// What the forward pass renders on demand against the double reference: blended normals,
+// the likelihood (M12) and the heaviest surface (M13); random scenes with instances, chunk
+// sizes, lists, rays of many hits. The image is the same, bit for bit, whether they are
+// rendered or not.
 #include <algorithm>
+#include <utility>
 
 #include <relidar/diff/forward.hpp>
 
@@ -18,19 +19,15 @@ namespace {
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
-class Geometry : public test::DeviceTest {
+class OnDemand : public test::DeviceTest {
 protected:
-    /// Renders a scene's rays. @param geometry  if given, receives [n,7]
-    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk,
-                             std::vector<float>* geometry) {
-        return trace(random, model,
-                     {.chunk = chunk,
-                      .geometry = geometry != nullptr,
-                      .likelihood = geometry ? kKernel : std::nullopt},
-                     geometry);
-    }
-    std::vector<float> trace(const test::RandomScene& random, const ImageModel& model,
-                             const TraceOptions& options, std::vector<float>* geometry) {
+    struct Found {
+        std::vector<float> image;       ///< [n] RenderedRay without its likelihood, number by number
+        std::vector<float> likelihood;  ///< [n]
+        std::vector<float> surfaces;    ///< [n,4] normal and mode, or empty
+    };
+    /// Renders a scene's rays.
+    Found trace(const test::RandomScene& random, const ImageModel& model, const TraceOptions& options) {
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
@@ -42,27 +39,28 @@ protected:
         const std::vector<shared::DeviceTarget> measured = test::to_targets(random.rays);
         const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured),
                                                   "targets");
-        RayGeometry* wanted = renderer.rendered().geometry;
-        if (wanted)
-            wanted->rendered.upload(
-                std::vector<shared::RenderedGeometry>(n_rays + 1, {.normal = glm::vec3(-7.0f),
-                                                                   .distortion = -7.0f,
-                                                                   .moment = -7.0f,
-                                                                   .likelihood = -7.0f,
-                                                                   .mode = -7.0f}));
+        const Array<shared::RenderedSurface>* surfaces = renderer.rendered().surfaces;
+        if (surfaces)
+            surfaces->upload(std::vector<shared::RenderedSurface>(
+                n_rays + 1, {.normal = glm::vec3(-7.0f), .mode = -7.0f}));
         renderer.place(glm::vec3(random.view_origin));
         renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().finish();
-        if (geometry) {
-            *geometry = test::floats_of(wanted->rendered.download());
-            for (int k = 0; k < 7; ++k, geometry->pop_back())
-                EXPECT_EQ(geometry->back(), -7.0f) << "wrote past the end";
+        Found found;
+        if (surfaces) {
+            found.surfaces = test::floats_of(surfaces->download());
+            for (int k = 0; k < 4; ++k, found.surfaces.pop_back())
+                EXPECT_EQ(found.surfaces.back(), -7.0f) << "wrote past the end";
         }
-        return test::floats_of(renderer.rendered().rendered->download(n_rays));
+        std::vector<shared::RenderedRay> image = renderer.rendered().rendered->download(n_rays);
+        for (shared::RenderedRay& ray : image)
+            found.likelihood.push_back(std::exchange(ray.likelihood, 0.0f));
+        found.image = test::floats_of(image);
+        return found;
     }
 };
 
-TEST_F(Geometry, AgreesWithDoubleReference) {
+TEST_F(OnDemand, AgreesWithDoubleReference) {
     test::RandomSceneOptions few, many;
     few.seed = 24, few.rays = 200;
     many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0,
@@ -72,57 +70,57 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         settings.likelihood_scale_m = 0.3;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
-        std::vector<float> found;
-        const std::vector<float> image = trace(scene, settings.image, 5, &found);
-        double most = 0.0, likeliest = 0.0;
+        const TraceOptions both{.chunk = 5, .normals = true, .likelihood = kKernel};
+        const Found found = trace(scene, settings.image, both);
+        double likeliest = 0.0;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            const float* q = &found[7 * i];
+            const float* q = &found.surfaces[4 * i];
             EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
-            EXPECT_NEAR(q[3], p.distortion, 1e-5 * p.distortion + 1e-7) << "ray " << i;
-            EXPECT_NEAR(q[5], p.likelihood, 1e-5) << "ray " << i;
-            EXPECT_EQ(q[5] > 0.0f, scene.rays[i].measured_m > 0.0) << "ray " << i;
-            most = std::max(most, p.distortion);
+            EXPECT_NEAR(found.likelihood[i], p.likelihood, 1e-5) << "ray " << i;
+            EXPECT_EQ(found.likelihood[i] > 0.0f, scene.rays[i].measured_m > 0.0) << "ray " << i;
             likeliest = std::max(likeliest, p.likelihood);
         }
-        EXPECT_GT(most, 0.2) << "the scene has no ray with a spread";
         EXPECT_GT(likeliest, 0.2) << "no ray meets what it measured";
-        EXPECT_EQ(trace(scene, settings.image, 5, nullptr), image) << "the image does not depend on it";
-        std::vector<float> again;
-        trace(scene, settings.image, 64, &again);
-        EXPECT_EQ(again, found) << "nor on the chunk";
+        EXPECT_EQ(trace(scene, settings.image, {.chunk = 5}).image, found.image)
+            << "the image does not depend on it";
+        TraceOptions other = both;
+        other.chunk = 64;
+        const Found again = trace(scene, settings.image, other);
+        EXPECT_EQ(again.surfaces, found.surfaces) << "nor on the chunk";
+        EXPECT_EQ(again.likelihood, found.likelihood);
+        other.chunk = 5, other.order = HitOrder::lists;
         for (const int room : {4, 64}) {
-            trace(scene, settings.image,
-                  {.chunk = 5,
-                   .order = HitOrder::lists,
-                   .list_room = room,
-                   .geometry = true,
-                   .likelihood = kKernel},
-                  &again);
-            for (std::size_t k = 0; k < again.size(); ++k)
-                EXPECT_NEAR(again[k], found[k], 1e-6f * std::max(1.0f, std::abs(found[k])));
+            other.list_room = room;
+            const Found lists = trace(scene, settings.image, other);
+            for (std::size_t k = 0; k < lists.surfaces.size(); ++k)
+                EXPECT_NEAR(lists.surfaces[k], found.surfaces[k], 1e-6f);
+            for (std::size_t k = 0; k < lists.likelihood.size(); ++k)
+                EXPECT_NEAR(lists.likelihood[k], found.likelihood[k], 1e-6f);
         }
-        EXPECT_EQ(trace(scene, settings.image, {.likelihood = kKernel}, &again), image);
-        for (std::size_t k = 0; k < again.size(); ++k)
-            EXPECT_EQ(again[k], k % 7 == 5 ? found[k] : 0.0f) << "the likelihood alone";
+        const Found alone = trace(scene, settings.image, {.likelihood = kKernel});
+        EXPECT_EQ(alone.image, found.image);
+        EXPECT_EQ(alone.likelihood, found.likelihood);
+        EXPECT_TRUE(alone.surfaces.empty());
     }
 }
 
 /// The heaviest surface (M13), of rays whose gaps and weights say clearly which one it
 /// is.
-TEST_F(Geometry, ModeAgreesWithDoubleReference) {
+TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
     test::RandomSceneOptions options;
     options.seed = 28, options.rays = 100;
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
-    std::vector<float> found, image = trace(scene, settings.image, 5, nullptr);
-    EXPECT_EQ(trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap}, &found), image)
+    const Found with_mode = trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap});
+    EXPECT_EQ(with_mode.image, trace(scene, settings.image, {.chunk = 5}).image)
         << "the image does not depend on it";
-    std::vector<float> by_lists;
-    trace(scene, settings.image, {.order = HitOrder::lists, .mode_gap_m = kGap}, &by_lists);
-    for (std::size_t k = 6; k < found.size(); k += 7) EXPECT_NEAR(by_lists[k], found[k], 1e-5f);
+    const std::vector<float>& found = with_mode.surfaces;
+    const std::vector<float> by_lists =
+        trace(scene, settings.image, {.order = HitOrder::lists, .mode_gap_m = kGap}).surfaces;
+    for (std::size_t k = 3; k < found.size(); k += 4) EXPECT_NEAR(by_lists[k], found[k], 1e-5f);
     int clear = 0, other_than_first = 0;
     for (std::size_t i = 0; i < scene.rays.size(); ++i) {
         std::vector<reference::ShadedHit> hits;
@@ -135,7 +133,7 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
         for (auto s = all.begin(); s != all.end(); ++s)
             is_clear = is_clear && (s == heaviest || heaviest->weight - s->weight > 1e-5);
         if (!is_clear) continue;
-        EXPECT_NEAR(found[7 * i + 6], heaviest->mean, 1e-5) << "ray " << i;
+        EXPECT_NEAR(found[4 * i + 3], heaviest->mean, 1e-5) << "ray " << i;
         ++clear;
         other_than_first += heaviest != all.begin();
     }
@@ -145,7 +143,7 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
 
 /// A batch finds what its rays measured by their places, and renders no likelihood where
 /// it brings no targets.
-TEST_F(Geometry, LikelihoodOfEveryThirdRay) {
+TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
     test::RandomSceneOptions options;
     options.seed = 27, options.rays = 60;
     const test::RandomScene scene = test::make_random_scene(options, {});
@@ -162,9 +160,8 @@ TEST_F(Geometry, LikelihoodOfEveryThirdRay) {
         renderer.record_forward(batch);
         renderer.stream().finish();
         std::vector<float> found;
-        for (const shared::RenderedGeometry& q :
-             renderer.rendered().geometry->rendered.download(batch.n_rays))
-            found.push_back(q.likelihood);
+        for (const shared::RenderedRay& ray : renderer.rendered().rendered->download(batch.n_rays))
+            found.push_back(ray.likelihood);
         return found;
     };
     const std::vector<float> all = likelihoods({&rays, 0, 1, 60, 0, &targets}),
@@ -174,7 +171,7 @@ TEST_F(Geometry, LikelihoodOfEveryThirdRay) {
     EXPECT_EQ(likelihoods({&rays, 0, 1, 60}), std::vector<float>(60, 0.0f));
 }
 
-TEST_F(Geometry, OfARenderer) {
+TEST_F(OnDemand, OfARenderer) {
     test::RandomSceneOptions options;
     options.seed = 26, options.rays = 100;
     const reference::Settings settings;
@@ -183,7 +180,7 @@ TEST_F(Geometry, OfARenderer) {
     const test::SceneAndPoses placed =
         test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
     for (const bool wanted : {true, false}) {
-        Renderer renderer(device(), placed.scene, settings.image, {.trace = {.geometry = wanted}});
+        Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = wanted}});
         renderer.scene().set_poses(placed.world_from_instance);
         renderer.place(glm::vec3(scene.view_origin));
         const Rendering found = renderer.forward(test::to_world_rays(scene.rays));

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Distortion, normal consistency and likelihood (M10-M12) from end to end: the forward
-// pass, the losses and the backward pass on the device against central differences of the
-// double forward pass, for every parameter that they depend on, the rays, the poses of
-// instances and that of the sensor; each term alone and with the image losses. The
-// normals of the range image move with the surfels and with the rays.
+// The likelihood (M12) from end to end: the forward pass, the losses and the backward pass
+// on the device against central differences of the double forward pass, for every
+// parameter that they depend on, the rays, the poses of instances and that of the sensor;
+// alone and with the image losses.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -15,7 +14,6 @@
 
 #include "base/parallel.hpp"
 
-#include "../../reference/geometry_loss.hpp"
 #include "../../reference/loss.hpp"
 #include "../../support/surfels.hpp"
 #include "passes.hpp"
@@ -94,9 +92,6 @@ struct WallProblem {
     test::RandomScene scene = smooth_wall(settings);
     LossWeights weights;
     std::vector<reference::Target> targets;
-    std::optional<std::vector<std::optional<glm::dvec3>>> frozen;  ///< normals held where they are
-    /// by how much normals are not of length 1; empty: not at all
-    std::vector<double> surfel_lengths, ray_lengths;
 
     explicit WallProblem(const LossWeights& w) : weights(w) {
         settings.view_origin = scene.view_origin;
@@ -113,51 +108,24 @@ struct WallProblem {
     std::vector<reference::Pixel> pixels() const {
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
         std::vector<reference::Pixel> result;
-        for (const reference::Ray& ray : scene.rays) {
-            std::vector<reference::ShadedHit> blended;
-            result.push_back(reference::render(scene.world, brute, settings, ray, 16, &blended));
-            if (!surfel_lengths.empty())
-                result.back().normal += normal_error(blended, ray_lengths[result.size() - 1]);
-        }
-        return result;
-    }
-    /// What the blended normal is off where those of its surfels, and the one it is
-    /// compared with, have other lengths.
-    glm::dvec3 normal_error(const std::vector<reference::ShadedHit>& blended, double ray_length) const {
-        glm::dvec3 sum(0.0);
-        double transmittance = 1.0;
-        for (const reference::ShadedHit& s : blended) {
-            sum += s.alpha * transmittance * (surfel_lengths[s.hit.surfel] + ray_length) * s.normal;
-            transmittance *= 1.0 - s.alpha;
-        }
-        return sum;
-    }
-    reference::RangeImage image() const {
-        reference::RangeImage result{kRows,      kColumns, false, weights.normalised_depth,
-                                     scene.rays, pixels(), {}};
-        for (const reference::Target& t : targets) result.returned.push_back(t.range_m > 0.0);
+        for (const reference::Ray& ray : scene.rays)
+            result.push_back(reference::render(scene.world, brute, settings, ray, 16));
         return result;
     }
     std::vector<double> terms() const {
-        const reference::RangeImage i = image();
-        std::vector<double> result = normal_terms(i, frozen ? *frozen : image_normals(i));
-        const double n_returned = double(std::count(i.returned.begin(), i.returned.end(), true));
-        for (std::size_t k = 0; k < result.size(); ++k) {
-            result[k] *= weights.normal;
-            if (i.returned[k]) result[k] += weights.distortion * i.pixels[k].distortion / n_returned;
-        }
-        result.push_back(evaluate_loss(i.pixels, targets, {weights.depth, weights.intensity, weights.drop},
+        const std::vector<reference::Pixel> all = pixels();
+        std::vector<double> result;
+        result.push_back(evaluate_loss(all, targets, {weights.depth, weights.intensity, weights.drop},
                                        reference::DepthKind::normalised)
                              .total);
         result.push_back(double(weights.likelihood) *
-                         likelihood_loss(i.pixels, targets, double(weights.likelihood_floor)));
+                         likelihood_loss(all, targets, double(weights.likelihood_floor)));
         return result;
     }
 };
 
 RendererOptions options_of(const LossWeights& w, std::uint32_t keep_hits) {
     RendererOptions options = test::options_of({});
-    options.trace.geometry = w.uses_geometry();
     if (w.likelihood > 0.0f) options.trace.likelihood = RangeKernel{w.likelihood_scale_m};
     options.keep_hits = keep_hits;
     return options;
@@ -253,7 +221,7 @@ using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 /// The same problem with what Vulkan's exp and division may be off, each up or down:
 /// scales by the exp of their logarithm, alphas by the sigmoid of the opacity and by the
 /// exp of a hit one standard deviation from the mean, distances along a ray by their
-/// division, normals by their length.
+/// division.
 WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     WallProblem moved = p;
     std::mt19937_64 random(seed);
@@ -268,12 +236,6 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     constexpr double kWall_m = 6.0;
     for (reference::Ray& ray : moved.scene.rays)
         ray.origin += sign() * kWall_m * (test::kDivision + test::kRounding) * ray.direction;
-    // a quaternion's inverse square root is 2 units off, its length squared enters a
-    // normal; that of the image has one and two divisions
-    for (std::size_t i = 0; i < p.scene.world.surfels.size(); ++i)
-        moved.surfel_lengths.push_back(sign() * 7.0 * test::kUnit);
-    for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
-        moved.ray_lengths.push_back(sign() * (2.5 * test::kUnit + 2.0 * test::kDivision));
     return moved;
 }
 
@@ -295,11 +257,10 @@ std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
     return {draws[0], moved};
 }
 
-class GeometryGradient : public test::DeviceTest {
+class LikelihoodGradient : public test::DeviceTest {
 protected:
-    /// Each row within 3 kKernelGradient, as the normals hold fewer digits
-    /// (geometry_loss_test.cpp), and twice what it moved in some draws of what Vulkan
-    /// allows: small rows are differences of large shares.
+    /// Each row within 3 kKernelGradient and twice what it moved in some draws of what
+    /// Vulkan allows: small rows are differences of large shares.
     void expect_rows(const GradientTable& table, const Rows& expected, const std::vector<double>& moved,
                      const std::vector<std::vector<double>>& actual, const std::string& title) {
         for (std::size_t k = 0; k < actual.size(); ++k) {
@@ -339,93 +300,21 @@ protected:
     }
 };
 
-LossWeights geometry_weights(float image, float distortion, float normal, float likelihood = 0.0f) {
+LossWeights weights_of(float image, float likelihood) {
     LossWeights w;
     w.depth = w.intensity = w.drop = image;
-    w.distortion = distortion, w.normal = normal, w.likelihood = likelihood, w.chamfer = 0.0f;
+    w.likelihood = likelihood, w.chamfer = 0.0f;
     w.likelihood_scale_m = 0.1f, w.likelihood_floor = 0.05f;
     w.normalised_depth = true;
     return w;
 }
 
-TEST_F(GeometryGradient, NormalConsistencyAlone) {
-    expect_agreement(geometry_weights(0.0f, 0.0f, 1.0f), "normal consistency");
-}
-TEST_F(GeometryGradient, DistortionAlone) {
-    expect_agreement(geometry_weights(0.0f, 1.0f, 0.0f), "distortion");
-}
-TEST_F(GeometryGradient, LikelihoodAlone) {
-    expect_agreement(geometry_weights(0.0f, 0.0f, 0.0f, 1.0f), "likelihood");
-}
-TEST_F(GeometryGradient, WithTheImageLosses) {
-    expect_agreement(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f), "all terms");
-}
-
-/// What the tests above would not notice if the normals of the range image were taken for
-/// constants: a third of the gradient of the means.
-TEST_F(GeometryGradient, TheImageNormalsHaveAShare) {
-    WallProblem p(geometry_weights(0.0f, 0.0f, 1.0f));
-    double all = 0.0, difference = 0.0;
-    for (const bool hold : {false, true}) {
-        if (hold) p.frozen = image_normals(p.image());
-        for (reference::Surfel& s : p.scene.world.surfels) {
-            const std::vector<double> row =
-                test::central_differences(&s.mean.x, 3, [&] { return p.terms(); });
-            for (const double x : row) (hold ? difference : all) += x * x;
-        }
-    }
-    EXPECT_GT(std::abs(std::sqrt(difference) - std::sqrt(all)), 0.3 * std::sqrt(all));
-}
-
-double logit(double p) { return std::log(p / (1.0 - p)); }
-
-/// Two surfels across a ray: Dist = w_0 w_1 (t_1 - t_0), and moved along the ray a surfel
-/// changes its t alone.
-TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
-    for (const double start : {3.0, 79.0}) {  // at 80 m a float resolves 8e-6 m
-        test::RandomScene scene;
-        const double t[] = {start, start + 0.02}, opacity[] = {0.6, 0.5};
-        for (int i : {0, 1}) {
-            reference::Surfel s;
-            s.mean = glm::dvec3(glm::vec3(float(t[i]), 0.0f, 0.0f));
-            s.rotation = {0.70710678118654752, 0.0, 0.70710678118654752, 0.0};
-            s.opacity_logit = logit(opacity[i]);
-            scene.world.surfels.push_back(s);
-        }
-        scene.world.instances = {{0, 2, {}}};
-        scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}}};
-        std::vector<reference::PixelGradient> upstream(1);
-        upstream[0].distortion = 1.0;
-        RendererOptions options = test::options_of({});
-        options.trace.geometry = true;
-        test::Passes passes(device(), {}, scene, upstream, options);
-        passes.run();
-        const double between = double(float(t[1])) - double(float(t[0])), w0 = 0.6, w1 = 0.4 * 0.5;
-        // t = n.(mean - o) / n.d: a product and a division; the weights: a sigmoid, and
-        // exp(0), of both
-        const double apart = 2.0 * t[1] * (test::kRounding + test::kDivision);
-        const double off0 =
-            test::sigmoid_error(0.6, logit(0.6)) / 0.6 + test::exp_error(0.0) + test::kRounding;
-        const double off1 = test::sigmoid_error(0.5, 0.0) / 0.5 + test::exp_error(0.0) + test::kRounding;
-        // of w0 w1 = s0 (1 - s0) s1
-        const double weights = off0 * (1.0 + 0.6 / 0.4) + off1 + 4.0 * test::kRounding;
-        const shared::RenderedGeometry rendered = passes.renderer.rendered().geometry->rendered.download()[0];
-        EXPECT_NEAR(rendered.distortion, w0 * w1 * between, w0 * w1 * (weights * between + apart));
-        EXPECT_NEAR(rendered.normal.x, -(w0 + w1), 1e-6) << "towards the sensor";
-        const Surfels d = passes.gradients().surfels.download();
-        EXPECT_NEAR(d.mean[0].x, -w0 * w1, 1e-6);
-        EXPECT_NEAR(d.mean[1].x, w0 * w1, 1e-6);
-        // Dist = s_0 (1 - s_0) s_1 between, by the opacities s
-        EXPECT_NEAR(d.opacity_logit[0], (1.0 - 2.0 * 0.6) * 0.5 * between * 0.6 * 0.4,
-                    1e-5 * between + 0.6 * 0.4 * 0.1 * apart);
-        EXPECT_NEAR(d.opacity_logit[1], 0.6 * 0.4 * between * 0.5 * 0.5,
-                    1e-5 * between + 0.6 * 0.4 * 0.25 * apart);
-    }
-}
+TEST_F(LikelihoodGradient, Alone) { expect_agreement(weights_of(0.0f, 1.0f), "likelihood"); }
+TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(weights_of(0.1f, 0.3f), "all terms"); }
 
 /// Two surfels, 30 cm apart, of a ray that measured the second: S = w_0 k + w_1, k = 1 /
 /// (1 + (0.3 / s)^2), at 80 m as at 3 m.
-TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
+TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
         test::RandomScene scene;
@@ -447,7 +336,7 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
                      w1 = 0.4 * 0.5;
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;  // of a range, by a float
-        EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1,
+        EXPECT_NEAR(passes.renderer.rendered().rendered->download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);
         const Surfels found = passes.gradients().surfels.download();
         EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
@@ -460,8 +349,8 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
     }
 }
 
-TEST_F(GeometryGradient, GatheredTheSameBitsInEveryRun) {
-    const WallProblem p(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f));
+TEST_F(LikelihoodGradient, GatheredTheSameBitsInEveryRun) {
+    const WallProblem p(weights_of(0.1f, 0.3f));
     std::vector<float> first;
     for (int i = 0; i < 3; ++i) {
         DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});
