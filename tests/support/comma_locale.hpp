@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// While it lives, the program's locale writes 1234.5 as "1.234,5": C++ streams always,
-// printf and strtod where the machine has such a locale installed. What relidar writes
-// and reads must not notice.
+// Sets a locale that writes 1234.5 as "1.234,5" for the lifetime of an object. C++
+// streams always use this locale; printf and strtod only if the machine has such a locale
+// installed. Tests use it to check that relidar reads and writes the same numbers in any
+// locale.
 #pragma once
 
 #include <clocale>

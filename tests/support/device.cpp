@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The test process's device, opened once.
+// Opens the Vulkan device of the test process once.
 #include "device.hpp"
 
 #include <cstdlib>
@@ -23,9 +23,9 @@ Traversal wanted_traversal() {
     return Traversal::automatic;
 }
 
-/// Opened by the first test that asks, closed after the last one, while main() still
-/// runs: when a program exits, its static objects may go after those of the validation
-/// layer, which then no longer knows the device.
+/// Opens the device for the first test that needs it and closes it after the last test,
+/// while main() still runs. A static device could be destroyed after the static objects
+/// of the validation layer, which would then no longer know the device.
 class ProcessDevice : public testing::Environment {
 public:
     Device* find() {

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// One device a test process, with validation as the environment says, opened for the
-// traversal that RELIDAR_TEST_TRAVERSAL names (ray_query or software; ctest runs the
-// suites that trace once with each), else the one a user would get. No device is a skip
-// for a user and a failure where RELIDAR_REQUIRE_GPU=1 (CI). Any validation message fails
-// the test in which it appears.
+// Provides one Vulkan device per test process, with validation if the environment enables
+// it. RELIDAR_TEST_TRAVERSAL (ray_query or software) selects the traversal backend;
+// otherwise the device uses the default backend. A missing GPU skips a test, or fails it
+// if RELIDAR_REQUIRE_GPU=1 (CI). A validation message fails the test in which it appears.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -12,10 +11,10 @@
 
 namespace relidar::test {
 
-/// The device of this process, or null where there is none.
+/// Returns the device of this process, or null if the machine has no suitable GPU.
 Device* find_device();
 
-/// Fixture of every test that runs kernels.
+/// Fixture of every test that runs kernels on the device.
 class DeviceTest : public ::testing::Test {
 protected:
     void SetUp() override;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structs that kernels fill as the numbers they hold, one behind the other: to compare
-// them, lane by lane.
+// Converts structs that kernels fill into a flat list of floats, so that tests can
+// compare them number by number.
 #pragma once
 
 #include <cstring>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random gradients of what rays render.
+// Makes random gradients of the loss with respect to the rendered outputs of rays.
 #pragma once
 
 #include <cstdint>
@@ -10,10 +10,11 @@
 
 namespace relidar::test {
 
-/// Which outputs of a ray have a gradient.
+/// Rendered outputs that get a non-zero gradient.
 enum class Outputs { image, normal, distortion, likelihood, all };
 
-/// Rounded to float, so that a kernel can be given exactly the same.
+/// Returns random gradients of `n` rays, rounded to float so that a kernel can receive
+/// exactly the same values.
 inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed,
                                                              Outputs outputs = Outputs::image) {
     std::mt19937_64 random(seed);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random scenes with margins: surfels are drawn in a corridor in front of the sensor,
-// facing it within 50 degrees; rays are drawn into it and kept where all margins hold
-// (the discontinuities of M1, M2, M4 and of the intensity clamp).
+// Makes random scenes without discontinuities. Surfels lie in a corridor in front of the
+// sensor and face it within 50 degrees. Only rays that keep all margins are used, that
+// is, rays away from the discontinuities of equations M1, M2, M4 and of the intensity
+// clamp.
 #include "random_scene.hpp"
 
 #include <cmath>
@@ -24,8 +25,8 @@ glm::dvec3 unit_vector(Random& random) {
     return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
 }
 
-/// Quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x or +x, the
-/// in-plane angle and the length arbitrary.
+/// Returns a random quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x
+/// or +x. The in-plane angle and the length are arbitrary.
 glm::dvec4 facing_rotation(Random& random, double cone_rad) {
     const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad),
                  side = uniform(random, 0.0, 1.0);
@@ -53,8 +54,8 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
     return s;
 }
 
-/// Every surfel of an instance the ray's line could matter to: not cut or clamped by a
-/// hair, not grazing, not at the near plane.
+/// Returns true if the rendering is smooth in this surfel of an instance: the ray is not
+/// close to the alpha cut or clamp, not grazing the surfel, and not at the near plane.
 bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray,
                       const reference::LocalRay<double>& local, const reference::Settings& settings,
                       const Margins& m) {
@@ -66,12 +67,13 @@ bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray
                  log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
-    // skipped: the rest cannot matter
+    // The renderer skips this surfel, so the other margins do not matter.
     if (log_alpha < std::log(double(settings.image.alpha_min))) return true;
     return std::abs(facing) >= m.facing && std::abs(t - double(settings.image.near_m)) >= m.near_m;
 }
 
-/// Order, stop and intensity clamp along the sorted hits.
+/// Returns true if the order of the hits, the early stop and the intensity clamp do not
+/// change under small changes of the scene.
 bool hits_are_smooth(const reference::World& world, const reference::Settings& settings,
                      const reference::Ray& ray, const Margins& m) {
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
@@ -90,8 +92,8 @@ bool hits_are_smooth(const reference::World& world, const reference::Settings& s
     return true;
 }
 
-/// Surfels, placements and view origin, all rounded to float where the library stores
-/// floats.
+/// Draws surfels, placements and the view origin. Rounds every value to float if the
+/// library stores it as float.
 RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     RandomScene scene;
     std::vector<reference::Surfel> surfels;
@@ -122,8 +124,8 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     return scene;
 }
 
-/// Draws rays into the corridor and keeps those with margins, until there are enough or
-/// too many were drawn.
+/// Draws rays into the corridor and keeps those with margins, until there are enough rays
+/// or the maximum number of attempts is reached.
 void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings,
               const Margins& margins, RandomScene& scene) {
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
@@ -137,7 +139,7 @@ void add_rays(Random& random, const RandomSceneOptions& options, const reference
     }
 }
 
-/// Ranges about what the rays render.
+/// Sets the measured ranges of the rays close to their rendered ranges.
 void add_measured_ranges(const RandomSceneOptions& options, const reference::Settings& settings,
                          RandomScene& scene) {
     Random random(options.seed + 1000);
@@ -166,7 +168,8 @@ bool keeps_margins(const reference::World& world, const reference::Settings& set
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins) {
     Random random(options.seed);
-    // one unlucky surfel (say, an intensity near 0) can spoil every ray
+    // Tries several scenes, because one surfel (for example with an intensity near 0) can
+    // break the margins of every ray.
     for (int attempt = 0; attempt < 50; ++attempt) {
         RandomScene scene = random_surfels(random, options);
         reference::Settings viewed = settings;

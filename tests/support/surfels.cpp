@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Conversions between the library's Surfels and the oracle's, both ways (docs/method.md
-// section 2 names the 58 numbers).
+// Converts surfels between the library and the reference renderer (docs/method.md section
+// 2 names the 58 numbers of a surfel).
 #include "surfels.hpp"
 
 namespace relidar::test {

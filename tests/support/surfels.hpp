@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Between the library's arrays (float, structure of arrays) and the oracle's surfels and
-// records (double, one struct each), so that a test gives the very same numbers to a
+// Converts between the arrays of the library (float, structure of arrays) and the structs
+// of the reference renderer (double). Tests use it to pass exactly the same numbers to a
 // kernel and to the reference.
 #pragma once
 
@@ -13,18 +13,20 @@
 
 namespace relidar::test {
 
-/// Oracle surfels holding exactly the float values of `surfels`.
+/// Returns reference surfels that hold exactly the float values of `surfels`.
 std::vector<reference::Surfel> to_reference(const Surfels& surfels);
-/// Rounds to the library's arrays.
+/// Rounds reference surfels to the float arrays of the library.
 Surfels to_surfels(const std::vector<reference::Surfel>& surfels);
-/// Records of section 2 in the model's frame: computed in double, then rounded.
+/// Computes the records of docs/method.md section 2 in the model's frame, in double, and
+/// rounds them to float.
 std::vector<reference::FloatRecord> to_records(const Surfels& surfels);
-/// The same rays in double.
+/// Converts world rays to the double rays of the reference.
 std::vector<reference::Ray> to_reference(const WorldRays& rays);
-/// Rays of a table as they are, sensor frame = world.
+/// Converts a ray table to world rays; the sensor frame is the world frame.
 WorldRays to_world_rays(const RayTable& table);
 
-/// Surfels `order[i]` of a set, without needing the library.
+/// Returns the surfels of a set in the order of the indices `order`, without code of the
+/// library.
 Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order);
 
 }  // namespace relidar::test
