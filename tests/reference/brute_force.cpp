@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exhaustive traversal, the judge of all other providers (docs/architecture.md section
-// 6): each surfel of each instance goes through the canonical function (M1, M2), the
-// survivors are sorted by key.
+// Finds hits by exhaustive search. All other traversals are compared with this one
+// (docs/architecture.md section 6). Each surfel of each instance is tested with the
+// canonical intersection (M1, M2), and the hits are sorted by key.
 #include <algorithm>
 #include <stdexcept>
 

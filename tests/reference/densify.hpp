@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Densification in double, surfel by surfel, from docs/method.md section 6.
+// Densifies surfels in double, surfel by surfel, as docs/method.md section 6 describes.
 #pragma once
 
 #include <cstdint>
@@ -10,14 +10,14 @@
 
 namespace relidar::reference {
 
-/// A surfel's parameters, activated.
+/// Activated parameters of a surfel.
 struct DensifiedSurfel {
     glm::dvec3 mean{0.0};
-    glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};  ///< w, x, y, z, unnormalised
+    glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};  ///< w, x, y, z, not normalised
     glm::dvec2 scale{1.0};
     double opacity = 0.0;
     bool finite = true;
-    std::optional<double> scale_w{};  ///< of a 3D Gaussian
+    std::optional<double> scale_w{};  ///< set for a 3D Gaussian only
 };
 
 enum class Fate { invalid, faint, large, outside, keep, clone, split, share };
@@ -28,34 +28,38 @@ struct DensifyRules {
     double clone_scale = 0.0;
     double gradient_threshold = 1e30;
     glm::dvec3 half_size{0.0};  ///< 0 = unbounded
-    bool share = false;         ///< grow by opacity
-    std::uint32_t key = 0;      ///< of the random numbers
+    bool share = false;         ///< grow by sharing the opacity
+    std::uint32_t key = 0;      ///< key of the random numbers
 };
 
-/// @param mean_gradient mean norm over the batches that saw it, 0 where none did @param
-/// item index for random numbers
+/// Decides whether a surfel is kept, copied, split or removed.
+/// @param mean_gradient mean gradient norm over the batches that saw the surfel, 0 if
+/// none did
+/// @param item index for the random numbers
 Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
              std::uint32_t item);
 
-/// The two normal deviates of PCG4D and Box-Muller.
+/// Returns two normally distributed numbers from PCG4D and the Box-Muller transform.
 glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
 
-/// A point of a surfel, in units of its scales; z_w counts for a 3D Gaussian alone.
+/// Returns a point of a surfel at `z`, in units of its scales. Only 3D Gaussians use z_w.
 glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
 
-/// Who gets copies 0 ... n_new - 1, each looked up alone: copy j goes to the first surfel
-/// with cumulative weight c (its own included), c n_new + phase >= (j + 1) W. @return
-/// copies of each
+/// Distributes n_new copies in proportion to the weights. Copy j belongs to the first
+/// surfel with c n_new + phase >= (j + 1) W, where c is the cumulative weight up to and
+/// including the surfel and W is the total weight.
+/// @return number of copies of each surfel
 std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
                                      std::uint32_t phase);
 
-/// What one of n surfels needs so that all together stand for one of this opacity.
+/// Parameters of each of n surfels that together replace one surfel.
 struct SharedSurfel {
     double opacity;
     double scale_factor;
 };
-/// From the double sum over binomials as the paper prints it, with 1 / (k + 1) for the
-/// area of a surfel.
+/// Computes the opacity and scale of `n` surfels that together replace one surfel of the
+/// given opacity. Uses the double sum over binomials as printed in the paper, with 1 / (k
+/// + 1) for the area of a surfel.
 SharedSurfel share(double opacity, int n);
 
 }  // namespace relidar::reference

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The reference of densification against what it is to achieve: shared surfels blend to
-// the opacity and integral of the one they replace; random numbers are normal; copies are
-// handed out fairly.
+// Checks the reference of densification against its goals: shared surfels blend to the
+// opacity and the integral of the surfel that they replace, random numbers are normally
+// distributed, and copies are distributed in proportion to the weights.
 #include <cmath>
 #include <numeric>
 
@@ -12,7 +12,8 @@
 namespace relidar::reference {
 namespace {
 
-/// Integral over the plane of what n equal surfels of scale s blend to, in units of 2 pi.
+/// Returns the integral over the plane of n blended equal surfels of scale s, in units of
+/// 2 pi.
 double blended(double opacity, double scale, int n) {
     constexpr int kSteps = 20000;
     const double end = 12.0 * scale, h = end / kSteps;

@@ -12,7 +12,8 @@ double range_of(const RangeImage& image, int i) {
     return image.normalised ? p.depth / p.weight : p.depth;
 }
 
-/// The pixel `down` rows and `right` columns from pixel i, where it holds a surface.
+/// Returns the index of the pixel `down` rows and `right` columns from pixel i, if it has
+/// a surface.
 std::optional<int> surface_beside(const RangeImage& image, int i, int down, int right) {
     const int row = i / image.columns + down;
     int column = i % image.columns + right;
@@ -28,8 +29,8 @@ glm::dvec3 point(const RangeImage& image, int i) {
     return image.rays[std::size_t(i)].origin + range_of(image, i) * image.rays[std::size_t(i)].direction;
 }
 
-/// From the pixel before to the pixel behind i along a row or a column, where the three
-/// are one surface.
+/// Returns the vector from the previous to the next pixel along a row or a column, if
+/// these and pixel i belong to one surface.
 std::optional<glm::dvec3> tangent(const RangeImage& image, int i, int down, int right) {
     const std::optional<int> before = surface_beside(image, i, -down, -right),
                              behind = surface_beside(image, i, down, right);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals of a rendered range image and the disagreement of blended surfel normals with
-// them (docs/method.md M11), in double.
+// Computes in double the normals of a rendered range image, and how much blended surfel
+// normals differ from them (docs/method.md M11).
 #pragma once
 
 #include <optional>
@@ -15,17 +15,17 @@ struct RangeImage {
     int rows = 0;
     int columns = 0;
     bool circular = false;       ///< the first column follows the last one
-    bool normalised = false;     ///< the range is D / W, else D
+    bool normalised = false;     ///< true: the range is D / W; false: D
     std::vector<Ray> rays;       ///< [rows,columns]
     std::vector<Pixel> pixels;   ///< [rows,columns] depth, weight and normal are used
-    std::vector<bool> returned;  ///< [rows,columns] others take no part
+    std::vector<bool> returned;  ///< [rows,columns] false: the pixel is ignored
 };
 
-/// N of each pixel that has one: unit, facing the sensor.
+/// Computes the normal N of each pixel that has one: a unit vector facing the sensor.
 std::vector<std::optional<glm::dvec3>> image_normals(const RangeImage& image);
 
-/// W - B . N of each pixel with a normal, 0 elsewhere, over the number of returned rays:
-/// the terms of a mean over them.
+/// Returns (W - B . N) / (number of returned rays) for each pixel with a normal,
+/// otherwise 0. The sum of the terms is a mean over the returned rays.
 std::vector<double> normal_terms(const RangeImage& image,
                                  const std::vector<std::optional<glm::dvec3>>& normals);
 

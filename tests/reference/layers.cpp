@@ -30,7 +30,7 @@ std::size_t weight_index(int o, int i, int tap, int n_in, int taps) {
     return (std::size_t(o) * n_in + i) * taps + tap;
 }
 
-/// Calls visit(channel, index) for each value.
+/// Calls visit(channel, index) for each value of the images.
 template <class Visit>
 void for_values(const ImageBatch& images, Visit&& visit) {
     for (int image = 0; image < images.n; ++image)
@@ -38,7 +38,8 @@ void for_values(const ImageBatch& images, Visit&& visit) {
             for (std::size_t i = 0; i < images.pixels(); ++i) visit(c, images.index(image, c, 0, 0) + i);
 }
 
-/// Weights of the entries of a line of n_small from which entry `at` of n_large is mixed.
+/// Returns the weights of the n_small entries of a line from which bilinear resampling
+/// computes entry `at` of n_large.
 std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
     const double place = (at + 0.5) * n_small / n_large - 0.5, left = std::floor(place), share = place - left;
     const auto entry = [&](int k) {
@@ -50,8 +51,8 @@ std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
     return weights;
 }
 
-/// Calls visit(large row, large column, small row, small column, weight) for each weight
-/// that is not zero.
+/// Calls visit(large row, large column, small row, small column, weight) for each
+/// non-zero weight of a bilinear resampling.
 template <class Visit>
 void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&& visit) {
     std::vector<std::vector<double>> of_row, of_column;
@@ -69,9 +70,9 @@ void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&&
         }
 }
 
-/// A head of one image: what each pixel takes from each (softmax).
+/// One attention head of one image.
 struct Head {
-    int image, query, key, value, to, size;  ///< first channels
+    int image, query, key, value, to, size;  ///< index of the first channel of each
 
     Head(int at, int channels, int heads, int image_at)
         : image(image_at),
@@ -295,7 +296,8 @@ DropEntropy drop_entropy(const std::vector<double>& logit, const std::vector<dou
         result.probability.push_back(p);
         result.d_logit.push_back(target[i] >= 0.0 ? (p - target[i]) / known : 0.0);
         if (target[i] < 0.0) continue;
-        // -log p = log(1 + exp(-x)), in the form that does not overflow for the sign of x
+        // -log p = log(1 + exp(-x)), written so that it does not overflow for either sign
+        // of x.
         const double log_p =
             logit[i] < 0.0 ? logit[i] - std::log1p(std::exp(logit[i])) : -std::log1p(std::exp(-logit[i]));
         result.mean -= (target[i] * log_p + (1.0 - target[i]) * (log_p - logit[i])) / known;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The double layers: values that can be worked out by hand, and each derivative against
-// central differences of the layer itself.
+// Compares the double layers with values computed by hand, and each derivative with
+// central differences of the layer.
 #include <cmath>
 #include <functional>
 #include <random>
@@ -33,18 +33,19 @@ double dot(const std::vector<double>& a, const std::vector<double>& b) {
     return sum;
 }
 
-/// `actual` against the differences of <asked, value()> by each of `x`, which value()
-/// reads.
+/// Compares `actual` with the central differences of the inner product of `upstream` and
+/// value() with respect to each element of `x`. The function value() reads `x`.
 void expect_derivative(std::vector<double>& x, const std::vector<double>& actual,
-                       const std::vector<double>& asked, const std::function<std::vector<double>()>& value) {
+                       const std::vector<double>& d_value,
+                       const std::function<std::vector<double>()>& value) {
     ASSERT_EQ(x.size(), actual.size());
     double largest = 0.0;
     for (std::size_t i = 0; i < x.size(); ++i) {
         const double start = x[i], h = test::kDifferenceStep;
         x[i] = start + h;
-        const double above = dot(asked, value());
+        const double above = dot(d_value, value());
         x[i] = start - h;
-        const double below = dot(asked, value());
+        const double below = dot(d_value, value());
         x[i] = start;
         EXPECT_NEAR(actual[i], (above - below) / (2.0 * h), 1e-7 * (1.0 + std::abs(actual[i]))) << i;
         largest = std::max(largest, std::abs(actual[i]));
@@ -57,8 +58,9 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
     from.at(0, 0, 0, 0) = 1.0;
     const std::vector<double> weights{1, 2, 3, 4, 5, 6, 7, 8, 9};
     const ImageBatch to = convolve(from, weights, {0.5}, 1, 9);
-    // what lies one column on sees it by its left tap; one before is the last column;
-    // nothing above, nothing two rows below
+    // The columns form a ring: the left tap of the next column and the right tap of the
+    // last column read the value. Rows above the image and two rows below contribute
+    // zero.
     const std::vector<double> expected{5.5, 4.5, 0.5, 6.5, 2.5, 1.5, 0.5, 3.5, 0.5, 0.5, 0.5, 0.5};
     EXPECT_EQ(to.values, expected);
 }
@@ -66,7 +68,8 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
 TEST(LayersReference, UpsamplingByHand) {
     ImageBatch from(1, 1, 1, 2);
     from.values = {0.0, 4.0};
-    // centres at -1/4, 1/4, 3/4, 5/4: 1/4 of the last column, then of the next
+    // The pixel centres are at -1/4, 1/4, 3/4 and 5/4, so the first centre gets 1/4 of
+    // the last column.
     const ImageBatch to = upsample(from, 2, 4);
     const std::vector<double> expected{1.0, 1.0, 3.0, 3.0, 1.0, 1.0, 3.0, 3.0};
     for (std::size_t i = 0; i < 8; ++i) EXPECT_DOUBLE_EQ(to.values[i], expected[i]) << i;
@@ -82,11 +85,11 @@ TEST(LayersReference, ConvolutionDerivatives) {
     for (const int taps : {1, 9}) {
         ImageBatch from = random_images(2, 3, 2, 5, 1);
         std::vector<double> weights = random_values(std::size_t(2 * 3 * taps), 2);
-        const ImageBatch asked = random_images(2, 2, 2, 5, 3);
+        const ImageBatch d_value = random_images(2, 2, 2, 5, 3);
         const auto value = [&] { return convolve(from, weights, {}, 2, taps).values; };
-        expect_derivative(from.values, convolve_input_vjp(asked, weights, 3, taps).values, asked.values,
+        expect_derivative(from.values, convolve_input_vjp(d_value, weights, 3, taps).values, d_value.values,
                           value);
-        expect_derivative(weights, convolve_weights_vjp(from, asked, taps), asked.values, value);
+        expect_derivative(weights, convolve_weights_vjp(from, d_value, taps), d_value.values, value);
     }
 }
 
@@ -95,12 +98,12 @@ TEST(LayersReference, NormalisationDerivatives) {
     NormLayer layer{random_values(3, 5), random_values(3, 6), std::vector<double>(from.values.size(), 1.5),
                     1e-2};
     for (std::size_t i = 0; i < layer.gate.size(); i += 3) layer.gate[i] = 0.0;
-    const ImageBatch asked = random_images(2, 3, 2, 5, 7);
+    const ImageBatch d_value = random_images(2, 3, 2, 5, 7);
     const auto value = [&] { return normalise(from, moments_of(from), layer).values; };
-    const NormGradient d = normalise_vjp(from, layer, asked);
-    expect_derivative(from.values, d.from.values, asked.values, value);
-    expect_derivative(layer.beta, d.beta, asked.values, value);
-    expect_derivative(layer.gamma, d.gamma, asked.values, value);
+    const NormGradient d = normalise_vjp(from, layer, d_value);
+    expect_derivative(from.values, d.from.values, d_value.values, value);
+    expect_derivative(layer.beta, d.beta, d_value.values, value);
+    expect_derivative(layer.gamma, d.gamma, d_value.values, value);
 }
 
 TEST(LayersReference, ResamplingDerivatives) {
@@ -114,8 +117,8 @@ TEST(LayersReference, ResamplingDerivatives) {
 
 TEST(LayersReference, AttentionDerivative) {
     ImageBatch qkv = random_images(2, 12, 2, 3, 11);
-    const ImageBatch asked = random_images(2, 4, 2, 3, 12);
-    expect_derivative(qkv.values, attend_vjp(qkv, 2, asked).values, asked.values,
+    const ImageBatch d_value = random_images(2, 4, 2, 3, 12);
+    expect_derivative(qkv.values, attend_vjp(qkv, 2, d_value).values, d_value.values,
                       [&] { return attend(qkv, 2).values; });
 }
 

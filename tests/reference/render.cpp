@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward half of the oracle: shading of a hit (M1, M2, SH) and blending nearest first
-// (M4, M5), in chunks as a GPU does it and over the complete list. The two differ only in
-// how hits are fetched.
+// Forward pass of the reference: shades a hit (M1, M2, SH) and blends hits nearest first
+// (M4, M5). Hits are fetched in chunks, as on a GPU, or all together; the blending is the
+// same.
 #include "render.hpp"
 
 #include <algorithm>
@@ -9,13 +9,14 @@
 namespace relidar::reference {
 namespace {
 
-/// Running sums of M4 and M5.
+/// Accumulates the sums of M4 and M5 along a ray.
 class Blend {
 public:
     Blend(const Settings& settings, const Ray& ray)
         : settings_(settings), ray_(ray), transmittance_min_(double(settings.image.transmittance_min)) {}
 
-    /// Adds a surfel; false, without adding it, where it would take T under T_min.
+    /// Blends a surfel. Returns false, without blending it, if it would reduce T below
+    /// T_min.
     bool add(const ShadedHit& s) {
         const double next = pixel_.transmittance * (1.0 - s.alpha);
         if (next < transmittance_min_) return false;
@@ -30,7 +31,7 @@ public:
             pixel_.median_depth = s.t;
             pixel_.instance = s.hit.instance;
         }
-        // M10, pair by pair
+        // M10, summed over all pairs.
         for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);
         blended_.emplace_back(w, s.t);
         pixel_.likelihood += w * range_kernel(settings_, ray_, s.t).value;  // M12
@@ -40,7 +41,8 @@ public:
         return true;
     }
 
-    /// M5: the background (0, 0, 1) seen through what is left.
+    /// Completes the pixel: adds the background (0, 0, 1) weighted with the remaining
+    /// transmittance (M5).
     Pixel finish() const {
         Pixel result = pixel_;
         result.drop_logit = drop_sum_ + pixel_.transmittance;

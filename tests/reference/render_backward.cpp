@@ -1,28 +1,29 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward half of the oracle. M7 turns dL/d(pixel) into dL/d(alpha), dL/d(t) and
-// dL/d(channels) of each blended hit; M8 carries these through the ray-plane intersection
-// to the surfel's parameters, the ray, the view origin and the instance's pose.
+// Backward pass of the reference. M7 converts dL/d(pixel) into dL/d(alpha), dL/d(t) and
+// dL/d(channels) of each blended hit. M8 propagates these through the ray-plane
+// intersection to the surfel's parameters, the ray, the view origin and the pose of the
+// instance.
 #include "render.hpp"
 
 namespace relidar::reference {
 namespace {
 
-/// Upstream of one hit.
+/// Derivatives of the loss with respect to the values of one hit.
 struct HitGradient {
     double alpha = 0.0;
-    double t = 0.0;  // direct part g_D w; what flows through u, v is added with the geometry
+    double t = 0.0;  // direct part g_D w; the part through u and v is added in geometry_backward()
     glm::dvec3 value{0.0};
     glm::dvec3 normal{0.0};  // world
 };
 
-/// Gradients of a hit's geometry in the model's frame.
+/// Derivatives with respect to the ray and the view origin in the model's frame.
 struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// Distortion, blended normal and likelihood (M10-M12), pair by pair the first: dL/dw_i
-/// is what a unit of weight is worth, and alpha_i makes w_i from T_i while it takes the
-/// same share of every weight behind.
+/// Adds the derivatives of distortion (summed over all pairs), blended normal and
+/// likelihood (M10-M12). dL/dw_i is the derivative per weight. alpha_i scales the weight
+/// w_i = alpha_i T_i and reduces all later weights by the same share.
 void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels,
                   const PixelGradient& g, std::vector<HitGradient>& result) {
     std::vector<double> transmittance, w, d_w(hits.size(), 0.0);
@@ -48,7 +49,8 @@ void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKer
     }
 }
 
-/// M7, front to back: needs the final pixel, the running sums and T before each hit.
+/// Computes the derivatives of all hits front to back (M7) from the final pixel, the
+/// running sums and T before each hit.
 std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits,
                                        const std::vector<RangeKernel>& kernels, const Pixel& pixel,
                                        const PixelGradient& g) {
@@ -83,7 +85,8 @@ std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits,
     return result;
 }
 
-/// Channels: to the SH coefficients and to the direction they are evaluated in.
+/// Propagates the derivative of the channels to the SH coefficients and to the direction
+/// at which they are evaluated.
 void value_backward(const Surfel& surfel, const Settings& settings, const LocalRay<double>& ray,
                     const glm::dvec3& view, const glm::dvec3& d_value, Surfel& d_surfel,
                     LocalGradient& d_local) {
@@ -109,8 +112,8 @@ void value_backward(const Surfel& surfel, const Settings& settings, const LocalR
     }
 }
 
-/// Opacity and geometry of a 3D Gaussian (M9) by its precision matrix M = R diag(1 / s^2)
-/// R^T: with q = mean - origin
+/// Propagates to the opacity and geometry of a 3D Gaussian (M9) with its precision matrix
+/// M = R diag(1 / s^2) R^T and q = mean - origin:
 ///   t = d.Mq / d.Md,  p = t d - q,  alpha = sigma exp(-p.Mp / 2),  d.Mp = 0
 void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
                        const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
@@ -137,9 +140,9 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     *d_surfel.log_scale_w += d_log_scale(2);
 }
 
-/// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q
-/// with q = mean - origin, t = n.q / n.d.
-/// @param d_normal  dL/d(normal), model frame, beside what flows through t
+/// Propagates to the opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 +
+/// v^2)/2), p = t d - q with q = mean - origin, t = n.q / n.d.
+/// @param d_normal dL/d(normal) in the model frame, without the part through t
 void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
                        const HitGradient& g, const glm::dvec3& d_normal, Surfel& d_surfel,
                        LocalGradient& d_local) {
@@ -147,13 +150,13 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
     const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
     const double d_v = -g.alpha * a.opacity * s.gauss * s.v;
-    d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);  // u falls as 1 / s_u
+    d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);  // u is proportional to 1 / s_u
 
     const glm::dvec3 normal = a.rotation[2];
     const double facing = glm::dot(normal, ray.direction);
     const glm::dvec3 p = s.t * ray.direction - (a.mean - ray.origin);
     const glm::dvec3 d_p = a.rotation[0] * (d_u / a.scale.x) + a.rotation[1] * (d_v / a.scale.y);
-    const double d_t = g.t + glm::dot(ray.direction, d_p);  // p moves by d
+    const double d_t = g.t + glm::dot(ray.direction, d_p);  // dp/dt = d
     const glm::dvec3 d_q = normal * (d_t / facing) - d_p;   // dt/dmean = n / (n.d)
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
@@ -163,9 +166,9 @@ void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
 }
 
-/// From the model's frame to the world: x_m = R^T (x_w - translation), and R -> exp([w]x)
-/// R turns x_m by -R^T (w cross ...). A model that moves is changed in its own axes,
-/// alike for all rays: PoseGradient says how.
+/// Propagates from the model's frame to the world: x_m = R^T (x_w - translation), and R
+/// -> exp([w]x) R turns x_m by -R^T (w cross ...). A moving model changes in its local
+/// axes, equally for all rays, as described at PoseGradient.
 void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin,
                    const LocalGradient& d_local, PoseGradient& d_pose, RayGradient& d_ray,
                    glm::dvec3& d_view) {
@@ -185,7 +188,7 @@ void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& vi
 
 Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
-        surfels[i].rotation = glm::dvec4(0.0);  // Surfel's default is the identity rotation
+        surfels[i].rotation = glm::dvec4(0.0);  // the default of Surfel is the identity rotation
         if (world.surfels[i].log_scale_w) surfels[i].log_scale_w = 0.0;
     }
 }
@@ -217,7 +220,7 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
             const glm::dvec3 d_normal =
                 s.side * (glm::transpose(glm::mat3_cast(pose.rotation)) * d_hits[i].normal);
             geometry_backward(surfel, local, s, d_hits[i], d_normal, d_surfel, d_local);
-            gradients.instances[s.hit.instance].rotation +=  // n turns with the model
+            gradients.instances[s.hit.instance].rotation +=  // the normal turns with the model
                 placed.unturned(ray.time_s) * glm::cross(s.normal, d_hits[i].normal);
         }
         pose_backward(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity of two intensity images (Wang et al. 2004) over a window of 11 x
-// 11 pixels, Gaussian of 1.5 pixels, normalised over the known pixels it holds
-// (docs/method.md section 5), in double, with its derivative.
+// Computes the structural similarity of two intensity images (Wang et al. 2004) in
+// double, with its derivative. The window is a Gaussian of 1.5 pixels over 11 x 11
+// pixels, normalised over the known pixels in it (docs/method.md section 5).
 #pragma once
 
 #include <vector>
@@ -14,11 +14,12 @@ struct Image {
     bool circular = false;    ///< the first column follows the last one
     std::vector<double> x;    ///< [rows,columns] rendered
     std::vector<double> y;    ///< [rows,columns] measured
-    std::vector<bool> known;  ///< [rows,columns] others take no part
+    std::vector<bool> known;  ///< [rows,columns] false: the pixel is ignored
 };
 
-/// @param d_x  if given, receives the derivative by x [rows,columns]
-/// @return mean of 1 - S over the known pixels; 0 where there are none
+/// Computes the mean of 1 - S over the known pixels.
+/// @param d_x if not null, receives the derivative with respect to x [rows,columns]
+/// @return the mean, or 0 if no pixel is known
 double ssim_loss(const Image& image, std::vector<double>* d_x = nullptr);
 
 }  // namespace relidar::reference

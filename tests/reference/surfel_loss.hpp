@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A term of a surfel's parameters themselves in double: leaving the box of an actor
+// Computes in double the loss of surfels that leave the box of their actor
 // (docs/method.md section 5).
 #pragma once
 
@@ -14,15 +14,15 @@ struct Box {
     double largest_scale_m = 0.0;
 };
 
-/// The parameters the terms look at, or their derivatives.
+/// Surfel parameters that the box loss uses, or their derivatives.
 struct BoxedSurfel {
     std::array<double, 3> mean{};  ///< box frame, metres
     std::array<double, 2> log_scale{};
-    std::optional<double> log_scale_w{};  ///< of a 3D Gaussian
+    std::optional<double> log_scale_w{};  ///< set for a 3D Gaussian only
 };
 
-/// sum_xyz max(0, |mean| / half - 1) + sum over scales max(0, scale / largest - 1); adds
-/// scale * derivative
+/// Returns sum_xyz max(0, |mean| / half - 1) + sum over scales of max(0, scale / largest
+/// - 1). Adds `scale` times the derivative to `d`.
 double box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSurfel& d);
 
 }  // namespace relidar::reference

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parameter terms of the oracle against numbers by hand and central differences.
+// Compares the box loss of surfels with numbers computed by hand and with central
+// differences.
 #include <gtest/gtest.h>
 
 #include <random>
