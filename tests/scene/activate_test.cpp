@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene/activate and scene/activate_vjp alone, against the reference activations and
-// their differences, record lane by record lane, with harmonics read by each thread and
-// moved through shared memory, of actors that are rigid and that walk; kd order.
+// Compares the kernels scene/activate and scene/activate_vjp with the reference
+// activations and their central differences, for each number of a record. Covers both
+// ways of reading harmonics (each thread, shared memory), rigid and walking actors, and
+// the kd order.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -24,11 +25,12 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kOfBackground = 70;  // surfels: no whole workgroups
-constexpr double kPhase = 0.3;               // of the actor's gait, turns
+// surfels of the background; not a multiple of the workgroup size
+constexpr std::uint32_t kOfBackground = 70;
+constexpr double kPhase = 0.3;  // gait phase of the actor, in turns
 
-/// In both primitives, with the access to harmonics that suits a CPU and the one that
-/// suits a GPU; an actor that is rigid or walks.
+/// Runs for both primitives, for both ways of reading harmonics (CPU, GPU), and for a
+/// rigid and a walking actor.
 class Activate : public test::DeviceTest,
                  public testing::WithParamInterface<std::tuple<Primitive, bool, bool>> {
 protected:
@@ -37,8 +39,8 @@ protected:
     ParameterSet parameters() const { return {primitive(), bends()}; }
     bool bends() const { return std::get<2>(GetParam()); }
 
-    /// More than two workgroups of 64; all have a gait where the actor walks, the
-    /// background's too, which has to rest.
+    /// Makes surfels for more than two workgroups of 64. If the actor walks, all surfels
+    /// have a gait; the gait of the background must have no effect.
     std::vector<reference::Surfel> some_surfels() const {
         test::RandomSceneOptions options;
         options.seed = 8;
@@ -54,7 +56,7 @@ protected:
         }
         return surfels;
     }
-    /// A surfel as it is in the scene of on_device().
+    /// Returns a surfel as it appears in the scene of on_device().
     reference::Surfel in_scene(const reference::Surfel& s, std::size_t i) const {
         return bends() && i >= kOfBackground ? reference::at_phase(s, kPhase) : s;
     }
@@ -66,7 +68,7 @@ protected:
         model.sh_degree = sh_degree;
         return model;
     }
-    /// Two models, both placed at the origin.
+    /// Uploads the surfels as two models, both placed at the origin.
     std::unique_ptr<DeviceScene> on_device(const Surfels& surfels) {
         Scene scene = make_background_scene(surfels);
         const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -75,7 +77,7 @@ protected:
         scene.instances.push_back({1, "actor"});
         auto on_device = std::make_unique<DeviceScene>(device(), scene, stages_harmonics());
         Stream stream(device());
-        // turns before do not count
+        // Only the fraction of the phase counts: 3 full turns have no effect.
         on_device->place(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
         stream.finish();
         return on_device;
@@ -85,7 +87,8 @@ INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
                          testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian),
                                           testing::Bool(), testing::Bool()));
 
-/// The 16 floats of a record in double, as shaders/scene/shared/scene.h orders them.
+/// Returns the 16 floats of a record in double, in the order of
+/// shaders/scene/shared/scene.h.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(s);
     const glm::dvec3 c = reference::sh_values(s, glm::normalize(s.mean - view_origin), sh_degree);
@@ -94,12 +97,12 @@ std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view
             r.normal.x, r.normal.y,         r.normal.z, c.z};
 }
 
-/// How far a record may be off: Vulkan's limits of exp and division, the rounding of a
-/// rotation's elements, and 2e-6 of what is summed up.
+/// Returns the tolerance of each number of a record: Vulkan's error limits of exp and
+/// division, the rounding of rotation elements, and 2e-6 of the summed terms.
 std::vector<double> record_tolerance(const reference::Surfel& s, const std::vector<double>& expected) {
-    // an element of the matrix: q / |q| by an inverse square root of 2 units and 6
-    // roundings, twice in each of two products, whose sum is at most 1; twice that and 1
-    // are added
+    // Error of an element of the rotation matrix. q / |q| uses an inverse square root (2
+    // units) and 6 roundings, twice in each of two products whose sum is at most 1. Twice
+    // that product, minus 1, adds further roundings.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {s.log_scale.x, s.log_scale.y, s.log_scale_w.value_or(0.0)};
@@ -110,7 +113,7 @@ std::vector<double> record_tolerance(const reference::Surfel& s, const std::vect
             tolerance[k] = kElement * std::exp(-log_scale[axis]) +
                            std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
     tolerance[3] = test::sigmoid_error(expected[3], s.opacity_logit) + test::kUnit;
-    // Vulkan's sine and cosine may be off by 2^-11 within half a turn
+    // Vulkan's sine and cosine may have errors of 2^-11 within half a turn.
     for (std::size_t k = 0; k < 3; ++k) tolerance[k] += std::abs(s.gait_swing[int(k)]) / 2048.0;
     tolerance[3] += s.gait_sharpness * s.gait_sharpness / 2048.0;
     return tolerance;
@@ -135,7 +138,7 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     }
 }
 
-/// Kernels search the model of a surfel among ranges in order.
+/// Kernels search the model of a surfel in sorted, consecutive ranges.
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
     Scene scene = make_background_scene(test::to_surfels(some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
@@ -152,7 +155,8 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     Surfels surfels = test::to_surfels(some_surfels());
     surfels.sh[kShFloats * 5 + 17] = std::numeric_limits<float>::quiet_NaN();
     surfels.sh[kShFloats * 99 + 3] = std::numeric_limits<float>::infinity();
-    surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();  // not active
+    // coefficient above the active degree
+    surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();
     const std::unique_ptr<DeviceScene> placed = on_device(surfels);
     DeviceScene& scene = *placed;
     Stream stream(device());
@@ -163,7 +167,7 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
         EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
 
-/// Record gradients of all surfels but every third.
+/// Returns random record gradients, which are zero for every third surfel.
 std::vector<float> some_record_gradients(std::size_t n) {
     std::mt19937_64 random(3);
     std::normal_distribution<float> normal;
@@ -173,8 +177,8 @@ std::vector<float> some_record_gradients(std::size_t n) {
     return d_records;
 }
 
-/// Adds a row for each parameter of surfel `i`: central differences of `terms` with
-/// respect to that parameter, and the gradient of the kernel.
+/// Adds a row for each parameter of surfel `i`: the central differences of `terms` with
+/// respect to the parameter, and the gradient of the kernel.
 template <class Terms>
 void add_surfel_rows(test::GradientTable& table, reference::Surfel& surfel, const Surfels& actual,
                      std::size_t i, int degree, bool bends, Terms&& terms) {
@@ -273,8 +277,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     }
 }
 
-/// Marked are more surfels than have a gradient, in no order of workgroups; what is not
-/// marked is not even read.
+/// Marks more surfels than have a gradient, in an order unrelated to workgroups. The
+/// kernel must not read surfels that are not marked.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -301,7 +305,7 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
         return std::tuple(d_surfels.download(), touched.download(), d_view.download());
     };
     const auto [surfels_of_all, touched_of_all, view_of_all] = run(false);
-    if (placed->lists_touched())  // as if it were there: it must not be taken
+    if (placed->lists_touched())  // stale data, which the kernel must not use
         for (std::uint32_t i = 0; i < n; ++i)
             if (marks[i] == 0u) d_records[16 * i] = 1.0f;
     const auto [surfels_listed, touched_listed, view_listed] = run(true);
@@ -316,7 +320,8 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
 
 class TouchedRows : public test::DeviceTest {};
 
-/// Every row with a gradient is in the list once, whatever the number of rows; none else.
+/// The list must contain every row with a gradient exactly once and no other row, for any
+/// number of rows.
 TEST_F(TouchedRows, AreListed) {
     const Kernel<shared::ListTouchedParams> kernel(device(), "scene/list_touched");
     std::mt19937 random(3);

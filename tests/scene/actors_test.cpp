@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors (paper section 3.2, Eq. 4-5): points of a moving box in the frame of the box,
-// one model and instance each, placed where the box is at a time and absent outside its
-// labels; and rendered there, in the order of docs: a moved box costs no bottom level.
+// Checks actors (paper section 3.2, Eq. 4-5). The points of a moving box are stored in
+// the frame of the box. Each actor has a model and an instance, which is placed at the
+// pose of the box and is absent outside the times of its labels. Also checks the
+// rendering of moved actors.
 #include <algorithm>
 #include <cmath>
 

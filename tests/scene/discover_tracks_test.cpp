@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tracks of what moves without a label, against a synthetic street whose cars are known
-// but not told.
+// Checks the discovery of moving objects without labels on a synthetic street. The test
+// removes the labels of the cars and compares the discovered tracks with them.
 #include <algorithm>
 
 #include <gtest/gtest.h>
@@ -13,8 +13,8 @@ namespace relidar {
 namespace {
 
 struct Street {
-    Sequence log;                 ///< without its boxes
-    std::vector<BoxTrack> truth;  ///< those that move
+    Sequence log;                 ///< log without its boxes
+    std::vector<BoxTrack> truth;  ///< boxes of the moving cars
     Split split;
 };
 
@@ -28,7 +28,8 @@ Street street_without_labels() {
     return street;
 }
 
-/// The discovered track that is inside a box half-way through what both saw.
+/// Returns the discovered track whose centre is inside the true box in the middle of
+/// their common time.
 const BoxTrack* found_in(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
     for (const BoxTrack& track : found) {
         const double from =
@@ -51,7 +52,8 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
-        // A rigid body: the true box stands still in the frame of the discovered one.
+        // The tracks describe one rigid body: the true box does not move in the frame of
+        // the discovered box.
         std::vector<glm::dvec3> place;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
@@ -73,8 +75,8 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     }
 }
 
-/// Keeps the labels of a box in some frames. @return the times at which it has none any
-/// more
+/// Keeps the labels of a box in the frames [first, end).
+/// @return times of the removed labels
 std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first,
                                std::size_t end) {
     const BoxTrack whole = box;
@@ -92,13 +94,13 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, 
     return cut_s;
 }
 
-/// Labels of a camera's view end where the thing leaves it, and begin where it comes into
-/// it.
+/// Simulates labels from a camera, which end or begin at the border of its view.
 TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     for (const auto& [first, end] : {std::pair<std::size_t, std::size_t>{0, 10}, {14, 24}, {8, 16}}) {
         Street street = street_without_labels();
         street.log.boxes = street.truth;
-        const BoxTrack& truth = street.truth[1];  // oncoming: the car ahead is hidden behind itself
+        // the oncoming car, because the rear of the car ahead hides the rest of it
+        const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
         const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
         ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
@@ -123,7 +125,7 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     }
 }
 
-/// Between two of its parts nothing was seen of it for 0.8 s.
+/// The car has no returns for 0.8 s in the middle of its track.
 TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     Street street = street_without_labels();
     const BoxTrack& truth = street.truth[0];
@@ -143,7 +145,7 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
 }
 
-/// Of the car ahead the rear alone is seen.
+/// Only the rear of the car ahead is visible.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = street_without_labels();
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
@@ -161,7 +163,7 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// Beside a LiDAR that sees little, and beside one that sees the same.
+/// The second LiDAR of the rig sees either little or the same as the first.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_sees_all : {false, true}) {
         Street street = street_without_labels();
@@ -192,8 +194,8 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
-/// Labels of a drive end where the camera's view does: what stood then stands before and
-/// after.
+/// The labels of a parked car cover only part of the drive. The car must be static before
+/// and after as well.
 TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     Street street = street_without_labels();
     BoxTrack still{
@@ -206,7 +208,7 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
-/// A roof rack: returns that every scan has at the same place of its own.
+/// Adds a roof rack: returns at the same sensor coordinates in every scan.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     Street street = street_without_labels();
     for (Frame& frame : street.log.frames)

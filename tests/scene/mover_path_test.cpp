@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Paths of movers against motion that is known: smooth where it is, and heading where it
-// goes.
+// Compares the paths of moving objects with known motion: positions must be smooth, and
+// the heading must follow the motion.
 #include <algorithm>
 #include <cmath>
 
@@ -61,7 +61,8 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
         EXPECT_LT(std::abs(std::remainder(yaw[k] - 0.5 * times[k], 2.0 * kPi)), 3.0 * kPi / 180.0) << k;
 }
 
-/// It comes, brakes, stands for three seconds, places trembling by 3 cm, and drives on.
+/// A vehicle arrives, brakes, stops for three seconds with positions that vary by 3 cm,
+/// and drives on.
 TEST(MoverPath, StandsWithTheHeadingItCameWith) {
     std::vector<double> times;
     std::vector<glm::dvec3> places, smooth;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classes as datasets spell them.
+// Checks that class names of datasets map to the right kind of object.
 #include <relidar/scene/scene.hpp>
 
 #include <gtest/gtest.h>

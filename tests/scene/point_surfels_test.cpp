@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels from points as scan lines lay them: discs of a surface reach across the gaps
-// between lines, lie in the surface although a line says nothing of it, and stay round
-// where points are even, where lines are of different surfaces, or too far apart to
-// belong together.
+// Checks surfels made from points of scan lines. The discs must reach across the gaps
+// between lines and lie in the surface. They must stay round where points are evenly
+// spaced, where lines belong to different surfaces, or where lines are too far apart.
 #include "scene/point_surfels.hpp"
 
 #include <cmath>
@@ -15,7 +14,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kSpacing = 0.1;  // of points on a line, metres
+constexpr double kSpacing = 0.1;  // spacing of points on a line, metres
 
 InitialiseOptions standard_options() {
     InitialiseOptions options;
@@ -25,8 +24,8 @@ InitialiseOptions standard_options() {
     return options;
 }
 
-/// Lines along y at these x, of 41 points each, as high as `height` says; with 1 mm of
-/// noise, seen from the side and above.
+/// Returns lines along y at the given x, with 41 points each, at the height `height`
+/// (with 1 mm of noise), seen from the side and above.
 std::vector<Sample> lines_at(const std::vector<double>& places, const std::function<double(double)>& height) {
     Random random(1);
     std::vector<Sample> samples;
@@ -45,8 +44,8 @@ std::vector<double> places(int n, double apart) {
     return x;
 }
 
-/// The surfel nearest to a place: standard deviations along x and y, of the spacing on a
-/// line, and how it lies.
+/// The surfel nearest to a position: its standard deviations along x and y, in units of
+/// the point spacing, and its normal.
 struct Disc {
     double along_x = 0.0, along_y = 0.0;
     glm::dvec3 normal;
@@ -85,7 +84,7 @@ TEST(PointSurfels, AreRoundByThemselves) {
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
 }
 
-/// One point a cell, anywhere in the inner half of it, as points that were averaged by
+/// One point per cell, at a random position in its inner half, like points averaged by
 /// voxels.
 TEST(PointSurfels, AreRoundWherePointsAreEven) {
     Random random(2);
@@ -102,8 +101,8 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     EXPECT_LT(stretched / double(samples.size()), 0.02);
 }
 
-/// Lines 1.5 m apart: 24 neighbours are all of one of them, and only more of them say
-/// that the ground is level.
+/// With lines 1.5 m apart, all 24 neighbours lie on one line. Only a larger neighbourhood
+/// shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     InitialiseOptions options = standard_options();
     options.max_gap_m = 2.0;
@@ -117,14 +116,15 @@ TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
 }
 
 TEST(PointSurfels, DoNotReachToAnotherSurface) {
-    // the next line to the right lies 0.5 m higher
+    // the next line to the right is 0.5 m higher
     const auto steps = [](double x) { return x > 0.1 ? 0.5 : 0.0; };
     const std::vector<Sample> samples = lines_at({-0.6, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.5, 0.6}, steps);
     const Disc disc = disc_at(surfels_from_points(samples, standard_options(), 0.0), {});
     EXPECT_LT(disc.along_x, 1.6);
 }
 
-/// Above the uppermost line no ray has looked: nothing would cut back what reaches there.
+/// No ray has passed above the uppermost line, so training would not remove discs that
+/// reach beyond it.
 TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
     const std::vector<Sample> samples = lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
     const Surfels surfels = surfels_from_points(samples, standard_options(), 0.0);

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The benchmark street and its rays against numbers printed by
+// Compares the benchmark street and its rays with numbers printed by
 // ../shared/bench/scene_gen.py: street(n, refine=...) and rays(kind) with numpy 1.24.2,
-// float32 results shown with 9 digits, sums taken in float64. Means, rotations and SH are
-// equal bit for bit there; scale and opacity pass through a logarithm here, which leaves
-// about 2e-7.
+// float32 values with 9 digits, sums in float64. Means, rotations and SH must be equal
+// bit for bit. Scale and opacity pass through a logarithm, which costs about 2e-7.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -21,10 +20,10 @@ struct StreetSurfel {
     glm::vec4 rotation;
     glm::vec2 scale;
     double opacity;
-    float sh_first[3], sh_last[3];  // coefficients 0 and 15 of the channels
+    float sh_first[3], sh_last[3];  // coefficients 0 and 15 of each channel
 };
 
-/// Sums over the whole scene.
+/// Sums over all surfels of a scene.
 struct Sums {
     double mean_abs, rotation_abs, scale, opacity, sh_abs;
     double sh_weighted;  // sum of (entry + 1) * value over the [3,16] entries of each surfel

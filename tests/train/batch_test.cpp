@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batches (train/gather_columns): groups of columns, or a window of whole columns, with
-// their rays and targets, wrapping around; every n-th ray where there is no image order;
-// targets with the rays; refused where structural similarity has no image.
+// Checks batches (train/gather_columns) with their rays and targets: groups of columns,
+// windows of full columns that wrap around, and every n-th ray if the frame is not an
+// image. Also checks that structural similarity requires an image.
 #include "train/frames/batch.hpp"
 
 #include <set>
@@ -19,7 +19,7 @@ namespace {
 
 class Batch : public test::DeviceTest {};
 
-/// A frame whose rays and targets say where they are.
+/// Makes a frame whose rays and targets encode their position in the frame.
 std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::uint32_t columns, bool image) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
@@ -72,8 +72,8 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
     EXPECT_GT(*firsts.rbegin(), 39) << "some windows wrap around";
 }
 
-/// 53 columns are no multiple of anything: batches are images all the same, and every
-/// column is drawn as often as any other.
+/// 53 columns are not a multiple of the stride or group size. Batches must still be
+/// images, and every column must be drawn equally often.
 TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     constexpr std::uint32_t kRows = 3, kColumns = 53, kStride = 5, kTaken = kColumns / kStride;
     constexpr int kTrials = 2000;
@@ -93,7 +93,7 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
         const std::vector<DeviceTarget> targets = batch.targets.targets->download();
         for (std::uint32_t k = 0; k < kRows * kTaken; ++k) {
             ASSERT_EQ(rays[k].origin.y, float(k / kTaken));
-            // fours of neighbours, the last one cut
+            // groups of four neighbours; the last group is incomplete
             const std::uint32_t group = k % kTaken / 4, within = k % kTaken % 4;
             ASSERT_EQ(std::uint32_t(rays[k].origin.z),
                       (std::uint32_t(rays[0].origin.z) + group * 4 * kStride + within) % kColumns);
@@ -155,7 +155,8 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
     }
 }
 
-/// What rays measured goes with them, where the forward pass looks for it.
+/// The measurements of rays are copied with the rays to the array that the forward pass
+/// reads.
 TEST_F(Batch, RaysBringTheirTargets) {
     const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
                                  cloud = numbered_frame(device(), 1, 50, false);
@@ -196,7 +197,7 @@ TEST_F(Batch, SimilarityAndNormalsSeeWindows) {
             "setting " + setting + ": found a sensor without image order, expected rows and columns, or 0");
     }
     Config config = config_for("rays", 40);
-    config.loss.distortion = 0.15f;  // a ray's own
+    config.loss.distortion = 0.15f;  // a loss per ray
     BatchSampler(device(), config, cloud);
 }
 

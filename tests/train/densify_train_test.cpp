@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Densification in training: from an eighth of the points the loss ends lower with it
-// than without, actors included, and pruning what no frame sees keeps the picture.
+// Trains with and without densification from an eighth of the points. With densification
+// the final loss must be lower, also for actors. Pruning surfels that no frame sees must
+// not change the image.
 #include <map>
 
 #include <relidar/log/dataset.hpp>
@@ -15,8 +16,8 @@ class DensifyTrain : public test::DeviceTest {};
 
 Sequence growing_street() { return make_synthetic_street({.n_frames = 11, .rows = 16, .columns = 256}); }
 
-/// One surfel where the `small` configuration of the other tests has about eight, every
-/// second ray.
+/// Returns settings with about an eighth of the surfels of the `small` configuration in
+/// other tests, and half of the rays.
 Config sparse_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 1.2;
@@ -26,11 +27,11 @@ Config sparse_config() {
     config.train.iterations = 160;
     config.train.rays_per_iteration = 2048;
     config.train.log_every = 10;
-    config.train.mean_rate = 1e-4;  // halves of a split must find their place
+    config.train.mean_rate = 1e-4;  // split surfels must move to their position
     config.train.mean_rate_final = 1e-5;
     config.train.rate_decay = 0.3;
-    // at larger ones few surfels stretch over the holes instead, and what is added has to
-    // catch up
+    // With larger rates, few surfels would stretch over the holes, and new surfels would
+    // not help.
     config.train.opacity_rate = 0.05;
     config.train.scale_rate = 1e-2;
     config.train.rotation_rate = 3e-4;
@@ -43,7 +44,8 @@ Config sparse_config() {
     return config;
 }
 
-/// Mean over the last thirty steps: frames and rays are the same in every run.
+/// Returns the mean loss of the last thirty steps. Frames and rays are the same in every
+/// run.
 double final_loss(const TrainResult& result) {
     double sum = 0.0;
     for (std::size_t i = result.log.size() - 3; i < result.log.size(); ++i) sum += result.log[i].loss / 3.0;
@@ -70,14 +72,14 @@ TEST_F(DensifyTrain, GrowthLowersTheLoss) {
         EXPECT_GE(n, strategy == DensifyStrategy::none ? 1u : result.log.front().n_surfels * 11 / 10);
         std::printf("strategy %d: %u surfels, loss %.5f\n", int(strategy), n, loss[strategy]);
     }
-    // how much depends on rates, length and seed: 0.90 and 0.97 seen, and losses above 1
-    // at the small rates of `quick`
+    // The gain depends on rates, length and seed: 0.90 and 0.97 were measured. With the
+    // small rates of `quick` the ratio is above 1.
     EXPECT_LT(loss[DensifyStrategy::adaptive], loss[DensifyStrategy::none]);
-    // 0.90 and 0.91 seen with two seeds
+    // 0.90 and 0.91 were measured with two seeds.
     EXPECT_LT(loss[DensifyStrategy::mcmc], 0.97 * loss[DensifyStrategy::none]);
 }
 
-/// Actors grow in their own model.
+/// New surfels of an actor must belong to its model.
 TEST_F(DensifyTrain, ActorsStayInTheirModels) {
     const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
@@ -104,8 +106,8 @@ TEST_F(DensifyTrain, ActorsStayInTheirModels) {
                 << "in the frame of its car";
 }
 
-/// A device with little more memory than training without growth needs: growth ends
-/// early, training does not.
+/// Limits the device memory to slightly more than training without growth needs. Growth
+/// must end early, but training must finish.
 TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     const Sequence sequence = growing_street();
     const Split split = split_frames(sequence, 10);
@@ -113,7 +115,7 @@ TEST_F(DensifyTrain, OutOfMemoryEndsGrowthNotTraining) {
     config.train.iterations = 40;
     config.densify.from = config.densify.every = 5;
     config.densify.strategy = DensifyStrategy::adaptive;
-    config.densify.gradient_threshold = 0.0;  // whatever is seen grows
+    config.densify.gradient_threshold = 0.0;  // every visible surfel grows
     std::uint64_t needed = 0;
     {
         Device unlimited;

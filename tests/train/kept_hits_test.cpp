@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training keeps as many hits of a ray as almost all rays have, and what is kept changes
-// nothing of what is learnt.
+// Checks that training chooses a hit-list length that suffices for almost all rays, and
+// that the length does not change the result of training.
 #include <algorithm>
 
 #include <relidar/log/dataset.hpp>
@@ -40,7 +40,8 @@ protected:
         return {loop.download(), loop.kept_hits()};
     }
 
-    /// Share of all rays that have more than n hits in a scene, rendered on its own.
+    /// Returns the share of rays with more than n hits in a scene, for each n in
+    /// `counts`.
     std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
         Renderer renderer(device(), scene, config.image, {.accel = {}, .trace = trace_options(config)});
         std::vector<double> shares(counts.size(), 0.0);
@@ -73,7 +74,7 @@ TEST_F(KeptHits, GrowUntilNoRayHasMore) {
     ASSERT_GT(trained.kept_hits, 2u);
     const std::vector<double> shares =
         share_beyond(trained.scene, {trained.kept_hits, trained.kept_hits / 2});
-    // none of what was seen while it trained
+    // Measures on the final scene, independently of statistics from training.
     EXPECT_LE(shares[0], 0.002) << trained.kept_hits << " are kept";
     EXPECT_GT(shares[1], 0.0) << "half of " << trained.kept_hits << " would have done";
 }

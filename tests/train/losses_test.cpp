@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every loss term in a training: each has a value in the log under its name, with batches
-// that are images and with single rays.
+// Trains with every loss term, with image batches and with single rays. Each term must
+// appear in the log under its name with a value.
 #include <cmath>
 
 #include <relidar/log/dataset.hpp>
@@ -24,7 +24,7 @@ TEST_F(Losses, EveryTermIsLogged) {
         config.loss.chamfer = 0.01f;
         config.loss.normal = batch == "columns" ? 0.05f : 0.0f;
         config.loss.distortion = config.loss.box = config.loss.likelihood = 0.01f;
-        config.loss.box_scale_share = 0.01f;  // so that some surfel is too large
+        config.loss.box_scale_share = 0.01f;  // small enough that some surfel is too large
         config.train.iterations = 3;
         config.train.rays_per_iteration = 1024;
         const TrainResult result = train(device(), street, split_frames(street, 0), config,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Held-out scans placed on a trained street, whose exact poses are known.
+// Registers held-out scans to a trained street whose exact poses are known.
 #include <gtest/gtest.h>
 
 #include <relidar/log/dataset.hpp>
@@ -13,7 +13,7 @@ namespace {
 
 class PlaceHeldOut : public test::DeviceTest {};
 
-/// Trained with exact poses.
+/// Trains a street with exact poses.
 Run trained_run(Device& device) {
     Run run;
     run.sequence =
@@ -29,7 +29,8 @@ Run trained_run(Device& device) {
     return run;
 }
 
-/// One training for all tests; then the poses of the held-out frames are made wrong.
+/// Trains once for all tests, then adds the error `off` to the poses of the held-out
+/// frames.
 Run off_run(Device& device, const Twist& off) {
     static const Run trained = trained_run(device);
     Run run = trained;

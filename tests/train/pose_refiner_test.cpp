@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pose refinement: moved rays (train/move_rays) against world_ray of the corrected track,
-// gradients of the poses (train/knot_gradients) against central differences through it,
-// Adam on a track, and the synthetic street with poses that are wrong by 5 cm and 0.3
-// degrees.
+// Checks pose refinement: moved rays (train/move_rays) against world_ray of the corrected
+// track, pose gradients (train/knot_gradients) against central differences, Adam on a
+// track, and a synthetic street with pose errors of 5 cm and 0.3 degrees.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -38,7 +37,8 @@ Sequence street_of(int n_frames, int rows, int columns, bool moving_cars = false
     return make_synthetic_street(options);
 }
 
-/// A twist whose translation and rotation vector have these standard deviations in total.
+/// Returns a random twist. Its translation and rotation vector have the given standard
+/// deviations in total.
 Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     std::normal_distribution<double> normal(0.0, 1.0 / std::sqrt(3.0));
     Twist twist;
@@ -46,8 +46,7 @@ Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     return twist;
 }
 
-/// A correction of every pose, as training would leave it: each pose is stepped once
-/// towards minus its sign.
+/// Returns a correction of every pose as after a training step with a random gradient.
 TrackCorrection random_correction(const PoseTrack& track, std::mt19937_64& random) {
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
@@ -92,7 +91,7 @@ TEST_F(Poses, MovedRaysAreThoseOfTheCorrectedTrack) {
     }
 }
 
-/// Index of each ray of a batch among all rays of its frame.
+/// Returns the index of each ray of a batch among all rays of its frame.
 std::vector<std::size_t> frame_ray_ids(const SampledBatch& batch, const std::vector<DeviceRay>& batch_rays,
                                        const std::vector<DeviceRay>& frame_rays) {
     std::vector<std::size_t> ids;
@@ -106,8 +105,8 @@ std::vector<std::size_t> frame_ray_ids(const SampledBatch& batch, const std::vec
     return ids;
 }
 
-/// L = sum a . origin' + b . direction' over the batch, differentiated through the
-/// corrected track in double.
+/// Differentiates L = sum a . origin' + b . direction' over the batch through the
+/// corrected track, in double.
 TEST_F(Poses, GradientsAreThoseOfDifferences) {
     const Sequence street = street_of(5, 8, 64);
     TrainingFrames frames(device(), street, {1, 2, 4}, {.unknown = {}, .moves_rays = true});
@@ -165,8 +164,8 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     }
 }
 
-/// A quadratic bowl around known corrections, seen through interpolation at two times a
-/// frame.
+/// Minimises a quadratic function with a known optimal correction, interpolated at two
+/// times per frame.
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
     std::mt19937_64 random(3);
@@ -209,7 +208,7 @@ Config refining(const std::string& what, int iterations) {
     return config;
 }
 
-/// Poses of one training, before and after.
+/// Returns the pose errors before and after a training.
 std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config& config, const char* what) {
     Sequence street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
@@ -235,7 +234,7 @@ TEST_F(Poses, OfTheSensorComeNearerByGradients) {
     EXPECT_LT(after.median_deg, 0.6 * before.median_deg);
 }
 
-/// 5 cm and 0.3 degrees of noise end within 1 cm and 0.05 degrees.
+/// Errors of 5 cm and 0.3 degrees must decrease to less than 1 cm and 0.05 degrees.
 TEST_F(Poses, OfTheSensorComeBack) {
     const PoseError after =
         errors_of_training(device(), refining("sensor", 40), "registration and gradients").second;
@@ -243,8 +242,8 @@ TEST_F(Poses, OfTheSensorComeBack) {
     EXPECT_LT(after.median_deg, 0.05);
 }
 
-/// Of every scan the rays that end near a box: the others say nothing about it and cost
-/// most of the time.
+/// Keeps only the rays of each scan that end near a box. Other rays do not affect the
+/// boxes but take most of the time.
 void keep_rays_near_boxes(Sequence& street, double margin_m) {
     for (Frame& frame : street.frames) {
         Scan& scan = frame.scan;
@@ -267,7 +266,7 @@ void keep_rays_near_boxes(Sequence& street, double margin_m) {
     }
 }
 
-/// Labels of the cars that are wrong by 10 cm come nearer.
+/// Labels of cars have errors of 10 cm, which training must reduce.
 TEST_F(Poses, OfTheActorsComeBack) {
     SyntheticOptions options;
     options.n_frames = 7, options.rows = 32, options.columns = 512;
@@ -278,7 +277,7 @@ TEST_F(Poses, OfTheActorsComeBack) {
     Config config = refining("actors", 160);
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
-    config.init.scale_factor = 0.8;  // few points on a car: no holes between them
+    config.init.scale_factor = 0.8;  // large enough to close holes between the few points on a car
     const TrainResult result =
         train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
     ASSERT_TRUE(result.poses);
@@ -312,8 +311,8 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     EXPECT_NE(notes[0].find("no actor"), std::string::npos) << notes[0];
 }
 
-/// Nothing tells where a single sweep was: a pose that follows its own scene takes it
-/// away from those of the other sweeps.
+/// No other sweep constrains the pose of a single sweep. If training refined this pose,
+/// it would drift away from the other sweeps.
 TEST_F(Poses, OfASingleSweepStays) {
     const Sequence street = street_of(4, 8, 64, true);
     std::vector<std::string> notes;

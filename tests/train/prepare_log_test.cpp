@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log that several processes prepare together, here threads: all end with what one
-// process finds, to the bit.
+// Prepares a log with several processes (here threads). The result must equal the result
+// of a single process bit for bit.
 #include <cmath>
 #include <condition_variable>
 #include <map>
@@ -18,7 +18,7 @@
 namespace relidar {
 namespace {
 
-/// Threads in the place of processes.
+/// Exchanges data between threads instead of processes.
 class GroupOfThreads {
 public:
     explicit GroupOfThreads(int size) : size_(size), turns_of_(std::size_t(size)) {}
@@ -26,7 +26,7 @@ public:
     ProcessGroup of(int rank) {
         return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
     }
-    /// [size] bytes that each has given, of parts that all of them share
+    /// Returns the number of bytes that each rank has sent to all others [size].
     std::vector<std::size_t> shared_bytes() const {
         std::vector<std::size_t> bytes(std::size_t(size_), 0);
         for (const auto& [turn, part] : parts_)
@@ -37,10 +37,10 @@ public:
 
 private:
     int size_;
-    std::vector<std::size_t> turns_of_;  // ranks: turns that each has had
+    std::vector<std::size_t> turns_of_;  // [rank] number of exchanges so far
     std::mutex mutex_;
     std::condition_variable all_here_;
-    std::map<std::size_t, std::vector<std::string>> parts_;  // [rank] by turn
+    std::map<std::size_t, std::vector<std::string>> parts_;  // [rank] data of each exchange
     std::map<std::size_t, int> n_here_;
 
     std::string gather(std::size_t rank, const std::string& own) {
@@ -58,8 +58,8 @@ private:
     }
 };
 
-/// Long enough for two stretches. Its poses drift, its movers have no label, its beams
-/// are off.
+/// Makes a street that is long enough for two segments. Its poses drift, its movers have
+/// no labels, and its beams have errors.
 Sequence street(int n_frames = 400) {
     Sequence street =
         make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 128, .range_noise_m = 0.01});
@@ -151,7 +151,7 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
         return at == std::string::npos ? std::string() : told.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
-    Sequence bad = good;  // each second pose is a metre too far ahead
+    Sequence bad = good;  // every second pose is a metre too far ahead
     for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
         bad.world_from_vehicle.pose[k].translation.x += 1.0;
     const std::string warning = warning_of(bad);

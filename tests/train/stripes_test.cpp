@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stripes of an image: their rays are those of their pixels, and the frames together see
-// all of it.
+// Checks stripes of an image: each stripe has the rays of its pixels, and the stripes of
+// all frames together cover the image.
 #include "train/drops/stripes.hpp"
 
 #include <numeric>

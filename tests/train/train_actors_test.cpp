@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that learn on before a background they have not been trained with: they close
-// up, and nothing else changes.
+// Trains actors in front of a fixed background that they were not trained with. Their
+// holes must close, and nothing else may change.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -22,8 +22,8 @@ namespace {
 
 class TrainActors : public test::DeviceTest {
 protected:
-    /// A street in two blocks, one of what lies before x = 0 and one of what lies behind.
-    /// Its cars are thin: rays shine through.
+    /// Makes a street with two blocks, one for x < 0 and one for x > 0. The surfels of
+    /// its cars leave holes.
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
@@ -40,7 +40,7 @@ protected:
         run.config = make_preset("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
-        run.config.init.scale_factor = 0.8;  // no holes between the points of a car
+        run.config.init.scale_factor = 0.8;  // leaves no holes between the points of a car
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
         Scene whole = initialise_scene(run.sequence, run.split.train, run.config.init);
@@ -70,7 +70,8 @@ protected:
         return block;
     }
 
-    /// Median error of the mean range where the held-out frame's rays return from a car.
+    /// Returns the median error of the mean range for the rays of a held-out frame that
+    /// hit a car.
     double error_on_cars() {
         const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
@@ -131,8 +132,8 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
         same(&Surfels::sh);
 }
 
-/// What lies along the rays is all of the background that takes part: surfels high above
-/// the street leave every bit.
+/// Only background surfels along the rays matter. Surfels high above the street must not
+/// change a single bit.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     relidar::Run other = run;
     Surfels far = read_block(run.scene.blocks[0]).slice(0, 100);
@@ -141,7 +142,8 @@ TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
     save_model(block.file, above);
     other.scene.blocks.push_back(block);
-    // means learn in proportion to the extent, which is that of all blocks
+    // Learning rates of means are proportional to the extent of all blocks, so the test
+    // disables them.
     for (relidar::Run* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
     EXPECT_TRUE(train_actors(device(), run));
