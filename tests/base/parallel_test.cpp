@@ -61,7 +61,7 @@ TEST(RunParallel, ThrowsTheFirstFailureAndBeginsNothingElse) {
 }
 
 TEST(RunParallel, WorksInAFork) {
-    run_parallel(4, [](int) {});  // this process has threads, its fork has none of them
+    run_parallel(4, [](int) {});  // starts the worker threads, which a forked process does not have
     const pid_t child = ::fork();
     if (child == 0) {
         std::atomic<int> n{0};

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of different types cannot take each other's place in what a kernel is given, nor
-// can kernels with other parameters. Most of it is whether something compiles.
+// Checks that arrays of different types cannot be exchanged in the parameters of a
+// kernel, and that kernels with other parameters are rejected. Most checks test whether
+// code compiles.
 #include <concepts>
 #include <type_traits>
 
@@ -46,15 +47,15 @@ static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
 static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> &&
               std::is_standard_layout_v<Address<float>>);
 
-/// Whether one member of a parameter struct takes what another one is given, so that
-/// nobody notices when they are swapped.
+/// Returns true if one member of a parameter struct can be assigned to another member, so
+/// that the compiler would not detect swapped arguments.
 template <class Struct, class A, class B>
 consteval bool take_each_other(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
 }
 
-// Of each header of parameters two pointers to the same kind of number. That no struct
-// has two of which this is not true is a rule of tests/structure.
+// For each header of parameters, checks two pointers to the same number type. A rule in
+// tests/structure checks the other structs.
 static_assert(!take_each_other(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
 static_assert(!take_each_other(&shared::GatherParams::parts, &shared::GatherParams::d_records));
 static_assert(!take_each_other(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
@@ -82,8 +83,8 @@ static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::Co
 static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 
-// What an array holds is said where it is made; by address_as() or as() where one memory
-// serves several purposes, and in no other way.
+// The meaning of an array is stated where the array is created. Only address_as() and
+// as() change it, if one memory serves several purposes.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Memory that many arrays share: ranges of a block against a map of its bytes, more
-// arrays than a driver allows allocations, what no array can have.
+// Checks device memory blocks that several arrays share: ranges of a block against a byte
+// map, more arrays than the driver allows allocations, and invalid sizes.
 #include <algorithm>
 #include <map>
 #include <random>

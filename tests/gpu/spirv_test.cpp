@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is done to every module of the library when it is loaded: nothing else changes,
-// and spirv-val, where there is one, accepts the result.
+// Checks the changes that are made to every SPIR-V module when it is loaded: nothing else
+// may change, and spirv-val (if installed) must accept the result.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -24,7 +24,7 @@ using Words = std::vector<std::uint32_t>;
 
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16;
 
-/// Instructions of a module. @return nothing where one is cut
+/// Returns the instructions of a module, or an empty list if one is truncated.
 std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     std::vector<Words> result;
     for (std::size_t at = 5; at < words.size();) {
@@ -36,8 +36,8 @@ std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     return result;
 }
 
-/// Section of a module in which an instruction stands (SPIR-V specification, 2.4); 7 for
-/// the rest.
+/// Returns the section of a module that an instruction belongs to (SPIR-V specification,
+/// 2.4); 7 for all other instructions.
 int section(const Words& instruction) {
     static const std::map<std::uint32_t, int> sections = {{17, 1}, {10, 2}, {11, 3}, {14, 4},
                                                           {15, 5}, {16, 6}, {331, 6}};
@@ -96,8 +96,8 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
         }
 }
 
-/// Loads from the block of parameters, before and after the first branch of the entry
-/// point; those of other functions count as after.
+/// Counts the loads from the parameter block before and after the first branch of the
+/// entry point. Loads in other functions count as after.
 std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     enum : std::uint32_t {
         name = 5,
@@ -128,8 +128,8 @@ std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     return n;
 }
 
-/// What is indexed by a value that the device alone knows stays where it is; nothing else
-/// does.
+/// Only loads with an index that is known on the device stay in place; all other loads
+/// move to the beginning.
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -185,8 +185,7 @@ TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     });
 }
 
-/// Every index into an array is a sum. The places of parameters have no index that is not
-/// constant.
+/// Every index into an array must be a sum. Parameter members have constant indices only.
 TEST(SpirvLanes, AreInEveryIndex) {
     enum : std::uint32_t { name = 5, type_pointer = 32, load = 61, chain = 65, add = 128, storage = 5349 };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -209,7 +208,8 @@ TEST(SpirvLanes, AreInEveryIndex) {
     }
 }
 
-/// Values other than the module's own for all constants but the workgroup's size.
+/// Returns values that differ from the module's defaults for all constants except the
+/// workgroup size.
 std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
@@ -226,8 +226,7 @@ TEST(SpirvBranches, AreAcceptedBySpirvVal) {
     });
 }
 
-/// What spirv-opt makes of a module when it is given the constants and removes what they
-/// rule out.
+/// Runs spirv-opt with the given constants and returns the optimised module as text.
 std::string optimised(std::span<const std::uint32_t> words,
                       const std::map<std::uint32_t, std::uint32_t>& constants) {
     const fs::path file =
@@ -248,8 +247,8 @@ std::string optimised(std::span<const std::uint32_t> words,
     return result;
 }
 
-/// spirv-opt takes the branches that are left and removes what nothing reaches: then a
-/// kernel is the same whether ours were taken or not.
+/// spirv-opt removes the remaining branches and unreachable code. The result must be the
+/// same with and without our removal of branches.
 TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// State through StateWriter and StateReader: host and device come back bit by bit, and
-// what does not fit is named.
+// Writes and reads state with StateWriter and StateReader. Host and device arrays must be
+// restored bit by bit, and errors must name the array that does not fit.
 #include <bit>
 
 #include <relidar/run/checkpoint.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings: every key survives TOML, wrong keys and values get one clear line, presets
-// are what docs/method.md says.
+// Checks settings: every key survives TOML, wrong keys and values cause a clear one-line
+// error, and presets match docs/method.md.
 #include <relidar/run/stage_options.hpp>
 
 #include <map>
@@ -51,7 +51,7 @@ Config through_toml(const Config& config, const std::filesystem::path& folder) {
     return result;
 }
 
-/// Gives a key another value that it accepts.
+/// Changes a key to another valid value.
 bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
     for (const char* value :
@@ -101,7 +101,7 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     EXPECT_EQ(read.train.seed, config.train.seed);
 }
 
-/// A run of another version has other settings than this one.
+/// Runs of another version may have missing or additional settings; both are errors.
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     const std::string whole = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {
@@ -129,8 +129,8 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
               file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
 }
 
-/// What nobody needs to know is left out, unless it was chosen; what is shown reads back
-/// to the same settings.
+/// The short form omits internal settings unless the user has changed them. Reading it
+/// must restore the same settings.
 TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
     for (const char* name : {"paper", "quick"}) {
         Config config = make_preset(name);
@@ -175,7 +175,7 @@ TEST(Config, UnknownKeyNamesTheNearest) {
     EXPECT_EQ(set_error("train.iteration", "1"),
               "setting train.iteration: unknown key, did you mean train.iterations?");
     EXPECT_NE(set_error("", "1").find("unknown key"), std::string::npos);
-    // constants of the presets are no settings
+    // Constants of presets are not settings.
     for (const char* key : {"train.mean_rate", "init.flatness", "densify.from", "refine.batch"})
         EXPECT_NE(set_error(key, "1").find(std::string("setting ") + key + ": unknown key"),
                   std::string::npos)
@@ -248,7 +248,7 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
 }
 
-/// docs/method.md section 5, column by column: three weights, and nothing else.
+/// docs/method.md section 5: the presets differ in three weights only.
 TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
     Config c = make_preset("released");
     EXPECT_EQ(c.loss.intensity_ssim, 0.15f);
@@ -271,8 +271,8 @@ TEST(Config, EnumFieldsReachTheirStages) {
     EXPECT_EQ(trace_options(config).chunk, 8);
 }
 
-/// Rendering casts rays without what losses want of them, except for the normals of
-/// surfels; training with it.
+/// Rendering does not compute values that only losses need, except the normals of
+/// surfels. Training computes them.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
     EXPECT_FALSE(training_trace_options(config).wants_geometry());
@@ -337,7 +337,7 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
 
 TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
     Config config;
-    // no preset: what is not named stays
+    // Without a preset, settings that the file does not name keep their values.
     put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");
     set_key(config, "train.seed", "42");
     load_config(config, folder / "c.toml");

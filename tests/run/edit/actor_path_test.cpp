@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trajectory files: header or none, three or six degrees of freedom, and every way to get
-// one wrong.
+// Checks trajectory files: with and without header, with three or six degrees of freedom,
+// and every kind of error.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -39,7 +39,7 @@ TEST_F(TrajectoryFile, IsReadWithAndWithoutHeader) {
 
 TEST_F(TrajectoryFile, PitchAndRollComeAfterYaw) {
     const PoseTrack track = read("0,0,0,0,0\n1,0,0,0,90,30,20\n");
-    const double degree = kPi / 180.0;  // R = Rz(90) Ry(30) Rx(20): columns by hand
+    const double degree = kPi / 180.0;  // R = Rz(90) Ry(30) Rx(20), columns computed by hand
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
     EXPECT_LT(glm::length(track.pose[1].rotation * glm::dvec3(1, 0, 0) - forward), 1e-12)
         << "a positive pitch lowers the nose";
@@ -55,8 +55,7 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
         "yaw_deg,z,y,x,time_s,pitch_deg,roll_deg\n90,6,5,4,0,30,20\n90,6,5,4,1,30,20\n",
         fmt::format("time_s,x,y,z,yaw_rad,pitch_rad,roll_deg\n0,4,5,6,{0},{1},20\n1,4,5,6,{0},{1},20\n",
                     90 * degree, 30 * degree)};
-    // R = Rz(90) Ry(30) Rx(20) by hand: forward is turned to the left, then its nose goes
-    // down
+    // R = Rz(90) Ry(30) Rx(20), by hand: the actor turns left, then pitches down.
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
     for (const std::string& text : same) {
         const Pose pose = read(text).pose[1];
@@ -81,7 +80,8 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
 TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
     PoseTrack track;
     for (int i = 0; i < 50; ++i) {
-        track.time_s.push_back(1317042272.25 + 0.1 * i);  // seconds since 1970, metres of a large world
+        // seconds since 1970 and large world coordinates
+        track.time_s.push_back(1317042272.25 + 0.1 * i);
         track.pose.push_back(
             {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
              {455000.123 + i, 5428000.5 - i, 113.0}});

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small run with values that no short decimal form holds, for the tests of run folders.
+// Makes a small run for the tests of run folders. Its values have no short decimal form.
 #pragma once
 
 #include <cmath>
@@ -33,7 +33,7 @@ inline Run example_run(const std::filesystem::path& folder) {
     Run run;
     run.folder = folder;
     run.config = make_preset("quick");
-    run.config.dataset.max_range_m = 80.0;  // loading would replace 0 by the log's own limit
+    run.config.dataset.max_range_m = 80.0;  // loading would replace 0 by the limit of the log
     run.config.dataset.path = "/data/log \"one\"";
     Sequence& s = run.sequence;
     s.name = "example \xC3\xA9";
@@ -61,7 +61,7 @@ inline Run example_run(const std::filesystem::path& folder) {
     s.boxes.push_back(
         {"7", "Car", {4.2, 1.8, 1.5}, {{1.3e9, 1.3e9 + 0.1}, {example_pose(0.5), example_pose(0.6)}}});
     s.boxes.push_back({"8", "Van", {5.2, 2.0, 2.5}, {}});
-    run.split = {{0, 1}, {2}};  // frame 3 is unused
+    run.split = {{0, 1}, {2}};  // frame 3 is not used
     run.scene = make_background_scene(example_surfels(5));
     run.edits = {{"/runs/first", "--move 7:0,3.5,0"}, {"/runs/second", "--remove 9"}};
     return run;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Run folders: what was saved comes back bit by bit; anything cut, missing or changed is
-// refused by file and field.
+// Saves and loads run folders. Values must be restored bit by bit. Truncated, missing or
+// changed data must cause an error that names file and field.
 #include <relidar/run/run.hpp>
 
 #include <relidar/base/arrays.hpp>
@@ -24,7 +24,7 @@ protected:
     std::string load_error() {
         return data_error([&] { load_run(run.folder); });
     }
-    /// Message after scene.json has been changed.
+    /// Returns the error message of loading a changed scene.json.
     std::string error_with(const Json& changed) {
         put(run.folder / "scene.json", changed.dump());
         return load_error();
@@ -351,14 +351,14 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
-    // for people only; edits: a run as trained has none
+    // Optional fields: information for users, and edits, which an unedited run lacks.
     const std::vector<std::string> told = {"/relidar", "/units", "/conventions",
                                            "/lidars/0/sensor/beam_fields", "/edits"};
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {
         std::string field = pointer;
-        // an array goes as a whole
+        // Arrays are removed as a unit, not element by element.
         while (std::isdigit(static_cast<unsigned char>(field.back())))
             field = field.substr(0, field.find_last_of('/'));
         if (std::any_of(told.begin(), told.end(),
@@ -485,7 +485,7 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"),
               std::string::npos);
     run = example_run(folder / "second");
-    run.config.train.mean_rate *= 2.0;  // a constant of the preset: config.toml cannot hold it
+    run.config.train.mean_rate *= 2.0;  // a constant of the preset, which config.toml cannot store
     EXPECT_NE(
         data_error([&] { save_run(run); }).find("an option that is no setting differs from preset quick"),
         std::string::npos);

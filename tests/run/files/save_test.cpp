@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder appears complete or not at all, and an earlier run in it stays until the
-// new one is written.
+// Checks that a run folder appears completely or not at all, and that the old run stays
+// in place until the new run is written.
 #include <relidar/run/run.hpp>
 
 #include <csignal>
@@ -14,7 +14,8 @@
 namespace relidar {
 namespace {
 
-/// While it lives, no file of this process gets larger, as on a full disk.
+/// Limits the file size of this process while it exists, so that writes fail as on a full
+/// disk.
 class FullDisk {
 public:
     explicit FullDisk(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {

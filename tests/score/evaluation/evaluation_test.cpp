@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluations of many frames against each of them scored by itself; their images are
-// there while they are seen, and go.
+// Compares evaluations of many frames with the score of each single frame. Images must
+// exist while a frame is visited and must be released afterwards.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kFrames = 35;  // more than are scored at once, twice
+constexpr int kFrames = 35;  // more than two batches of frames that are scored together
 
 class EvaluationOf : public test::DeviceTest {
 protected:
@@ -32,7 +32,8 @@ protected:
         std::iota(positions.begin(), positions.end(), 0);
     }
 
-    /// Every frame was seen with its images, and all but the middle one are forgotten.
+    /// Checks that the visitor received every frame with its images, and that the
+    /// evaluation kept only the middle frame.
     void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& seen) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
         ASSERT_EQ(seen.size(), std::size_t(kFrames));
@@ -99,7 +100,8 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {{}, {}};
     for (int i = 0; i < kFrames; ++i) {
-        run.split.train.push_back(i);  // its own neighbours: what is scored is beside the point
+        // training frames may be scored here, because the quality does not matter
+        run.split.train.push_back(i);
         run.split.test.push_back(i);
     }
     std::vector<ScoredFrame> seen;
@@ -109,7 +111,7 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
 
-/// Errors by range against the images, ray by ray.
+/// Compares the errors by range with a loop over the rays of the images.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
     std::vector<ScoredFrame> seen;

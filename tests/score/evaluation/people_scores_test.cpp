@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scores of people: of the scan itself, of one that is 5 cm off, of one that lost them;
-// their points against those of each ray at the moment of its firing.
+// Scores people in three scans: the real scan, a scan with an offset of 5 cm, and a scan
+// without people. Compares their points with the points of each ray at its firing time.
 #include "score/evaluation/people.hpp"
 
 #include <gtest/gtest.h>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Both metric protocols on images small enough to work out by hand, and the cases where a
-// metric is not defined.
+// Compares both metric protocols with values computed by hand on small images. Also
+// covers cases in which a metric is not defined.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
-/// An image whose rays all start at (0, 0, 1) and point along x, y, z in turn, so that
-/// pixels i, j < 3 never share a ray.
+/// Makes an image whose rays start at (0, 0, 1) and point along x, y and z in turn, so
+/// that pixels i, j < 3 have different rays.
 RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity,
                     std::vector<float> drop_prob) {
     RangeImage image{rows, columns, std::move(range_m), std::move(intensity), std::move(drop_prob), {}, {}};
@@ -40,7 +40,7 @@ constexpr double kClamp = 1e-6;
 
 TEST(Evaluate, PeerImageErrorsByHand) {
     const MetricRow row = evaluate(kRendered, kReal);
-    // pixel 1 counts as dropped: p >= 0.4
+    // Pixel 1 counts as dropped because p >= 0.4.
     const double e0 = double(10.02f) - 10.0, e1 = 20.0 - kClamp, e2 = 5.0 - kClamp;
     const double mse = (e0 * e0 + e1 * e1 + e2 * e2) / 3.0;
     EXPECT_NEAR(row.at("peer/depth_rmse_m"), std::sqrt(mse), 1e-12);
@@ -53,7 +53,7 @@ TEST(Evaluate, PeerImageErrorsByHand) {
     EXPECT_NEAR(row.at("peer/intensity_mae"), (i0 + i1 + i2) / 3.0, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_medae"), 0.25, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), -10.0 * std::log10(intensity_mse), 1e-12);
-    EXPECT_FALSE(row.contains("peer/depth_ssim"));  // one row is less than a window
+    EXPECT_FALSE(row.contains("peer/depth_ssim"));  // one row is smaller than a window
 }
 
 TEST(Evaluate, PeerCloudByHand) {
@@ -114,14 +114,14 @@ TEST(Evaluate, DropsByHand) {
     const RangeImage real = image_of(1, 5, {1, 0, 0, 1, 0}, {0, 0, 0, 0, 0}, {0, 1, 1, 0, 1});
     const RangeImage rendered =
         image_of(1, 5, {1, 1, 1, 1, 0}, {0, 0, 0, 0, 0}, {0.2f, 0.9f, 0.3f, 0.5f, 0.1f});
-    // rendered drops 1, 3 (p = 0.5 is a drop), 4 (no range)
+    // Predicted drops: 1, 3 (p = 0.5 counts as a drop), 4 (no range).
     const MetricRow row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("strict/drop_accuracy"), 3.0 / 5.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_precision"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_recall"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_f1"), 2.0 / 3.0, 1e-12);
-    // 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1, as the probabilities are: where there
-    // is no range, too
+    // The errors of the probabilities are 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1.
+    // The last pixel counts although it has no range.
     EXPECT_NEAR(row.at("strict/drop_rmse"), std::sqrt((0.04 + 0.01 + 0.49 + 0.25 + 0.81) / 5.0), 1e-7);
 }
 
@@ -164,10 +164,10 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
          {"peer/depth_ssim", "peer/intensity_ssim", "peer/f_score", "strict/f_5cm", "strict/f_22cm",
           "strict/drop_accuracy", "strict/drop_precision", "strict/drop_recall", "strict/drop_f1"})
         EXPECT_NEAR(row.at(name), 1.0, 1e-12) << name;
-    // capped, not infinite
+    // Scores of equal images are limited instead of infinite.
     EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
-    EXPECT_EQ(row.size(), 37u);  // peer 12, strict 25; no LPIPS without weights
+    EXPECT_EQ(row.size(), 37u);  // 12 peer and 25 strict metrics; LPIPS needs weights
 }
 
 TEST(Evaluate, LeavesOutWhatIsNotDefined) {
@@ -180,7 +180,8 @@ TEST(Evaluate, LeavesOutWhatIsNotDefined) {
     EXPECT_EQ(nothing.at("strict/drop_f1"), 1.0);
     const MetricRow missed = evaluate(dropped, returned);
     EXPECT_FALSE(missed.contains("strict/cd_mean_m"));
-    EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);  // all points missed is the worst score, not none
+    // if all points are missed, the score is 0, not undefined
+    EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);
     for (const auto& [name, value] : missed) EXPECT_TRUE(std::isfinite(value)) << name;
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// All metrics of a seeded pair of images against an independent script,
-// ../shared/bench/evaluate.py, run here. Skipped where RELIDAR_SHARED (default: ../shared
-// beside the repository) does not hold it or Python lacks numpy or scipy.
+// Compares all metrics of a random pair of images with an independent script,
+// ../shared/bench/evaluate.py. The test is skipped if RELIDAR_SHARED (default: ../shared
+// next to the repository) does not contain the script, or if Python has no numpy or
+// scipy.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -31,8 +32,8 @@ struct Pair {
     std::vector<float> moving;
 };
 
-/// Correlated images on random directions; ranges reach beyond 80 m, intensities beyond
-/// 1.
+/// Makes two correlated images on random directions, with ranges beyond 80 m and
+/// intensities above 1.
 Pair random_pair() {
     std::mt19937 random(20261120);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);

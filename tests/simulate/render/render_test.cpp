@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rendering a wall at a known place, choice of sensor.
+// Renders a wall at a known position and checks the choice of the sensor.
 #include <algorithm>
 #include <cmath>
 
@@ -14,7 +14,7 @@ namespace {
 
 class Render : public test::DeviceTest {};
 
-/// A wall 10 m ahead that returns; intensity 0.5.
+/// Returns a wall 10 m ahead that returns all rays, with intensity 0.5.
 Surfels wall_ahead() {
     Surfels wall;
     wall.resize(1);
@@ -27,7 +27,7 @@ Surfels wall_ahead() {
     return wall;
 }
 
-/// Four rays, one a quarter turn, from the origin.
+/// Makes four rays from the origin, one per quarter turn.
 Sequence cross_sequence() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -39,12 +39,12 @@ Sequence cross_sequence() {
     return sequence;
 }
 
-/// A post 8 cm wide, 10 m away, in front of a wall at 14 m.
+/// Makes a post 8 cm wide at 10 m, in front of a wall at 14 m.
 Surfels post_before_wall() {
     Surfels scene = wall_ahead();
     scene.resize(2);
     for (std::size_t k = 0; k < kShFloats; ++k) scene.sh[kShFloats + k] = scene.sh[k];
-    scene.sh[0] = scene.sh[kShFloats] = 1.0f;  // alike in brightness
+    scene.sh[0] = scene.sh[kShFloats] = 1.0f;  // equal brightness
     scene.mean = {{10.0f, 0.0f, 0.0f}, {14.0f, 0.0f, 0.0f}};
     scene.rotation[1] = scene.rotation[0];
     scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};  // tall, narrow
@@ -53,12 +53,12 @@ Surfels post_before_wall() {
     return scene;
 }
 
-/// Share of a disc that a strip through its middle covers. @param x  half of the strip's
-/// width over the disc's radius
+/// Returns the share of a disc that a strip through its centre covers.
+/// @param x half the width of the strip divided by the radius of the disc
 double strip_share(double x) { return 2.0 / kPi * (std::asin(x) + x * std::sqrt(1.0 - x * x)); }
 
-/// A footprint of 0.2 m across, aimed at the post: where half of the light goes through
-/// its Gaussian the post ends.
+/// A footprint 0.2 m wide is aimed at the post. The post ends where its Gaussian
+/// transmits half of the light.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -86,8 +86,8 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
-/// The same post seen by beams of one table that differ: only the one that is wider sees
-/// past it.
+/// Beams of different divergence see the same post. Only the wider beam also sees the
+/// wall.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     RayTable rays{1,
                   3,
@@ -147,13 +147,13 @@ TEST_F(Render, WallIsWhereItStands) {
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
 }
 
-/// A post that only one column of the head meets stands in another column of the image in
-/// a sweep in which the head was a column behind.
+/// A single column of the sensor sees the post. In a sweep that started one column later,
+/// the post must appear in another column of the image.
 TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr int kColumns = 64;
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     Surfels post = wall_ahead();
-    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};  // 0.1 m of 1 m between columns
+    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};  // 0.1 m wide; columns are 1 m apart
     Sequence sequence = cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
@@ -169,7 +169,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     };
     const SensorChoice own = configured_sensor(config, sequence);
     EXPECT_TRUE(own.follows_sweeps);
-    const int nominal = kColumns / 2;  // azimuth pi falls by a column each
+    const int nominal = kColumns / 2;  // azimuth pi, decreasing by one column per column
     EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
     EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1)
         << "the head points one column to the left of where it should";
@@ -181,8 +181,8 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
 }
 
-/// Two veils before a wall: half of the light is gone at the second, most of it comes
-/// back from the wall. A dropped ray has no range.
+/// Two veils in front of a wall: half of the light is lost at the second veil, but the
+/// wall returns most of it. A dropped ray has no range.
 TEST_F(Render, ModeIsTheHeaviestSurface) {
     Surfels scene;
     const Surfels wall = wall_ahead();
@@ -223,8 +223,8 @@ std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
     return best;
 }
 
-/// What a beam adds to ranges and makes of intensities is the sensor's: its own scans
-/// have it, those of another sensor do not.
+/// The range offset and intensity gain of a beam belong to the log's sensor. Scans of
+/// other sensors do not use them.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = wall_ahead();
     Sequence sequence = cross_sequence();
@@ -257,8 +257,8 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
 }
 
-/// A ray whose surface lies outside the sensor's limits is dropped, whichever of its two
-/// ranges lies there.
+/// A ray is dropped if its surface lies outside the range limits of the sensor, in either
+/// of its two ranges.
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     Sequence sequence = cross_sequence();
     const Scene scene = make_background_scene(wall_ahead());
@@ -276,7 +276,7 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     EXPECT_FALSE(dropped(9.9, 10.1));
     EXPECT_TRUE(dropped(0.0, 9.9));
     EXPECT_TRUE(dropped(10.1, 80.0));
-    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;  // limits are of what is measured
+    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;  // limits apply to the measured range
     EXPECT_TRUE(dropped(0.0, 10.1));
 }
 
@@ -298,7 +298,7 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
-/// A plate 4 m ahead that takes 0.3 of the light, and the wall.
+/// Returns a plate 4 m ahead that absorbs 0.3 of the light, and the wall.
 Surfels faint_plate_before_a_wall() {
     Surfels surfels = wall_ahead();
     surfels.append(wall_ahead());
@@ -307,8 +307,8 @@ Surfels faint_plate_before_a_wall() {
     return surfels;
 }
 
-/// Points of a ray that sees a faint plate before the wall: the mean lies in the air
-/// between them, the dominant surface is the wall.
+/// A ray sees a faint plate in front of the wall. The mean range lies in the air between
+/// them; the point must lie on the wall, the dominant surface.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
@@ -332,8 +332,8 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     EXPECT_EQ(faint.median_range_m[behind], 0.0f);
 }
 
-/// Two surfaces: the mean lies between them, a known way from the farther one, whichever
-/// range the image shows; one surface has no spread.
+/// With two surfaces, the mean range lies at a known distance from the farther one, for
+/// both kinds of range in the image. A single surface has no spread.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
@@ -344,8 +344,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const RenderedScan plane =
         ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
     EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
-    // shares of the light: 0.3 for the plate, nearly all of the rest for the wall, which
-    // is as opaque as a surfel gets
+    // Shares of the light: 0.3 for the plate; the wall gets nearly all of the rest,
+    // limited by the maximum alpha of a surfel.
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
     std::vector<std::string> channels = drop_channel_names(config.refine);
     std::vector<DropImage> seen;
@@ -365,8 +365,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     }
 }
 
-/// The place of a wall that stands still, from a sensor that moves while it turns: every
-/// ray's own pose puts its point on the wall.
+/// The sensor moves while it turns. With the pose of each ray, all points must lie on the
+/// wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -393,8 +393,8 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     }
 }
 
-/// The wall's normal is known, and at what angle it is met, whichever way the sensor
-/// looks, turns and is binned: it comes back in the sensor's frame, towards the sensor.
+/// The normal of the wall and the incidence angle are known for every orientation and
+/// binning of the sensor. Normals are returned in the sensor frame and face the sensor.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -441,8 +441,9 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
 
-/// A wall behind the sensor's right, and a plate placed ahead and, turned to face the
-/// sensor too, behind; its brightness depends on the direction it is seen from.
+/// Makes a wall behind the sensor on the right, and a plate with two instances: ahead,
+/// and behind (turned to face the sensor). The brightness of the plate depends on the
+/// direction.
 Scene two_placements(Sequence& sequence) {
     Surfels surfels;
     surfels.resize(2);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sensor's rays on the device: fired as world_ray() has them in double precision
-// (simulate/render/fire_rays), measured as Beam, limits and M6 say
-// (simulate/render/measure_rays), and shown to a network as drop_image() has it
+// Checks kernels for a sensor's rays: rays equal world_ray() in double precision
+// (simulate/render/fire_rays), measured values follow Beam, range limits and M6
+// (simulate/render/measure_rays), and network inputs equal drop_image()
 // (simulate/render/drop_channels).
 #include "simulate/render/sensor_rays.hpp"
 
@@ -27,7 +27,7 @@ RayTable spinning_rays(int columns) {
     return make_rays(sensor);
 }
 
-/// Far from the origin, turning about all axes, at uneven times.
+/// Returns a track far from the origin that turns about all axes, at irregular times.
 PoseTrack bend(double rad_per_s, int n) {
     PoseTrack track;
     for (int k = 0; k < n; ++k) {
@@ -55,8 +55,8 @@ double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track
     return farthest;
 }
 
-/// 400 m from the origin a float is 3e-5 m apart from the next; 5e-7 in a direction is
-/// 0.04 mm at 80 m.
+/// 400 m from the origin, the spacing of floats is 3e-5 m. An error of 5e-7 in a
+/// direction is 0.04 mm at 80 m.
 TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
     const RayTable rays = spinning_rays(301);  // fired from -0.05 to 0.05 s
     const double tolerance = 6e-7;
@@ -76,7 +76,7 @@ TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     EXPECT_LE(poses.size(), 6u);
 }
 
-/// Rays that meet something or little or nothing, near and far.
+/// Returns random rendered rays, near and far, with strong, weak or no surfaces.
 std::vector<shared::RenderedRay> random_rendering(std::size_t n) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
@@ -130,7 +130,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
                                               "rendered rays");
     const std::vector<Beam> beams = {
         {.intensity_gain = 1.3, .intensity_offset = -0.05, .range_offset_m = 0.04},
-        // none for channel 2
+        // no entry for channel 2
         {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};
     const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
     const auto never = [](std::size_t i) { return i % 5 == 0 ? 0.75f : 0.0f; };
@@ -167,8 +167,8 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     }
 }
 
-/// Another sensor may see otherwise along the same rays, and other rays of one size are
-/// others.
+/// A sensor with the same rays but other parameters, and other rays of the same number,
+/// must not reuse cached data.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = spinning_rays(16);
     shared::RenderedRay wall{};
@@ -194,7 +194,7 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
 }
 
-/// A smooth surface with a step.
+/// Renders a smooth surface with a step.
 std::vector<shared::RenderedRay> rendered_room(const RayTable& rays) {
     std::vector<shared::RenderedRay> rendered = random_rendering(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
