@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Feather files by themselves, and a small Argoverse 2 log of which an input replaces one
-// file.
+// Fuzzes Feather files, and a small Argoverse 2 log in which an input replaces one file.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -28,7 +27,7 @@ std::vector<std::string> feather_seeds(const fs::path&) {
     return seeds;
 }
 
-/// Every column as all it might be.
+/// Reads every column as every possible type.
 void read_feather(std::string_view input, const fs::path&) {
     const Feather table("input", std::string(input));
     std::string failure;
@@ -39,7 +38,7 @@ void read_feather(std::string_view input, const fs::path&) {
                 if (as == 1) table.integers(column);
                 if (as == 2) table.texts(column);
             } catch (const DataError& error) {
-                failure = error.what();  // the last one is looked at
+                failure = error.what();  // the last error is rethrown
             }
         }
     }

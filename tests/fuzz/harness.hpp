@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A parser under libFuzzer: seeds the program makes itself, and what is done with an
-// input.
+// A fuzz harness for libFuzzer: a parser with seeds made by the program and a function
+// that reads an input.
 #pragma once
 
 #include <filesystem>
@@ -12,16 +12,17 @@ namespace relidar::fuzz {
 
 struct Harness {
     const char* name;
-    /// Inputs to start from. @param folder for files that a writer of the program makes
+    /// Returns the initial inputs.
+    /// @param folder folder for files that a writer of the program creates
     std::vector<std::string> (*seeds)(const std::filesystem::path& folder);
-    /// Reads an input. What it throws must be a relidar::Error of usage or data, short
-    /// enough for a terminal.
-    /// @param folder kept from input to input
+    /// Reads an input. It may throw only a relidar::Error for usage or data, whose
+    /// message is short enough for a terminal.
+    /// @param folder folder that is kept between inputs
     void (*read)(std::string_view input, const std::filesystem::path& folder);
-    bool seeds_are_good = true;  ///< they are read without a complaint
+    bool seeds_are_good = true;  ///< true if all seeds are read without an error
 };
 
-/// Harnesses of each file; main.cpp joins them.
+/// Harnesses of each source file; main.cpp collects them.
 std::vector<Harness> array_harnesses();
 std::vector<Harness> text_harnesses();
 std::vector<Harness> drive_harnesses();

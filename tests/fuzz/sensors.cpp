@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files of sensors and rigs. The first byte of an input to "sensors" says what ending its
-// file has.
+// Fuzzes files of sensors and rigs. The first byte of an input to "sensors" selects the
+// file extension.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -14,9 +14,9 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kEndings[] = {"csv", "json", "npz"};
-constexpr std::size_t kMostMade = 20000;  // rays that are also made
+constexpr std::size_t kMostMade = 20000;  // largest number of rays that are computed
 
-/// Makes the rays of what is small.
+/// Computes the rays of small sensors.
 void make(const SensorModel& sensor) {
     const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
     const auto* window = std::get_if<ScanningWindow>(&sensor.pattern);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Small sequences of Boreas, MulRan and ONCE of which an input replaces one file.
+// Fuzzes small sequences of Boreas, MulRan and ONCE in which an input replaces one file.
 #include "harness.hpp"
 
 #include <cstdlib>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The line in front of the render thread: order, places, those who leave.
+// Checks the queue of the render thread: its order, its capacity, and clients that
+// disconnect.
 #include <atomic>
 #include <cctype>
 #include <functional>
@@ -20,7 +21,7 @@ namespace {
 
 const auto kWanted = [] { return true; };
 
-/// Work that holds the render thread until it is let go.
+/// Blocks the render thread until it is released.
 class Blocker {
 public:
     explicit Blocker(RenderQueue& queue)
@@ -72,14 +73,15 @@ TEST(RenderQueue, DoesAllWorkOnOneThread) {
     EXPECT_EQ(elsewhere, 0);
 }
 
-/// What a queue does, in order, of work that waits for it: a small letter where work of
-/// two parts begins, a comma where another goes with it, a capital where it ends. @param
-/// line  names and kinds, 0 of work in one part @param fails  at its beginning
+/// Returns the order in which a queue processes waiting work: a lower-case letter where
+/// two-part work starts, a comma if another joins it, and a capital where it ends.
+/// @param line names and kinds of the work; kind 0 has one part
+/// @param fails name of the work that fails at its start
 std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
                      char fails = ' ') {
     RenderQueue queue(8);
     queue.begin_together(together);
-    std::string parts;  // of the queue's thread alone
+    std::string parts;  // used only by the thread of the queue
     std::vector<std::jthread> clients;
     std::optional<Blocker> blocker(std::in_place, queue);
     std::atomic<int> n_in_line = 0;
@@ -94,7 +96,7 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
                 place.run(work, is_wanted);
             } catch (const std::runtime_error&) {}
         });
-        // asked whether it is wanted: it is in the line
+        // When the queue polls for cancellation, the work is in the queue.
         while (n_in_line == before) std::this_thread::yield();
     };
     for (const auto& [name, kind] : line) {
@@ -111,8 +113,8 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
     return parts;
 }
 
-/// The second is begun before the first is finished, and everything is in order; work of
-/// another kind, or of one part, waits.
+/// The second work starts before the first is finished, and the order is kept. Work of
+/// another kind or of one part waits.
 TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
 }
@@ -147,10 +149,10 @@ TEST(RenderQueue, WorkWhoseClientHasLeftIsNeverBegun) {
         std::jthread client(
             [&] { end = queue.enter()->run([&] { ran = true; }, [&] { return wanted.load(); }); });
         wanted = false;
-        client.join();  // while the thread is busy: who leaves does not wait for others
+        client.join();  // the thread is busy, but a cancelled client does not wait
         EXPECT_EQ(end, WorkEnd::unwanted);
     }
-    queue.enter()->run([] {}, kWanted);  // whatever was in the line has had its turn
+    queue.enter()->run([] {}, kWanted);  // all queued work was processed before this call returns
     EXPECT_FALSE(ran);
 }
 

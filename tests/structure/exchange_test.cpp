@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// No kernel exchanges values between its threads by accesses that a card may answer from
-// a subgroup's own cache.
+// Checks that no kernel exchanges values between its threads through non-coherent
+// accesses, which a GPU may serve from the cache of a subgroup.
 #include "spirv_exchange.hpp"
 
 #include <gmock/gmock.h>
@@ -21,8 +21,9 @@ TEST(Exchange, AccessesThatACacheMayAnswerAreFound) {
 }
 TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(incoherent_exchanges(exchange_coherent), IsEmpty()); }
 
-/// Kernels with barriers for something else, in which each thread updates its own
-/// elements; forward/sort_hits loads all before its barriers, and stores behind them.
+/// Kernels whose barriers serve other purposes and whose threads update only their
+/// assigned elements. forward/sort_hits loads all elements before its barriers and stores
+/// them afterwards.
 struct OwnElements {
     const char* kernel;
     std::vector<std::string> members;

@@ -74,8 +74,7 @@ bool starts_with_any(const std::string& text, const std::vector<std::string>& pr
     return std::ranges::any_of(prefixes, [&](const std::string& prefix) { return text.starts_with(prefix); });
 }
 
-/// Says what is wrong with an include between two files of the library, or returns
-/// nothing.
+/// Returns the error for an include between two files of the library, or an empty string.
 std::string judge_library(const std::string& from, const std::string& to) {
     const std::size_t from_room = room_of(from), to_room = room_of(to);
     if (from == kUmbrella) return "";
@@ -98,7 +97,7 @@ std::string judge_library(const std::string& from, const std::string& to) {
     return "";
 }
 
-/// Says what is wrong with an include, or returns nothing.
+/// Returns the error for an include, or an empty string.
 std::string judge(const std::string& from, const std::string& to) {
     const bool is_public = to.starts_with(kPublic);
     if (is_library(from))
@@ -133,7 +132,8 @@ class Chains {
 public:
     explicit Chains(const SourceTree& tree) : tree_(tree) {}
 
-    /// Files on the longest path that starts here, this one first. Records cycles.
+    /// Returns the files on the longest path that starts at `path`, including `path`.
+    /// Records cycles.
     const std::vector<std::string>& longest_from(const std::string& path) {
         if (const auto known = longest_.find(path); known != longest_.end()) return known->second;
         open_.push_back(path);
@@ -226,7 +226,8 @@ Violations check_umbrella(const SourceTree& tree) {
 }
 
 Violations check_include_chains(const SourceTree& tree) {
-    // tests stand on top: the oracle, then a generator of scenes
+    // Chains of tests may be longer, because they include the reference and the scene
+    // generator.
     constexpr std::size_t kLongest = 8, kLongestOfTests = 10;
     Violations violations;
     Chains chains(tree);

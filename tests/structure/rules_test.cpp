@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each rule of rules.hpp finds what it is there to find: small trees with one planted
+// Checks each rule of rules.hpp with small source trees that contain one deliberate
 // violation each.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -211,7 +211,7 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
-/// What is wrong in a document of a small checkout.
+/// Returns the violations in a document of a small checkout.
 Violations wrong_in(const std::string& document) {
     return check_documents(
         make_tree({{"docs/a.md", document},

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host and shaders see the same bytes: every struct that they share, in every kernel that
-// uses it. And no kernel needs what not every device has.
+// Checks that host and shaders use the same layout for every shared struct, in every
+// kernel that uses it. Also checks that no kernel needs a feature that some devices lack.
 #include <algorithm>
 #include <cstddef>
 #include <map>
@@ -36,7 +36,7 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
         const std::map<std::string, StructLayout> seen = read_spirv_layouts(kernel.words);
         for (const auto& [type, layout] : seen) {
             const auto ours = host.find(type);
-            if (ours == host.end()) continue;  // a block of the shader's own
+            if (ours == host.end()) continue;  // a block that only the shader has
             EXPECT_EQ(layout, ours->second) << type << " in " << kernel.name;
             unseen.erase(type);
         }
@@ -51,10 +51,10 @@ TEST(Kernels, HaveNo64BitIntegers) {
             << kernel.name << ": see RELIDAR_POINTER in relidar/base/lang.h";
 }
 
-/// What a module does with addresses.
+/// How a module uses addresses.
 struct Addresses {
-    int n_compared = 0;   ///< with a constant
-    int n_in_arrays = 0;  ///< types of arrays whose entries hold addresses
+    int n_compared = 0;   ///< comparisons with a constant
+    int n_in_arrays = 0;  ///< array types whose elements contain addresses
 };
 
 class AddressReader {
@@ -81,9 +81,9 @@ private:
         not_equal = 171,
         storage = 5349
     };
-    std::set<std::uint32_t> addresses_, entries_;  ///< types of addresses and of entries of arrays
+    std::set<std::uint32_t> addresses_, entries_;  ///< types of addresses and of array elements
     std::map<std::uint32_t, std::vector<std::uint32_t>> members_;
-    /// values_ are addresses, bits_ the same as vectors
+    /// values_ are addresses, bits_ are the same values as vectors
     std::set<std::uint32_t> constants_, values_, bits_;
     Addresses found_;
 
@@ -108,9 +108,9 @@ private:
     }
 };
 
-/// Newer lavapipe reads through an address even in a branch that no lane takes. So no
-/// address that a kernel reads through is 0: the stream replaces those of the parameters,
-/// arrays hold none, and kernels do not look for 0.
+/// Newer lavapipe versions read through an address even in a branch that no thread takes.
+/// Therefore no address that a kernel reads through may be 0: the stream replaces null
+/// parameters, arrays contain no addresses, and kernels do not compare with 0.
 TEST(Kernels, GetNoAddressZero) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const Addresses found = AddressReader(kernel.words).found();
@@ -121,7 +121,7 @@ TEST(Kernels, GetNoAddressZero) {
     }
 }
 
-/// Offsets of addresses, against those of the host's struct: a whole kernel's parameters
+/// Compares the offsets of addresses with the host struct, for a kernel whose parameters
 /// are known by hand.
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The rules of rules.hpp hold for this checkout.
+// Checks the rules of rules.hpp for this checkout.
 #include <gtest/gtest.h>
 
 #include "rules.hpp"
