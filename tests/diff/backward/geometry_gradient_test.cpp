@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Distortion, normal consistency and likelihood (M10-M12) from end to end: the forward
-// pass, the losses and the backward pass on the device against central differences of the
-// double forward pass, for every parameter that they depend on, the rays, the poses of
-// instances and that of the sensor; each term alone and with the image losses. The
-// normals of the range image move with the surfels and with the rays.
+// Checks distortion, normal consistency and likelihood (M10-M12) end to end. Compares
+// forward pass, losses and backward pass on the device with central differences of the
+// double forward pass, for every parameter that matters, the rays, the poses of instances
+// and of the sensor. Each term is tested alone and with the image losses. The normals of
+// the range image move with the surfels and the rays.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -30,7 +30,7 @@ constexpr int kRows = 6, kColumns = 7;
 
 glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
     std::normal_distribution<double> normal;
-    // the normal to -x
+    // Rotates the normal to -x.
     const glm::dquat to_sensor = glm::angleAxis(-1.5707963267948966, glm::dvec3(0.0, 1.0, 0.0));
     const glm::dquat q = glm::angleAxis(tilt * normal(random),
                                         glm::normalize(glm::dvec3(0.0, normal(random), normal(random)))) *
@@ -38,8 +38,8 @@ glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
     return {q.w, q.x, q.y, q.z};
 }
 
-/// A wall of tilted surfels, faint ones before it, and a model of four placed before it
-/// too, seen as an image.
+/// Makes a wall of tilted surfels, faint surfels in front of it, and an instance of a
+/// model with four surfels, seen as an image.
 test::RandomScene wall(std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
@@ -72,9 +72,10 @@ test::RandomScene wall(std::uint64_t seed) {
     return scene;
 }
 
-/// A wall all of whose rays keep the margins.
+/// Returns a wall for which all rays keep the margins.
 test::RandomScene smooth_wall(const reference::Settings& settings) {
-    // one seed for 42 rays: smaller ones, still far above what differences move
+    // Smaller margins than in other tests, so that a seed for 42 rays exists. They are
+    // still far above the steps of the differences.
     const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};
     for (std::uint64_t seed = 1; seed < 5000; ++seed) {
         const test::RandomScene scene = wall(seed);
@@ -88,14 +89,14 @@ test::RandomScene smooth_wall(const reference::Settings& settings) {
     throw std::runtime_error("smooth_wall: no seed keeps the margins");
 }
 
-/// The losses of a wall in double, and what they are made of.
+/// The losses of a wall in double, and the data they depend on.
 struct WallProblem {
     reference::Settings settings;
     test::RandomScene scene = smooth_wall(settings);
     LossWeights weights;
     std::vector<reference::Target> targets;
-    std::optional<std::vector<std::optional<glm::dvec3>>> frozen;  ///< normals held where they are
-    /// by how much normals are not of length 1; empty: not at all
+    std::optional<std::vector<std::optional<glm::dvec3>>> frozen;  ///< normals that are kept constant
+    /// Deviation of the lengths of normals from 1; empty: none.
     std::vector<double> surfel_lengths, ray_lengths;
 
     explicit WallProblem(const LossWeights& w) : weights(w) {
@@ -121,8 +122,8 @@ struct WallProblem {
         }
         return result;
     }
-    /// What the blended normal is off where those of its surfels, and the one it is
-    /// compared with, have other lengths.
+    /// Returns the error of the blended normal if the surfel normals and the image normal
+    /// deviate from unit length.
     glm::dvec3 normal_error(const std::vector<reference::ShadedHit>& blended, double ray_length) const {
         glm::dvec3 sum(0.0);
         double transmittance = 1.0;
@@ -163,7 +164,7 @@ RendererOptions options_of(const LossWeights& w, std::uint32_t keep_hits) {
     return options;
 }
 
-/// The same on the device.
+/// The same problem on the device.
 struct DevicePasses : test::Passes {
     std::vector<std::unique_ptr<Loss>> losses;
     Array<float> loss_terms;
@@ -191,7 +192,8 @@ struct DevicePasses : test::Passes {
     }
 };
 
-/// Rows by central differences, the same names and order as in `actual_rows`.
+/// Computes the expected rows by central differences, with the names and order of
+/// `actual_rows`.
 std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProblem& p) {
     std::vector<std::pair<std::string, std::vector<double>>> rows;
     const auto terms = [&] { return p.terms(); };
@@ -250,17 +252,17 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
 
 using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 
-/// The same problem with what Vulkan's exp and division may be off, each up or down:
-/// scales by the exp of their logarithm, alphas by the sigmoid of the opacity and by the
-/// exp of a hit one standard deviation from the mean, distances along a ray by their
-/// division, normals by their length.
+/// Returns the problem with errors that Vulkan allows for exp and division, each with a
+/// random sign. Scales get the error of exp, alphas the error of the sigmoid and of exp
+/// one standard deviation from the mean, distances along a ray the error of a division,
+/// and normals an error of their length.
 WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     WallProblem moved = p;
     std::mt19937_64 random(seed);
     const auto sign = [&] { return random() % 2 == 0 ? -1.0 : 1.0; };
     for (reference::Surfel& s : moved.scene.world.surfels) {
         const double opacity = 1.0 / (1.0 + std::exp(-s.opacity_logit));
-        // relative
+        // relative error
         const double alpha = test::sigmoid_error(opacity, s.opacity_logit) / opacity + test::exp_error(0.5);
         s.opacity_logit += sign() * alpha / (1.0 - opacity);
         for (int k = 0; k < 2; ++k) s.log_scale[k] += sign() * test::exp_error(s.log_scale[k]);
@@ -268,8 +270,9 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     constexpr double kWall_m = 6.0;
     for (reference::Ray& ray : moved.scene.rays)
         ray.origin += sign() * kWall_m * (test::kDivision + test::kRounding) * ray.direction;
-    // a quaternion's inverse square root is 2 units off, its length squared enters a
-    // normal; that of the image has one and two divisions
+    // The inverse square root of a quaternion has an error of 2 units, and the normal
+    // contains the squared length. The normal of the image contains one inverse square
+    // root and two divisions.
     for (std::size_t i = 0; i < p.scene.world.surfels.size(); ++i)
         moved.surfel_lengths.push_back(sign() * 7.0 * test::kUnit);
     for (std::size_t i = 0; i < p.scene.rays.size(); ++i)
@@ -277,10 +280,10 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     return moved;
 }
 
-/// Rows of the problem, and how far each moves where the device computes other last
-/// digits, the most of some draws.
+/// Returns the rows of the problem, and for each row the largest change in several random
+/// draws of rounding errors.
 std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
-    std::vector<Rows> draws(5);  // the first is the problem itself
+    std::vector<Rows> draws(5);  // the first is the problem without errors
     run_parallel(int(draws.size()), [&](int i) {
         WallProblem drawn = i == 0 ? p : rounded(p, std::uint64_t(i));
         draws[std::size_t(i)] = expected_rows(drawn);
@@ -297,9 +300,9 @@ std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
 
 class GeometryGradient : public test::DeviceTest {
 protected:
-    /// Each row within 3 kKernelGradient, as the normals hold fewer digits
-    /// (geometry_loss_test.cpp), and twice what it moved in some draws of what Vulkan
-    /// allows: small rows are differences of large shares.
+    /// Compares rows with a tolerance of 3 kKernelGradient (normals have fewer digits,
+    /// see geometry_loss_test.cpp) plus twice the change caused by rounding errors that
+    /// Vulkan allows. Small rows are differences of large terms.
     void expect_rows(const GradientTable& table, const Rows& expected, const std::vector<double>& moved,
                      const std::vector<std::vector<double>>& actual, const std::string& title) {
         for (std::size_t k = 0; k < actual.size(); ++k) {
@@ -361,8 +364,8 @@ TEST_F(GeometryGradient, WithTheImageLosses) {
     expect_agreement(geometry_weights(0.1f, 0.5f, 0.5f, 0.3f), "all terms");
 }
 
-/// What the tests above would not notice if the normals of the range image were taken for
-/// constants: a third of the gradient of the means.
+/// Normals of the range image contribute a third of the gradient of the means. The other
+/// tests would not notice if the normals were treated as constants.
 TEST_F(GeometryGradient, TheImageNormalsHaveAShare) {
     WallProblem p(geometry_weights(0.0f, 0.0f, 1.0f));
     double all = 0.0, difference = 0.0;
@@ -379,8 +382,8 @@ TEST_F(GeometryGradient, TheImageNormalsHaveAShare) {
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-/// Two surfels across a ray: Dist = w_0 w_1 (t_1 - t_0), and moved along the ray a surfel
-/// changes its t alone.
+/// A ray crosses two surfels: Dist = w_0 w_1 (t_1 - t_0). Moving a surfel along the ray
+/// changes only its t.
 TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {  // at 80 m a float resolves 8e-6 m
         test::RandomScene scene;
@@ -401,13 +404,13 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         test::Passes passes(device(), {}, scene, upstream, options);
         passes.run();
         const double between = double(float(t[1])) - double(float(t[0])), w0 = 0.6, w1 = 0.4 * 0.5;
-        // t = n.(mean - o) / n.d: a product and a division; the weights: a sigmoid, and
-        // exp(0), of both
+        // t = n.(mean - o) / n.d needs a product and a division; both weights need a
+        // sigmoid and exp(0).
         const double apart = 2.0 * t[1] * (test::kRounding + test::kDivision);
         const double off0 =
             test::sigmoid_error(0.6, logit(0.6)) / 0.6 + test::exp_error(0.0) + test::kRounding;
         const double off1 = test::sigmoid_error(0.5, 0.0) / 0.5 + test::exp_error(0.0) + test::kRounding;
-        // of w0 w1 = s0 (1 - s0) s1
+        // error of w0 w1 = s0 (1 - s0) s1
         const double weights = off0 * (1.0 + 0.6 / 0.4) + off1 + 4.0 * test::kRounding;
         const shared::RenderedGeometry rendered = passes.renderer.rendered().geometry->rendered.download()[0];
         EXPECT_NEAR(rendered.distortion, w0 * w1 * between, w0 * w1 * (weights * between + apart));
@@ -415,7 +418,7 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         const Surfels d = passes.gradients().surfels.download();
         EXPECT_NEAR(d.mean[0].x, -w0 * w1, 1e-6);
         EXPECT_NEAR(d.mean[1].x, w0 * w1, 1e-6);
-        // Dist = s_0 (1 - s_0) s_1 between, by the opacities s
+        // Dist = s_0 (1 - s_0) s_1 between, with the opacities s
         EXPECT_NEAR(d.opacity_logit[0], (1.0 - 2.0 * 0.6) * 0.5 * between * 0.6 * 0.4,
                     1e-5 * between + 0.6 * 0.4 * 0.1 * apart);
         EXPECT_NEAR(d.opacity_logit[1], 0.6 * 0.4 * between * 0.5 * 0.5,
@@ -423,8 +426,8 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
     }
 }
 
-/// Two surfels, 30 cm apart, of a ray that measured the second: S = w_0 k + w_1, k = 1 /
-/// (1 + (0.3 / s)^2), at 80 m as at 3 m.
+/// A ray crosses two surfels, 30 cm apart, and measured the second: S = w_0 k + w_1, k =
+/// 1 / (1 + (0.3 / s)^2), at 80 m as well as at 3 m.
 TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
@@ -446,7 +449,8 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         passes.run();
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
                      w1 = 0.4 * 0.5;
-        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;  // of a range, by a float
+        // resolution of a range in float
+        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;
         EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);
         const Surfels found = passes.gradients().surfels.download();
@@ -454,7 +458,7 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
             << "the nearer one is drawn to the range";
         EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
             << "the other is there";
-        // S = s_0 k + (1 - s_0) s_1, by the opacities s
+        // S = s_0 k + (1 - s_0) s_1, with the opacities s
         EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
         EXPECT_NEAR(found.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
     }

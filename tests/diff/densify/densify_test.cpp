@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A densification as a whole (diff/densify/classify, allot, move, spawn) against the
-// reference in double: who survives, is cloned, split or shared, in which order; what
-// becomes of values, moments and statistics; models; and the ends of the range.
+// Compares a complete densification (diff/densify/classify, allot, move, spawn) with the
+// reference in double: which surfels survive, are cloned, split or shared, and in which
+// order; their values, moments and statistics; models; and extreme cases.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -24,7 +24,7 @@ constexpr float kAlphaMin = 1.0f / 255.0f;
 constexpr std::uint64_t kSeed = 42;
 constexpr std::uint32_t kFrames = 40;
 
-/// A scene with moments and statistics that tell every surfel apart.
+/// A scene whose moments and statistics differ for every surfel.
 struct Case {
     Scene scene;
     DeviceScene device_scene;
@@ -104,11 +104,11 @@ std::vector<Fate> expected_fates(const Case& c, int step) {
 
 bool survives(Fate fate) { return fate >= Fate::keep; }
 
-/// Where a new row comes from.
+/// Origin of a row after densification.
 struct Row {
     std::uint32_t source;
-    Fate fate;        // of the source; keep where it got no copy
-    bool is_copy;     // not the first row of its source
+    Fate fate;        // fate of the source; keep if it received no copy
+    bool is_copy;     // true if it is not the first row of its source
     std::uint32_t n;  // rows of the source
 };
 
@@ -208,7 +208,8 @@ void expect_models(const Case& c, const std::vector<Row>& rows) {
     EXPECT_EQ(next, c.device_scene.size());
 }
 
-/// Runs one densification and compares everything with the reference. @return its report
+/// Runs one densification and compares all results with the reference.
+/// @return report of the densification
 DensifyReport expect_reference(Case& c, int step) {
     const std::vector<Fate> fates = expected_fates(c, step);
     const auto count = [&](Fate fate) { return std::uint32_t(std::count(fates.begin(), fates.end(), fate)); };
@@ -253,7 +254,7 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
     }
 }
 
-/// The third scale is the largest of some, and takes part in every decision.
+/// The third scale is the largest for some Gaussians and is part of every decision.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
     Scene scene = test::random_model_scene({500, 300}, 21);
     make_primitive(scene.surfels, Primitive::gaussian, 1.5);
@@ -338,8 +339,7 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     }
 }
 
-/// What the training loop makes for the scene afterwards takes empty models and empty
-/// scenes.
+/// The steps after a densification must accept empty models and empty scenes.
 TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {

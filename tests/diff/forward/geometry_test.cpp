@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blended normals, distortion and likelihood of the forward pass (M10-M12) against the
-// double reference, which sums distortion pair by pair: random scenes with instances,
-// chunk sizes, lists, rays of many hits. The image is the same, bit for bit, whether they
-// are wanted or not.
+// Compares blended normals, distortion and likelihood of the forward pass (M10-M12) with
+// the double reference, which sums distortion over all pairs. Covers random scenes with
+// instances, chunk sizes, lists, and rays with many hits. The image must be equal bit for
+// bit with and without these outputs.
 #include <algorithm>
 
 #include <relidar/diff/forward.hpp>
@@ -20,7 +20,8 @@ constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
 class Geometry : public test::DeviceTest {
 protected:
-    /// Renders a scene's rays. @param geometry  if given, receives [n,7]
+    /// Renders the rays of a scene.
+    /// @param geometry if not null, receives [n,7]
     std::vector<float> trace(const test::RandomScene& random, const ImageModel& model, int chunk,
                              std::vector<float>* geometry) {
         return trace(random, model,
@@ -34,7 +35,7 @@ protected:
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
-        // a guard behind
+        // one more ray than needed, to detect writes beyond the end
         Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
         renderer.scene().set_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(
@@ -108,8 +109,8 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
     }
 }
 
-/// The heaviest surface (M13), of rays whose gaps and weights say clearly which one it
-/// is.
+/// Compares the heaviest surface (M13), for rays whose gaps and weights make the result
+/// unambiguous.
 TEST_F(Geometry, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
     test::RandomSceneOptions options;
@@ -143,8 +144,8 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
     EXPECT_GT(other_than_first, 10);
 }
 
-/// A batch finds what its rays measured by their places, and renders no likelihood where
-/// it brings no targets.
+/// The kernel finds the targets of a batch by their positions and renders no likelihood
+/// if the batch has no targets.
 TEST_F(Geometry, LikelihoodOfEveryThirdRay) {
     test::RandomSceneOptions options;
     options.seed = 27, options.rays = 60;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp:
-// nearest neighbours against brute force on clouds of every shape, value and derivative
-// against the double reference.
+// Checks diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and
+// chamfer_vjp. Compares nearest neighbours with brute force on various clouds, and values
+// and derivatives with the double reference.
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -23,23 +23,23 @@ class Chamfer : public test::DeviceTest {};
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-/// Both clouds of a scan, ray by ray; range 0 = none.
+/// Simulated and measured points of a scan, ray by ray; range 0 = no return.
 struct Clouds {
     ImageShape image;
     std::vector<DeviceRay> rays;
     std::vector<float> simulated, measured;
 };
 
-/// A sweep of a spinning sensor that drives meanwhile, before a rough wall; all
-/// coordinates are multiples of 1/1024, so that points are the same numbers on the host
-/// whatever a device contracts.
+/// Makes a sweep of a driving, spinning sensor in front of a rough wall. All coordinates
+/// are multiples of 1/1024, so that host and device compute the same points even if the
+/// device contracts operations.
 Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
     std::mt19937_64 random(rows * 977 + columns);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
     Clouds c{{rows, columns, true}, {}, {}, {}};
     const auto on = [](float x, float steps) { return std::round(x * steps) / steps; };
     for (std::uint32_t i = 0; i < rows * columns; ++i) {
-        // uneven rows
+        // unevenly spaced rows
         const float azimuth = 6.2831853f * float(i % columns) / float(columns),
                     elevation = -0.4f * std::pow(float(i / columns) / float(rows), 1.7f);
         c.rays.push_back({{on(float(i % columns) / float(columns), 1024), 0, 0},
@@ -96,8 +96,8 @@ FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = 
     return {loss.nearest(), terms.download()[loss_term::chamfer], test::floats_of(upstream.download())};
 }
 
-/// Points as the device sees them, relative to the first ray's origin; infinite where
-/// there is none.
+/// Returns points as the device computes them, relative to the first ray's origin;
+/// infinite if there is no return.
 std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) {
     std::vector<glm::vec3> result;
     for (std::size_t i = 0; i < range.size(); ++i)
@@ -107,7 +107,7 @@ std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) 
     return result;
 }
 
-/// In the kernel's order of operations: distances are compared for equality.
+/// Uses the kernel's order of operations, because distances are compared for equality.
 float squared(const glm::vec3& a, const glm::vec3& b) {
     const glm::vec3 d = a - b;
     return (d.x * d.x + d.y * d.y) + d.z * d.z;
@@ -208,7 +208,7 @@ TEST_F(Chamfer, AgreesWithReference) {
         std::vector<reference::ChamferRay> rays;
         for (std::size_t i = 0; i < c.rays.size(); ++i) {
             c.rays[i].direction = glm::normalize(c.rays[i].direction);
-            // pairs beyond doubt: no ties
+            // avoids ties, so that the pairs are unambiguous
             if (c.simulated[i] > 0.0f) c.simulated[i] += 0.3f * unit(random);
             rays.push_back({c.rays[i].origin, c.rays[i].direction, c.simulated[i], c.measured[i]});
         }
@@ -217,7 +217,8 @@ TEST_F(Chamfer, AgreesWithReference) {
         const double loss = reference::chamfer_loss(rays, &d_range);
         const FoundChamfer found = device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
         EXPECT_NEAR(found.loss, loss, 1e-4 * loss);
-        // of the norm of all: differences of points 10 m away hold 1e-6 m
+        // Relative to the norm of all rows, because differences of points 10 m away are
+        // accurate to 1e-6 m.
         std::vector<double> expected, actual;
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const float* row = &found.upstream[5 * i];

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/geometry_loss and diff/loss/normal_vjp against the double reference: values,
-// and derivatives against its central differences, on images with edges, dropped and
-// unknown pixels and faint ones, whole sweeps and windows, strided targets, ranges D and
-// D / W.
+// Compares diff/loss/geometry_loss and diff/loss/normal_vjp with the double reference:
+// values, and derivatives against its central differences. Covers images with edges and
+// with dropped, unknown and faint pixels, full sweeps and windows, strided targets, and
+// the ranges D and D / W.
 #include <algorithm>
 #include <numeric>
 #include <random>
@@ -24,8 +24,8 @@ using reference::RangeImage;
 
 class GeometryTerms : public test::DeviceTest {};
 
-/// Rays of a turning sensor that sees a wavy surface with an edge; a tenth dropped,
-/// unknown or faint. All rounded to float.
+/// Makes rays of a spinning sensor that sees a wavy surface with an edge. A tenth is
+/// dropped, unknown or faint. All values are rounded to float.
 RangeImage random_image(int rows, int columns, bool circular, bool normalised) {
     std::mt19937_64 random(std::uint64_t(rows * 1000 + columns));
     std::uniform_real_distribution<double> unit(0.0, 1.0);
@@ -103,11 +103,11 @@ FoundLoss device_terms(Device& device, const RangeImage& image, const LossWeight
             q.gradient.download()};
 }
 
-/// Points 10 m away, 0.2 m from each other, give normals that are good to 1e-5; rows are
-/// sums over four neighbours, which may cancel.
+/// Points 10 m away and 0.2 m apart give normals with an accuracy of 1e-5. Rows are sums
+/// over four neighbours, which may cancel.
 constexpr double kTolerance = 10.0 * test::kKernelGradient;
 
-/// Rows of every pixel against central differences of the reference.
+/// Adds a row for every pixel with the central differences of the reference.
 void add_differences(RangeImage image, const FoundLoss& found, test::GradientTable& table) {
     const auto terms = [&] { return normal_terms(image, image_normals(image)); };
     for (std::size_t i = 0; i < image.pixels.size(); ++i) {
@@ -163,7 +163,7 @@ TEST_F(GeometryTerms, AgreeWithReference) {
     }
 }
 
-/// Distortion alone: rays need no image order, and nothing else gets a gradient.
+/// Distortion alone does not need an image order, and no other output gets a gradient.
 TEST_F(GeometryTerms, DistortionIsARaysOwn) {
     const RangeImage image = random_image(4, 30, false, true);
     LossWeights weights;
@@ -180,8 +180,8 @@ TEST_F(GeometryTerms, DistortionIsARaysOwn) {
     }
 }
 
-/// Likelihood alone, and as one of three: value and derivative against the double
-/// reference, at dropped and unknown rays 0.
+/// Likelihood alone and combined with two other terms. Values and derivatives must match
+/// the double reference, and must be 0 for dropped and unknown rays.
 TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
     for (const bool alone : {true, false}) {
         const RangeImage image = random_image(9, 31, false, true);
@@ -202,8 +202,8 @@ TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
     }
 }
 
-/// A plane has its own normal however it is inclined: the rule for edges does not cut
-/// what a grazing ray sees of the ground.
+/// The image normals of an inclined plane must equal its normal. The edge rule must not
+/// reject ground that is seen at a grazing angle.
 TEST_F(GeometryTerms, APlaneHasItsOwnNormalFarAway) {
     const glm::dvec3 up(0.0, 0.0, 1.0);
     RangeImage image{20, 10, false, true, {}, {}, {}};
@@ -213,7 +213,8 @@ TEST_F(GeometryTerms, APlaneHasItsOwnNormalFarAway) {
                            std::sin(elevation));
         image.rays.push_back({{0.0, 0.0, 1.7}, d});
         reference::Pixel p;
-        p.weight = 1.0, p.depth = 1.7 / -d.z, p.normal = up;  // up to 85 m, up to 26 m from row to row
+        // up to 85 m, with steps of up to 26 m between rows
+        p.weight = 1.0, p.depth = 1.7 / -d.z, p.normal = up;
         image.pixels.push_back(p);
         image.returned.push_back(true);
     }

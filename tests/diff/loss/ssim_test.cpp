@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/ssim and diff/loss/ssim_vjp against the double reference: values and
-// derivatives on images with unknown and dropped pixels, whole sweeps and windows, fewer
-// rows and columns than the window, strided targets; what lies at a dropped pixel plays
-// no part.
+// Compares values and derivatives of diff/loss/ssim and diff/loss/ssim_vjp with the
+// double reference. Covers images with unknown and dropped pixels, full sweeps and
+// windows, images smaller than the window, and strided targets. Values at dropped pixels
+// must not matter.
 #include <random>
 
 #include <relidar/diff/forward.hpp>
@@ -24,7 +24,7 @@ Image random_image(int rows, int columns, bool circular, double known_share) {
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Image image{rows, columns, circular, {}, {}, {}};
     for (int i = 0; i < rows * columns; ++i) {
-        // half the image nearly flat: small variances
+        // One half of the image is nearly flat and has small variances.
         const double flat = i % columns < columns / 2 ? 0.3 : 0.3 + 0.4 * unit(random);
         image.y.push_back(float(flat));
         image.x.push_back(float(flat + 0.05 * unit(random)));
@@ -38,8 +38,8 @@ struct Result {
     std::vector<double> d_x;
 };
 
-/// The device's loss; every pixel that is not known is dropped or unknown by turns, and
-/// holds nonsense.
+/// Computes the loss on the device. Pixels that are not known are alternately dropped and
+/// unknown and contain invalid values.
 Result device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
     const std::size_t n = image.x.size();
     std::vector<shared::RenderedRay> rendered;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/surfel_loss against the double reference: a background without a box and two
-// actors; gradients are added to what is there, in touched rows only; surfels outside
-// their box come back.
+// Compares diff/loss/surfel_loss with the double reference for a background without a box
+// and two actors. Gradients must be added to existing ones in touched rows only. Training
+// must move surfels back into their box.
 #include <cmath>
 #include <random>
 
@@ -38,7 +38,7 @@ Scene random_scene() {
     return scene;
 }
 
-/// All rows of surfels, then touched rows of 3D Gaussians.
+/// Tests all rows of surfels, then only touched rows of 3D Gaussians.
 TEST_F(SurfelLossTest, AgreesWithReference) {
     Scene scene = random_scene();
     LossWeights weights;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/channel_sums, diff/network/norm_finish, diff/network/norm and
-// diff/network/norm_vjp against the double reference: values, derivatives, running
-// moments, what is dropped, and moments of values far from zero.
+// Compares diff/network/channel_sums, diff/network/norm_finish, diff/network/norm and
+// diff/network/norm_vjp with the double reference: values, derivatives, running moments,
+// dropout, and moments of values far from zero.
 #include "diff/network/norm.hpp"
 
 #include "../../support/device.hpp"
@@ -62,12 +62,12 @@ struct OnePass {
     }
 };
 
-/// What a pass lets through of each value, found from what it made of values that are all
-/// positive.
+/// Returns the dropout factor of each value, computed from the output for positive
+/// inputs.
 std::vector<double> gate_of(Device& device, const NormCase& c, float dropout, std::uint32_t key) {
     OnePass pass(device, c);
     const std::size_t n = std::size_t(c.channels);
-    pass.beta_gamma =  // all become 1
+    pass.beta_gamma =  // all outputs become 1
         test::pairs_to_device<shared::BetaGamma>(device, std::vector<double>(n, 1.0),
                                                  std::vector<double>(n, 0.0));
     pass.state.dropout = dropout;
@@ -81,8 +81,8 @@ double largest(const std::vector<double>& values) {
     return most;
 }
 
-/// Bound of what is summed to a derivative by an input; of two pixels nearly all of it
-/// cancels.
+/// Returns a bound of the terms that sum to the derivative of an input. With two pixels
+/// the terms nearly cancel.
 double largest_term(const test::ImageBatch& from, const reference::NormLayer& layer,
                     const test::ImageBatch& asked) {
     double scale = 0.0;
@@ -112,7 +112,7 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
     const NormCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
     OnePass pass(device(), c);
-    pass.state.dropout = 0.9f;  // of no account
+    pass.state.dropout = 0.9f;  // has no effect here
     pass.state.dropout_key = 3;
     const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels);
     pass.norm.evaluate(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
@@ -136,7 +136,7 @@ TEST_P(NormSizes, Derivatives) {
         const OnDevice from(device(), values), d_to(device(), asked),
             d_from = OnDevice::unwritten(device(), c.grid, c.channels);
         const std::size_t n = 2 * std::size_t(c.channels);
-        // a part of them, from the fourth
+        // writes a part of the array, from the fourth element
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));
         const test::ImageBatch actual = pass.forward(device(), from, c);
         pass.norm.vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(), {d_parameters, 4});
@@ -172,7 +172,7 @@ TEST_P(NormSizes, DerivativeByABias) {
     EXPECT_LT(worst_error(actual, reference::channel_sums(asked)), test::kLayer);
 }
 
-/// Mean 1000, deviation 1: the naive E[x^2] - E[x]^2 has no digits left in single
+/// Mean 1000, deviation 1: the formula E[x^2] - E[x]^2 would lose all digits in single
 /// precision.
 TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     for (const Grid& grid : {Grid{1, 66, 1030}, Grid{4, 7, 9}}) {
@@ -189,7 +189,7 @@ TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     }
 }
 
-/// One value: nothing to divide by.
+/// With a single value the variance is 0.
 TEST_F(NormTest, ASinglePixelIsFinite) {
     const NormCase c{{1, 1, 1}, 3};
     OnePass pass(device(), c);
@@ -219,7 +219,7 @@ TEST_F(NormTest, DropoutDropsItsShareByKey) {
         EXPECT_EQ(gate, gate_of(device(), c, dropout, 11));
         const std::vector<double> other = gate_of(device(), c, dropout, 12);
         for (std::size_t i = 0; i < gate.size(); ++i) same += (gate[i] == 0.0) == (other[i] == 0.0);
-        // two independent masks agree where both drop or both keep
+        // Two independent masks agree if both drop or both keep a value.
         EXPECT_NEAR(same / n, double(dropout * dropout + (1.0f - dropout) * (1.0f - dropout)),
                     5.0 * 0.5 / std::sqrt(n));
     }
