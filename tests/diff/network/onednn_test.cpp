@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The layers of the ray-drop network against oneDNN. It knows no ring of columns: images
-// are given some columns of the other end on both sides, and what it makes of those is
-// left out, or of gradients added where they came from.
+// Compares the layers of the ray-drop network with oneDNN, which does not support a ring
+// of columns. The test therefore pads images with columns of the opposite end on both
+// sides. It crops the results, and adds the gradients of the padding to the original
+// columns.
 #include <onednn_primitive.hpp>
 
 #include "../../support/device.hpp"
@@ -49,7 +50,7 @@ protected:
     }
 };
 
-/// With `by` columns of the other end on both sides.
+/// Pads images with `by` columns of the opposite end on both sides.
 ImageBatch ringed(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns + 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -61,8 +62,8 @@ ImageBatch ringed(const ImageBatch& images, int by) {
     return result;
 }
 
-/// The transpose: gradients of such columns added to those of the columns they were
-/// copied from.
+/// Computes the transpose of ringed(): adds the gradients of the padding to the columns
+/// that it was copied from.
 ImageBatch folded(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -74,7 +75,7 @@ ImageBatch folded(const ImageBatch& images, int by) {
     return result;
 }
 
-/// Without `by` columns on both sides, or with zeros there for a negative one.
+/// Removes `by` columns on both sides, or adds zeros if `by` is negative.
 ImageBatch cropped(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -173,7 +174,7 @@ struct NormAnswers {
 
 class OneDnnNorm : public OneDnnTest {
 protected:
-    /// ReLU by hand.
+    /// Runs batch normalisation in oneDNN and applies ReLU by hand.
     NormAnswers ask(const ImageBatch& from, const std::vector<double>& gamma_beta, const ImageBatch& d_to) {
         const memory::desc of_images = images_like(from);
         const auto flags = dnnl::normalization_flags::use_scale | dnnl::normalization_flags::use_shift;
@@ -201,7 +202,7 @@ protected:
         execute(dnnl::batch_normalization_backward(backward), {
             {DNNL_ARG_SRC, in}, {DNNL_ARG_MEAN, mean}, {DNNL_ARG_VARIANCE, variance},
                 {DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_SCALE, scale},
-#if DNNL_VERSION_MAJOR < 3  // asks for what it does not use; 3 refuses it
+#if DNNL_VERSION_MAJOR < 3  // oneDNN 2 requires this unused argument, oneDNN 3 rejects it
                 {DNNL_ARG_SHIFT, shift},
 #endif
                 {DNNL_ARG_DIFF_SRC, d_in}, {DNNL_ARG_DIFF_SCALE, d_scale}, {
@@ -281,8 +282,8 @@ TEST_F(OneDnnResample, PoolingAgrees) {
     }
 }
 
-/// Twice the columns, so that columns beyond the ends keep every centre where it was; any
-/// number of rows.
+/// Doubles the number of columns, so that padding does not move the pixel centres. Rows
+/// may have any sizes.
 TEST_F(OneDnnResample, UpsamplingAgrees) {
     struct Sizes {
         Grid small, large;
@@ -307,7 +308,7 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         resample.upsample(stream, from.slice(), to.slice());
         resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
         stream.finish();
-        // single precision places a pixel of 1030 to some 3e-5 of one
+        // Single precision positions a pixel of 1030 with an error of about 3e-5.
         EXPECT_LT(worst_error(to.read(), cropped(images_of(out, wide_asked), 2)), 5e-5);
         EXPECT_LT(worst_error(d_from.read(), folded(images_of(d_in, wide), 1)), 5e-5);
     }

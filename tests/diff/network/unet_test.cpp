@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The whole network against the same network put together from the double reference's
-// layers: its logits in training and in evaluation, and its gradient against central
-// differences of the reference, a few parameters of every group.
+// Compares the complete network with the same network built from the layers of the double
+// reference: logits in training and evaluation, and gradients against central differences
+// of the reference for a few parameters of every group.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -19,7 +19,7 @@ using refine::Block;
 using refine::ConvLayer;
 using refine::UnetPlan;
 
-/// The network in double. Training mode: each batch is normalised by its own moments.
+/// The network in double. In training mode each batch is normalised by its own moments.
 class ReferenceUnet {
 public:
     ReferenceUnet(const DropNetwork& network, std::vector<double> parameters, bool training)
@@ -109,7 +109,7 @@ protected:
         network_.taps = GetParam().taps;
         const UnetPlan plan(network_);
         refine::initialise(network_, plan, 5);
-        // nothing at its start: zeros would hide gradients
+        // random values instead of the initial zeros, which would hide gradients
         parameters_ = test::random_floats(plan.n_parameters, 6, 0.4, 0.1);
         network_.parameters.assign(parameters_.begin(), parameters_.end());
         const std::vector<double> running = test::random_floats(plan.n_running, 7, 0.3);
@@ -175,7 +175,7 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         return std::inner_product(asked.begin(), asked.end(), logits.values.begin(), 0.0);
     };
     const UnetPlan plan(network_);
-    std::vector<std::pair<std::size_t, std::size_t>> groups;  // first and number of parameters
+    std::vector<std::pair<std::size_t, std::size_t>> groups;  // first index and number of parameters
     const auto add_conv = [&](const ConvLayer& layer) {
         groups.emplace_back(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps);
         if (layer.bias) groups.emplace_back(*layer.bias, layer.n_out);
@@ -196,8 +196,8 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
             found.push_back(gradients[parameter]);
             expected.push_back((loss(parameter, 1e-6) - loss(parameter, -1e-6)) / 2e-6);
         }
-        // a bias before a normalisation by the batch has no effect but by way of the next
-        // convolution's zeros
+        // A bias before a batch normalisation has an effect only through the zero padding
+        // of the next convolution, so its gradient is small.
         const double largest = std::abs(*std::max_element(
             expected.begin(), expected.end(), [](double a, double b) { return std::abs(a) < std::abs(b); }));
         for (std::size_t k = 0; k < found.size(); ++k)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The chain as one object, by its host arrays: gradients against the double reference,
-// batches that grow, instances that move, and what is refused. (Every way gradients are
-// found and summed: tests/diff/backward.)
+// Tests the differentiable renderer through its host arrays: gradients against the double
+// reference, growing batches, moving instances, and rejected inputs. tests/diff/backward
+// tests all ways to find hits and sum gradients.
 #include <relidar/base/error.hpp>
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -38,7 +38,7 @@ RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
     return result;
 }
 
-/// The reference's gradients of a scene's rays.
+/// Computes the gradients of a scene's rays with the reference.
 reference::Gradients expected_gradients(const test::RandomScene& scene, reference::Settings settings,
                                         const std::vector<reference::PixelGradient>& d_rendered,
                                         std::vector<reference::RayGradient>& d_rays) {
@@ -58,7 +58,7 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image, {},
                                     {.wanted = {.rays = true, .poses = true}});
     place(renderer);
-    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // then a larger batch
+    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // a small batch before a larger one
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
     const HostGradients found = renderer.backward(to_arrays(d_rendered));
     test::GradientTable table;
@@ -108,7 +108,7 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
     }
 }
 
-/// A loss of one's own on the host: the mean squared error of intensity falls.
+/// A user-defined loss on the host: the mean squared intensity error must decrease.
 TEST_F(Differentiable, ALossOfOnesOwnLearns) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image);
     Adam adam(device(), renderer.scene().size(), {});

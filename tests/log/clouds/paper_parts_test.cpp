@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parts by the names of the paper: frames, and those that its results hold out.
+// Checks the dataset parts named as in the paper: their frames and held-out frames.
 #include "log/clouds/paper_parts.hpp"
 
 #include <gtest/gtest.h>

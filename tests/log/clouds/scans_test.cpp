@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points to scans: the rays that a sensor fired are the oracle; points of some of them,
-// shuffled, have to find their rays again.
+// Converts points to scans. The points come from known rays of a sensor and are shuffled;
+// each point must be assigned to its original ray.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -26,12 +26,12 @@ SpinningSensor sensor() {
                            .origin_left_m = 0.02 * (b % 2)});
     s.columns = 360;
     s.period_s = 0.1;
-    s.first_azimuth_rad = kPi - 0.3 * 2.0 * kPi / 360;  // a phase of its own
+    s.first_azimuth_rad = kPi - 0.3 * 2.0 * kPi / 360;  // an arbitrary phase
     return s;
 }
 
-/// What came back along the sensor's rays: one in five nothing; a second return now and
-/// then.
+/// Returns along the sensor's rays: one ray in five has none, and some have a second
+/// return.
 struct Truth {
     Scan scan;
     ScanPoints points;  ///< shuffled
@@ -67,7 +67,7 @@ private:
         points.intensity.push_back(intensity);
         points.ring.push_back(scan.rays.channel[ray]);
         points.return_number.push_back(number);
-        // a head that faces forward 4 ms late
+        // the sensor faces forward 4 ms late
         points.time_offset_s.push_back(scan.rays.time_offset_s[ray] + 0.004f);
     }
 };
@@ -139,8 +139,8 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
 }
 
-/// A sweep of more than a turn: both firings at azimuth 3 keep their points and times,
-/// though their azimuths are the same.
+/// In a sweep of more than a turn, two firings have the azimuth 3. Both must keep their
+/// points and times.
 TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     SpinningSensor one = sensor();
     one.beams = {{.elevation_rad = 0.0}};

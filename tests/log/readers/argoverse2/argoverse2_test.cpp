@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Argoverse 2: a log written here, whose every ray is known, and damage of each of its
-// files.
+// Reads an Argoverse 2 log with known rays, and logs with damage in each file.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -28,8 +27,8 @@ DatasetOptions far_options() {
     return options;
 }
 
-/// Rays of a frame with the true ones by beam and time: beams by elevation, firings
-/// within half of the time between two pairs.
+/// Finds the true ray by beam and time: beams by elevation, firings within half the
+/// interval between two pairs.
 class TrueRays {
 public:
     TrueRays(const std::vector<Argoverse2Ray>& rays, const SpinningSensor& sensor) {
@@ -55,10 +54,10 @@ private:
     std::array<std::vector<const Argoverse2Ray*>, 32> of_channel_;
 };
 
-// A LiDAR's place is interpolated along chords, r = 1.3754 m from the axle at 0.035088
-// rad a sweep. At s sweeps after the first end of a chord it is r angle^2 |s (s - 1)| / 2
-// off the arc: an eighth in the middle; the last sweep goes on along the last chord until
-// s = 2.027.
+// The position of a LiDAR is interpolated along chords, with r = 1.3754 m from the axle
+// and 0.035088 rad per sweep. At s sweeps after the start of a chord, the distance to the
+// arc is r angle^2 |s (s - 1)| / 2, at most an eighth in the middle. The last sweep
+// extrapolates the last chord up to s = 2.027.
 constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6,
                  kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
 constexpr double kNearest_m = 4.7;
@@ -86,8 +85,8 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
             const float range_m = frame.scan.range_m[i];
             const Argoverse2Ray& ray =
                 truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
-            // a ray without a return has the time of its whole firing, up to 35 us beside
-            // its own
+            // A ray without a return has the time of its firing sequence, which differs
+            // by up to 35 us from its own time.
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
@@ -107,8 +106,8 @@ TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     }
 }
 
-/// The heads face forward at times of their own: what moves is placed at the time of its
-/// rays all the same.
+/// The sensors face forward at times other than the sweep's time. Moving objects must
+/// still be placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
     const Sequence found = load_sequence(log.folder.string(), far_options());
@@ -120,8 +119,8 @@ TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
             const double facing_s = facing_time(found, point_m, moment_of(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
-        // Beams up to 4.2 degrees beside the head, so 1.2 ms; the sweep is more than a
-        // turn, so its ends are seen twice.
+        // Beams deviate by up to 4.2 degrees from the sensor's azimuth (1.2 ms). The
+        // sweep is longer than a turn, so its ends overlap.
         EXPECT_LT(double(late), 0.03 * double(frame.scan.rays.size())) << frame.index << " " << frame.lidar;
     }
 }
@@ -155,7 +154,7 @@ TEST(Argoverse2, TimesPosesAndBoxes) {
     }
 }
 
-/// Half precision rounds a coordinate by up to 2^-11 of it.
+/// Half precision rounds a coordinate by up to 2^-11 of its value.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
     const Sequence found = load_sequence(log.folder.string(), far_options());
@@ -238,7 +237,8 @@ TEST(Argoverse2, ASweepMayLackALidar) {
                 testing::Contains(testing::HasSubstr("1 times a sweep has no point of one LiDAR")));
 }
 
-/// Loads with a file replaced, and expects one line that holds a part.
+/// Loads the log with one file replaced and checks that the one-line error contains
+/// `part`.
 void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes,
                     const std::string& part) {
     const std::string good = test::read_text(file);
