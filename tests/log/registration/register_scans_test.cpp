@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration on the synthetic street, whose poses are known exactly: wrong by white
-// noise and by drift, held-out scans, a scan of garbage, a correction that is not
-// allowed.
+// Registers scans of the synthetic street, whose exact poses are known: poses with white
+// noise and with drift, held-out scans, an invalid scan, and a correction beyond the
+// limit.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -37,8 +37,8 @@ Registration registered(const Sequence& street, int test_every = 0) {
     return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes));
 }
 
-/// Everything a registration is asked for: 1 cm and 0.05 degrees, in the poses of scans
-/// of training and of testing.
+/// Checks the required accuracy of poses, 1 cm and 0.05 degrees, for training and test
+/// scans.
 void expect_found(const Registration& found, const PoseTrack& exact, const Split& split, const char* what) {
     const PoseError train = error_of(found.world_from_vehicle, exact, split.train);
     EXPECT_LT(train.median_m, 0.005) << what;
@@ -48,7 +48,7 @@ void expect_found(const Registration& found, const PoseTrack& exact, const Split
     all.insert(all.end(), split.test.begin(), split.test.end());
     const PoseError both = error_of(found.world_from_vehicle, exact, all);
     EXPECT_LT(both.median_m, 0.005) << what;
-    for (const int k : split.test) {  // relative to the training pose before
+    for (const int k : split.test) {  // relative to the previous training pose
         const Pose exact_step = inverse(exact.pose[std::size_t(k - 1)]) * exact.pose[std::size_t(k)],
                    step = inverse(found.world_from_vehicle.pose[std::size_t(k - 1)]) *
                           found.world_from_vehicle.pose[std::size_t(k)];
@@ -57,8 +57,7 @@ void expect_found(const Registration& found, const PoseTrack& exact, const Split
     }
 }
 
-/// A street of which a sweep sees a fifth: what is known of one end by the other is all
-/// in the equations.
+/// Each sweep sees a fifth of the street, so only the equations connect its two ends.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
@@ -82,7 +81,7 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
                  exact, split, "drift of 20 cm");
 }
 
-/// Three sweeps, one of them held out: planes of two are made of more points of each.
+/// Three sweeps, one held out: the planes of two scans need more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
     const Sequence street = street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
@@ -100,7 +99,7 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     SyntheticOptions options;
     options.n_frames = 11, options.rows = 32, options.columns = 256, options.speed_mps = 1.0;
     Sequence street = make_synthetic_street(options);
-    for (Frame& frame : street.frames) {  // what such a sensor would have seen: all rays fired at once
+    for (Frame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
         RayTable rays = frame.scan.rays;
         std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
         frame.scan = cast_synthetic_street(options, rays, street.world_from_vehicle, frame.time_s);
@@ -134,7 +133,7 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     EXPECT_TRUE(kept.lost.empty());
 }
 
-/// However a held-out scan looks, the training poses are the same, bit for bit.
+/// The content of a held-out scan must not change the training poses in any bit.
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
     Sequence street = street_of(11);
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));

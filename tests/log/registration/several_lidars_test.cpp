@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Logs of two LiDARs registered: what both see at one time is one scan of the vehicle;
-// one that sweeps at other times rides along.
+// Registers logs of two LiDARs. Sweeps at the same time form one scan of the vehicle. A
+// LiDAR that sweeps at other times uses the interpolated poses.
 #include <gtest/gtest.h>
 
 #include <relidar/log/clouds.hpp>
@@ -16,7 +16,7 @@ SyntheticOptions two_lidar_options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
-/// Twice the same poses: of each sweep, and off_s later, when the second LiDAR sweeps.
+/// Doubles the poses: at each sweep, and off_s later when the second LiDAR sweeps.
 Sequence one_after_the_other(double off_s) {
     const Sequence together = test::two_lidar_street(two_lidar_options());
     Sequence street = together;
@@ -68,7 +68,7 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     EXPECT_LT(test::error_of(found.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
 
-/// Rays of one sweep lie between poses of both, in whichever order they come.
+/// The rays of one sweep lie between poses of both LiDARs, in any order.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
         const Sequence street = one_after_the_other(off_s);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Whole drives with known truth: around a block with a stop, from poses that drift and
-// jump, and from none. 300 sweeps are followed in one piece, 400 in two stretches.
+// Registers complete drives with exact poses: around a block with a stop, from poses with
+// drift and jumps, and without poses. 300 sweeps are processed in one segment, 400 in
+// two.
 #include <map>
 
 #include <gtest/gtest.h>
@@ -30,8 +31,8 @@ protected:
         return register_scans(wrong, split, options);
     }
 
-    /// 2 cm and 0.05 degrees over the whole drive, the held-out scans too, and nothing
-    /// lost.
+    /// Requires 2 cm and 0.05 degrees over the complete drive, including held-out scans,
+    /// without lost scans.
     static void expect_found(const Registration& found, const char* what) {
         std::vector<int> all;
         for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
@@ -55,7 +56,7 @@ TEST_P(WholeDrive, FindsPosesBackFromDriftAndJumps) {
     expect_found(registered(given, true, split_frames(drive(), 10)), "drift and jumps");
 }
 
-// RegisterScans.LongStreetStaysWhereItIs has several stretches
+// RegisterScans.LongStreetStaysWhereItIs covers several segments.
 class WholeDriveExact : public WholeDrive {};
 
 TEST_P(WholeDriveExact, Stays) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The plain folder: logs whose truth is known, written by save_folder() or as other
-// programs write points, and read again.
+// Reads plain folders with known content, written by save_folder() or in the point
+// formats of other programs.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -33,7 +33,7 @@ fs::path fresh(const std::string& name) {
     return folder;
 }
 
-/// Two LiDARs, second returns, moving cars, a world of its own.
+/// Makes a street with two LiDARs, second returns, moving cars and a world offset.
 Sequence rich_street() {
     Sequence street = test::two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
     for (Frame& frame : street.frames) {
@@ -46,7 +46,7 @@ Sequence rich_street() {
                 scan.second_returns[0].intensity[i] = 0.125f;
     }
     street.notes = {"a first note", "a second one"};
-    street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // as of a map
+    street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // map coordinates
     return street;
 }
 
@@ -65,7 +65,7 @@ void expect_same_log(const Sequence& found, const Sequence& truth) {
     EXPECT_EQ(found.notes, truth.notes);
     EXPECT_EQ(found.rolling_shutter, truth.rolling_shutter);
     EXPECT_EQ(found.world_offset_m, truth.world_offset_m);
-    // 5 million metres from the origin: the last digit
+    // Five million metres from the origin, the tolerance is the last digit.
     expect_same_poses(found.world_from_vehicle, truth.world_from_vehicle, 2e-9);
     ASSERT_EQ(found.lidars.size(), truth.lidars.size());
     for (std::size_t l = 0; l < truth.lidars.size(); ++l) {
@@ -219,7 +219,7 @@ TEST(SaveFolder, ReadsARangeOfItsFrames) {
         EXPECT_TRUE(found.world_from_vehicle.covers(box.world_from_box.time_s.front())) << box.id;
 }
 
-/// Names in a folder, the hidden ones too.
+/// Returns the names in a folder, including hidden files.
 std::vector<std::string> names_in(const fs::path& folder) {
     std::vector<std::string> names;
     for (const auto& entry : fs::directory_iterator(folder)) names.push_back(entry.path().filename());
@@ -271,7 +271,7 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_TRUE(fs::exists(folder.parent_path() / "other/thing.txt"));
 }
 
-/// A log of points: those of the street's returns, in the order of its rays.
+/// A log of point files with the returns of a street, in the order of its rays.
 struct PointLog {
     Sequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
@@ -311,7 +311,7 @@ struct Difference {
     std::size_t rings = 0, drops = 0;
 };
 
-/// Ray by ray: the image has the street's rows and columns.
+/// Compares ray by ray; the image has the rows and columns of the street.
 Difference difference(const Sequence& found, const Sequence& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {
@@ -364,7 +364,7 @@ TEST(PlainFolder, NpyOfColumns) {
 }
 TEST(PlainFolder, BinWithRingsAlone) {
     const PointLog log("bin", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    expect_street(log, 1e-4);  // the head faces forward at the frame's time
+    expect_street(log, 1e-4);  // the sensor faces forward at the frame's time
     EXPECT_NE(load_sequence(log.folder.string(), {}).notes.back().find("have no times"), std::string::npos);
 }
 
@@ -398,7 +398,7 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
         for (test::FilePoint& p : points) p.ring = std::uint16_t(15 - p.ring);
         return test::bin(points);
     };
-    // fitted
+    // the sensor is fitted
     expect_street({"lowest", "bin", upside_down, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"},
                   1e-4);
     std::string csv = "elevation_deg\n";
@@ -427,7 +427,7 @@ TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
 }
 
 TEST(PlainFolder, UndoesMotionCompensation) {
-    // the street is driven along at 8 m/s: half a sweep is 0.4 m
+    // The sensor drives at 8 m/s, so half a sweep is 0.4 m.
     const Sequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     const PoseTrack track = street.world_from_sensor(0);
@@ -450,8 +450,8 @@ TEST(PlainFolder, UndoesMotionCompensation) {
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    // by position; then by the names of TUM, whose quaternions have w last, after a
-    // byte-order mark
+    // Columns by position; then columns by TUM's names, whose quaternions have w last,
+    // after a byte-order mark.
     const std::string logs[] = {
         "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 "
         "0 0.3826834323650898\n"

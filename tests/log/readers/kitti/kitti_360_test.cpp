@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI-360: what the reader makes of a small one against the closed-form way and boxes
-// it was written with.
+// Reads a small KITTI-360 folder and compares it with the closed-form path and the boxes
+// that it was written with.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -158,11 +158,11 @@ TEST(Kitti360, FramesWithoutAPose) {
     EXPECT_THAT(log.notes, Contains("frames without a pose, taken between those of their neighbours: 2351"));
     const glm::dvec3 there(Kitti360Folder::world_from_velo(2351)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, there), 1e-3);
-    kitti.write_poses({2345, 2351});  // six frames apart: half a second is five
+    kitti.write_poses({2345, 2351});  // six frames apart; half a second is five frames
     log = read(kitti);
     ASSERT_EQ(log.frames.size(), 1u);
     EXPECT_THAT(log.notes, Contains("frames without a pose, left out: 2350, 2352"));
-    // Long, but the car stands.
+    // A long gap between poses, but the car does not move.
     const std::string line = read_text(kitti.poses());
     const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
     write_text(kitti.poses(), "2300" + pose + "\n2400" + pose + "\n");
@@ -199,8 +199,8 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_TRUE(read(kitti, options).boxes.empty());
 }
 
-// Drive 0004: objects without numbers, in train_full alone; other drives may have train
-// alone.
+// In drive 0004 objects have no numbers and exist only in train_full; other drives may
+// have only train.
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
     const glm::dmat4 place =
@@ -229,7 +229,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_THAT(read(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
 }
 
-/// Reads with a file changed, and puts it back.
+/// Reads the log with one file changed, expects an error, and restores the file.
 void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text,
                   const std::string& part) {
     const std::string good = read_text(file);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every defect of a KITTI drive gives one line that holds the path, what was found and
-// what was expected.
+// Checks that every defect of a KITTI drive causes a one-line error with the path, the
+// value found, and the expected value.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -22,8 +22,8 @@ using test::KittiDrive;
 using test::read_text;
 using test::write_text;
 
-/// Loads the drive, expects a failure of the given code whose message holds all parts and
-/// is one line.
+/// Loads the drive and expects an error with the given exit code and a one-line message
+/// that contains all parts.
 void expect_failure(const KittiDrive& drive, const DatasetOptions& options, ExitCode code,
                     const std::vector<std::string>& parts) {
     try {
@@ -53,7 +53,7 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     expect_data_error(drive, {"oxts/data/0000000001.txt: no such file"});
     fs::remove_all(drive.file("oxts"));
     expect_data_error(drive, {"oxts/data: no OXTS files", "dataset.poses=FILE", "dataset.poses=none"});
-    write_text(drive.file("oxts/data/nan.txt"), "");  // no frame's
+    write_text(drive.file("oxts/data/nan.txt"), "");  // belongs to no frame
     expect_data_error(drive, {"oxts/data: no OXTS files"});
     fs::remove(drive.file("velodyne_points/timestamps_end.txt"));
     expect_data_error(drive, {"timestamps_end.txt: no such file"});
@@ -153,12 +153,12 @@ TEST(KittiErrors, BrokenScans) {
     expect_data_error(drive, {"velodyne_points/data: ", "rings in file order, expected 64"});
 }
 
-/// 64 rings of points at even azimuths, ring by ring as KITTI stores them.
+/// Returns 64 rings of points at even azimuths, ring by ring as in KITTI.
 std::string even_scan(double step_rad, int n_a_ring) {
     std::string bytes;
     for (int ring = 0; ring < 64; ++ring) {
         for (int i = 0; i < n_a_ring; ++i) {
-            // A few points far round the sweep make the azimuth wrap from ring to ring.
+            // A few points near the end of the turn make the azimuth wrap between rings.
             const double azimuth = i < n_a_ring - 3 ? i * step_rad : 2.0 * kPi - (n_a_ring - i) * 1e-3;
             const double elevation = (2.0 - 0.42 * ring) * kPi / 180.0;
             const double rho = 12.0 + 8.0 * std::sin(0.01 * i);
@@ -185,7 +185,7 @@ TEST(KittiErrors, Timestamps) {
     expect_data_error(drive, {"timestamps.txt: 1 lines, frame 1 needs line 2"});
     write_text(file, "2011-13-31 23:59:10.0\n");
     expect_data_error(drive, {"timestamps.txt line 1", "2011-13-31", "expected YYYY-MM-DD"});
-    write_text(file, "9999-01-01 00:00:00.0\n");  // beyond 64 bits of nanoseconds
+    write_text(file, "9999-01-01 00:00:00.0\n");  // nanoseconds overflow 64 bits
     expect_data_error(drive, {"timestamps.txt line 1", "9999-01-01", "1970 to 2199"});
     write_text(file, std::string(1 << 20, '7') + "\n");
     try {
@@ -199,7 +199,7 @@ TEST(KittiErrors, Timestamps) {
     expect_data_error(drive, {"timestamps.txt line 2: empty, expected the time of frame 1"});
     write_text(file, "\n \n");
     expect_data_error(drive, {"timestamps.txt: empty"});
-    write_text(file, "   " + whole);  // leading blanks: a time all the same
+    write_text(file, "   " + whole);  // leading blanks are allowed
     EXPECT_EQ(load_sequence(drive.folder.string(), {}).frames.size(), 3u);
     write_text(file, line + line + line);
     expect_data_error(drive, {"timestamps.txt line 2", "rising"});

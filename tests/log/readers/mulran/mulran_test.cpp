@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// MulRan: a sequence written here, whose every ray is known, in both orders of points,
-// and what is wrong with its files.
+// Reads a MulRan sequence with known rays in both orders of points, and checks the errors
+// for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -19,7 +19,7 @@ namespace fs = std::filesystem;
 using test::MulranFolder;
 using test::StampedRay;
 
-/// Every return stands where the ray that was fired then met the yard, and none is lost.
+/// Checks that every return is where its ray hit the yard, and that no return is lost.
 void expect_mulran_truth(const MulranFolder& data, const Sequence& found) {
     const PoseTrack track = found.world_from_sensor(0);
     for (const Frame& frame : found.frames) {
@@ -33,7 +33,8 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& found) {
             const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // poses are straight for 10 ms; corrections of the rays are single precision
+            // Poses are interpolated linearly over 10 ms; corrections of rays are in
+            // single precision.
             ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), 0.002);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
                                         found.world_offset_m,
@@ -100,7 +101,7 @@ TEST(Mulran, FramesAndOtherPoses) {
 TEST(Mulran, PosesOfSomethingElseAreTold) {
     const MulranFolder data("backward");
     std::string lines;
-    for (int k = -10; k < 40; ++k) {  // of what looks to the left
+    for (int k = -10; k < 40; ++k) {  // sensor that looks to the left
         const Pose pose = data.drive.vehicle_at(0.01 * k);
         const glm::dvec3 x = pose.rotation * glm::dvec3(0, 1, 0), y = -(pose.rotation * glm::dvec3(1, 0, 0)),
                          &t = pose.translation;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// nuScenes: a folder written here, whose every ray is known, and damage of each of its
-// files.
+// Reads a nuScenes folder with known rays, and folders with damage in each file.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -26,9 +25,10 @@ Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103
     return load_sequence(data.folder.string(), options);
 }
 
-/// A LiDAR's place is interpolated along chords, 0.944 m from the axle at 0.0175 rad a
-/// sweep. At s sweeps after the first end of a chord it is r angle^2 |s (s - 1)| / 2 off
-/// the arc; the first turn, s = -1 to 0, goes back along the chord after it.
+/// Returns the interpolation error of the LiDAR's position, which moves along chords at
+/// 0.944 m from the axle with 0.0175 rad per sweep. At s sweeps after the start of a
+/// chord the distance to the arc is r angle^2 |s (s - 1)| / 2. The first turn, s = -1 to
+/// 0, extrapolates the next chord backwards.
 double off_arc_m(int frame, double s) {
     const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? s - 1.0 : s;
     return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
@@ -160,7 +160,7 @@ TEST(Nuscenes, KeyframesAlone) {
                               ring = 31u - frame.scan.rays.channel[i];
             const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // a chord of half a second, from where the LiDAR turns about the axle
+            // A chord of half a second; the LiDAR turns about the axle.
             const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0),
                          arc_m = 0.944 * 0.175 * 0.175;
             ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m),

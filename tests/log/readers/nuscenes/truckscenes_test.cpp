@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// TruckScenes and Lyft Level 5: nuScenes' tables with several LiDARs, whose points are as
-// they were measured, without rings.
+// Reads TruckScenes and Lyft Level 5: nuScenes tables with several LiDARs, whose points
+// are not compensated and have no rings.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -31,7 +31,8 @@ Sequence load(const TruckScenesFolder& data, DatasetOptions options = {}) {
     return load_sequence(data.folder.string(), options);
 }
 
-/// Every return of a frame is that of the ray which was fired then, and none is lost.
+/// Checks that every return of a frame belongs to the ray fired at its time, and that no
+/// return is lost.
 void expect_truth(const Sequence& found, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
     const std::vector<TruckRay>& truth = lidar.rays[std::size_t(frame.index)];
     const PoseTrack track = found.world_from_sensor(frame.lidar);
@@ -48,8 +49,8 @@ void expect_truth(const Sequence& found, const Frame& frame, const TruckScenesFo
         ASSERT_TRUE(ray.returned) << i;
         ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
         const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-        // the LiDAR goes along chords, less than 2.5 m from the axle, at 20 degrees a
-        // second
+        // The LiDAR moves along chords, less than 2.5 m from the axle, at 20 degrees per
+        // second.
         const TrackPlace place = track.place(fired_s);
         const double turn_rad =
             20.0 * kPi / 180.0 * (track.time_s[place.left + 1] - track.time_s[place.left]);
@@ -178,9 +179,10 @@ std::string replaced(std::string text, const std::string& from, const std::strin
     return text;
 }
 
-/// Makes a Lyft folder of it, as Kaggle has it: tables in train_data, files
-/// `lidar/NAME.bin` in train_lidar with 5 columns, of which the last two are the same
-/// everywhere; LIDAR_TOP; stamps with a fraction. @return ranges of the points by file
+/// Converts the folder to a Lyft folder as distributed on Kaggle: tables in train_data,
+/// files `lidar/NAME.bin` in train_lidar with 5 columns, of which the last two are
+/// constant; LIDAR_TOP; time stamps with a fraction.
+/// @return ranges of the points by file
 std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& data) {
     std::map<std::string, std::vector<float>> ranges;
     for (const TruckScenesFolder::Lidar& lidar : data.lidars)
@@ -257,7 +259,7 @@ TEST(Lyft, ReturnsOfBothLidars) {
 TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
     const TruckScenesFolder data("lyft_moved");
     make_lyft(data);
-    // as the truck drove during the sweep
+    // The truck moves during the sweep.
     const auto moved_s = [](std::size_t point) { return 0.1 * double(point % 400) / 400.0; };
     for (const fs::directory_entry& file : fs::directory_iterator(data.folder / "train_lidar")) {
         std::string bytes = test::read_text(file.path());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// ONCE: a sequence written here, whose every ray is known, with quaternions in both
-// orders, and what is wrong with its files.
+// Reads an ONCE sequence with known rays and quaternions in both orders, and checks the
+// errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -18,8 +18,8 @@ namespace {
 namespace fs = std::filesystem;
 using test::OnceFolder;
 
-/// Every return lies on a surface of the yard, its ray starts where the LiDAR was, and
-/// none is lost.
+/// Checks that every return is on a surface of the yard, that its ray starts at the
+/// LiDAR, and that no return is lost.
 void expect_once_truth(const OnceFolder& data, const Sequence& found) {
     const PoseTrack track = found.world_from_sensor(0);
     const Pose yard_from_once{data.drive.lidar_at(0.0)};
@@ -31,8 +31,8 @@ void expect_once_truth(const OnceFolder& data, const Sequence& found) {
             const WorldRay ray = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
             const glm::dvec3 origin = yard_from_once * (ray.origin_m + found.world_offset_m);
-            // straight for half a second at 8 m/s and 0.1 rad/s: 14 mm beside it half a
-            // scan before the first
+            // Poses are interpolated linearly over half a second. At 8 m/s and 0.1 rad/s
+            // the error is 14 mm, half a scan before the first pose.
             ASSERT_LT(glm::distance(origin, data.drive.lidar_at(fired_s).translation), 0.015)
                 << frame.index << " " << i;
             const glm::dvec3 point =
@@ -64,7 +64,7 @@ TEST(Once, EveryReturnIsOnTheYard) {
     for (std::size_t b = 0; b < 40; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
     expect_once_truth(data, found);
-    // x looks forward, in a world whose x is to the left and y to the back
+    // x points forward, in a world whose x points left and y backward
     const glm::dvec3 ahead = found.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_LT(glm::distance(ahead, glm::dvec3(0, -1, 0)), 1e-9);
 }
@@ -78,7 +78,8 @@ TEST(Once, QuaternionsWithWFirst) {
 
 TEST(Once, PointsOfAnotherLidar) {
     const OnceFolder data("other");
-    for (int s = 0; s < OnceFolder::kScans; ++s) {  // tilted by up to a degree: no beams at all
+    // tilted by up to a degree, so that the points do not form beams
+    for (int s = 0; s < OnceFolder::kScans; ++s) {
         std::string bytes = test::read_text(data.scan(s));
         for (std::size_t at = 0; at < bytes.size(); at += 16) {
             float p[3];

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Waymo Open: what the reader makes of a small segment against the room it was cast into.
+// Reads a small segment of Waymo Open and compares it with the room that it was cast
+// into.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -57,7 +58,7 @@ TEST(Waymo, MissingPartsAreErrorsOfUsage) {
     EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError) << "another segment";
 }
 
-/// Compares every pixel of a frame with what it was cast from.
+/// Compares every pixel of a frame with its exact content.
 void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<WaymoPixel>& truth) {
     ASSERT_EQ(frame.scan.rays.size(), truth.size());
     std::size_t n = 0;
@@ -212,7 +213,7 @@ TEST(Waymo, OthersDecodeWhatTheWriterWrites) {
     EXPECT_THAT(test::read_text(text), HasSubstr("\n2: 1557240134600000\n"));
 }
 
-/// What a file of these bytes is refused with.
+/// Returns the error message for a file with these bytes.
 std::string refusal(const WaymoSegment& segment, const std::string& bytes) {
     test::write_text(segment.file, bytes);
     try {
