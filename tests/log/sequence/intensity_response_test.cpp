@@ -102,7 +102,7 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
 }
 
 /// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), with
-/// equal beams (src/log/readers/street).
+/// equal beams (src/log/readers/street/synthetic.cpp).
 Sequence street() {
     SyntheticOptions options;
     options.n_frames = 40;  // 32 m: near and far views of the same surfaces
