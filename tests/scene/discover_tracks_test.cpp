@@ -163,7 +163,7 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// The second LiDAR of the rig sees either little or the same as the first.
+/// The first LiDAR of the rig sees either only a narrow cone or the same as the second.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_sees_all : {false, true}) {
         Street street = street_without_labels();

@@ -25,7 +25,7 @@ constexpr std::size_t kSeenFrames = 10;
 constexpr double kFarthest_m = 40.0;  // maximum distance of discover_tracks()
 constexpr double kInside_m = 0.3;     // centre of a discovered box may lie this far outside the true box
 constexpr double kLarger_m = 0.8;     // maximum excess of the size of a discovered box
-constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // pose error per frame and in total
+constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // drift of poses per frame, and largest total drift
 
 /// Returns for each object the number of training frames with enough returns [things].
 std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<int>& train,

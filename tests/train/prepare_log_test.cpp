@@ -26,7 +26,7 @@ public:
     ProcessGroup of(int rank) {
         return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
     }
-    /// Returns the number of bytes that each rank has sent to all others [size].
+    /// Returns the bytes that each rank has sent in exchanges of all ranks [size].
     std::vector<std::size_t> shared_bytes() const {
         std::vector<std::size_t> bytes(std::size_t(size_), 0);
         for (const auto& [turn, part] : parts_)

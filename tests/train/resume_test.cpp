@@ -188,8 +188,8 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     }
 }
 
-/// A resumed training estimates poses and movers from the log again. The estimates must
-/// be equal bit for bit.
+/// A resumed training prepares the log again: it estimates poses and the intensity
+/// response. The estimates must be equal bit for bit.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.005, 1));
     const Sequence given = street;

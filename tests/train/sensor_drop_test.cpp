@@ -84,7 +84,7 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     struct Log {
         int n_frames, step;
     };
-    // The last case is a coarse LiDAR next to a fine one.
+    // The last case has only every fourth column, like a coarse LiDAR.
     for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {
         const Sequence log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);

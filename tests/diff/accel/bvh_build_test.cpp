@@ -88,7 +88,7 @@ protected:
             n += model.count;
             if (model.count == 0) {
                 EXPECT_EQ(host.roots[m], RELIDAR_BVH_NO_NODE) << what;
-                ++seen[m];  // an empty model has no root
+                ++seen[m];  // an empty model does not use its root node
                 continue;
             }
             EXPECT_EQ(test::fault_of_tree(host, host.roots[m], model, seen), "") << what << ", model " << m;

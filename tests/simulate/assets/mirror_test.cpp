@@ -99,7 +99,7 @@ protected:
 
 TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
     const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
-    Surfels guessed = left;  // also contains random surfels on the unseen side, as after training
+    Surfels guessed = left;  // with random surfels on the unseen side, as after training
     guessed.append(random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
     const Asset asset = make_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
     EXPECT_EQ(asset.facts.mirrored, left.size());

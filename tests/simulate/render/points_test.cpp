@@ -197,8 +197,8 @@ void expect_equal(const PointScan& found, const PointScan& expected, const std::
     EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
 }
 
-/// Submits more scans than lanes, as many, and fewer; two rigs are pending, and one scan
-/// is collected without an explicit submission. Launches of the lanes alternate, so that
+/// Submits more scans than lanes, as many, and fewer; two rigs are pending, and the last
+/// two scans are collected without an explicit submission. Launches of the lanes alternate, so that
 /// data shared by mistake would be noticed.
 TEST_F(Points, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {

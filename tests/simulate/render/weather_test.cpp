@@ -112,8 +112,8 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     EXPECT_GT(fog, kRays / 2);
 }
 
-/// At 80 m, fog with a visibility of 40 m leaves 2e-2 of the light. The wall's 3e-3 are
-/// then below the weakest detectable return.
+/// Fog with a visibility of 20 m weakens the return of a wall at 40 m below the detection
+/// limit.
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensor sensor;
     sensor.min_range_m = 39.9;  // suppresses returns of the fog
