@@ -27,9 +27,9 @@ constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;  //
 
 /// Keeps a seventh of the points of a scan, so that reading a sweep takes milliseconds.
 void thin(const fs::path& scan) {
-    const std::string whole = contents(scan);
+    const std::string original = contents(scan);
     std::string some;
-    for (std::size_t at = 0; at + 16 <= whole.size(); at += 7 * 16) some += whole.substr(at, 16);
+    for (std::size_t at = 0; at + 16 <= original.size(); at += 7 * 16) some += original.substr(at, 16);
     put(scan, some);
 }
 

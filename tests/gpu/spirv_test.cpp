@@ -41,8 +41,8 @@ std::vector<Words> instructions(std::span<const std::uint32_t> words) {
 int section(const Words& instruction) {
     static const std::map<std::uint32_t, int> sections = {{17, 1}, {10, 2}, {11, 3}, {14, 4},
                                                           {15, 5}, {16, 6}, {331, 6}};
-    const auto found = sections.find(instruction[0] & 0xffffu);
-    return found == sections.end() ? 7 : found->second;
+    const auto actual = sections.find(instruction[0] & 0xffffu);
+    return actual == sections.end() ? 7 : actual->second;
 }
 
 std::string text_of(const Words& extension) {
@@ -161,8 +161,8 @@ void expect_valid(const std::function<Words(std::span<const std::uint32_t>)>& ch
         return status == 0 ? std::string() : text + "(exit status " + std::to_string(status) + ")";
     };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const std::string found = complaint(change(kernel.words));
-        EXPECT_TRUE(found.empty()) << kernel.name << ": " << found;
+        const std::string actual = complaint(change(kernel.words));
+        EXPECT_TRUE(actual.empty()) << kernel.name << ": " << actual;
     }
     fs::remove(file);
 }

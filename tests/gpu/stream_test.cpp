@@ -139,7 +139,7 @@ protected:
     void SetUp() override {
         StreamTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
-        if (const char* wanted = ::getenv("RELIDAR_VALIDATION"); !wanted || std::string(wanted) != "1")
+        if (const char* setting = ::getenv("RELIDAR_VALIDATION"); !setting || std::string(setting) != "1")
             GTEST_SKIP() << "no validation layer asked for";
         ::setenv("VK_LAYER_ENABLES", "VK_VALIDATION_FEATURE_ENABLE_SYNCHRONIZATION_VALIDATION_EXT", 1);
         hazards.emplace(DeviceOptions{.index = device().info().index, .validation = true});

@@ -267,9 +267,9 @@ ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to) 
             double mean = 0.0;
             for (std::size_t giver = 0; giver < shares.size(); ++giver) {
                 for (int c = 0; c < head.size; ++c) {
-                    const double asked = Head::get(d_to, head.image, head.to + c, taker);
-                    d_share[giver] += asked * Head::get(qkv, head.image, head.value + c, giver);
-                    add(head.image, head.value + c, giver, shares[giver] * asked);
+                    const double upstream = Head::get(d_to, head.image, head.to + c, taker);
+                    d_share[giver] += upstream * Head::get(qkv, head.image, head.value + c, giver);
+                    add(head.image, head.value + c, giver, shares[giver] * upstream);
                 }
                 mean += shares[giver] * d_share[giver];
             }

@@ -312,9 +312,9 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
     EXPECT_EQ(touched_listed, touched_of_all);
     EXPECT_EQ(view_listed, view_of_all);
     for (const ParameterGroup& group : groups_of(parameters())) {
-        const std::span<const float> found = group.values(surfels_listed),
+        const std::span<const float> device_result = group.values(surfels_listed),
                                      expected = group.values(surfels_of_all);
-        EXPECT_TRUE(std::ranges::equal(found, expected)) << group.name;
+        EXPECT_TRUE(std::ranges::equal(device_result, expected)) << group.name;
     }
 }
 

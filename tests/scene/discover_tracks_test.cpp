@@ -30,8 +30,8 @@ Street street_without_labels() {
 
 /// Returns the discovered track whose centre is inside the true box in the middle of
 /// their common time.
-const BoxTrack* found_in(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
-    for (const BoxTrack& track : found) {
+const BoxTrack* found_in(const std::vector<BoxTrack>& tracks, const BoxTrack& truth) {
+    for (const BoxTrack& track : tracks) {
         const double from =
             std::max(track.world_from_box.time_s.front(), truth.world_from_box.time_s.front());
         const double to = std::min(track.world_from_box.time_s.back(), truth.world_from_box.time_s.back());
@@ -45,10 +45,10 @@ const BoxTrack* found_in(const std::vector<BoxTrack>& found, const BoxTrack& tru
 TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     const Street street = street_without_labels();
     ASSERT_GE(street.truth.size(), 2u);
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-    EXPECT_EQ(found.size(), street.truth.size());
+    const std::vector<BoxTrack> tracks = discover_tracks(street.log, street.split.train);
+    EXPECT_EQ(tracks.size(), street.truth.size());
     for (const BoxTrack& truth : street.truth) {
-        const BoxTrack* track = found_in(found, truth);
+        const BoxTrack* track = found_in(tracks, truth);
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
@@ -79,7 +79,7 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
 /// @return times of the removed labels
 std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first,
                                std::size_t end) {
-    const BoxTrack whole = box;
+    const BoxTrack original = box;
     std::vector<double> cut_s;
     box.world_from_box = {};
     for (std::size_t f = 0; f < frames.size(); ++f) {
@@ -89,7 +89,7 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, 
             continue;
         }
         box.world_from_box.time_s.push_back(t_s);
-        box.world_from_box.pose.push_back(whole.world_from_box.at(t_s));
+        box.world_from_box.pose.push_back(original.world_from_box.at(t_s));
     }
     return cut_s;
 }
@@ -102,9 +102,9 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
         // the oncoming car, because the rear of the car ahead hides the rest of it
         const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
-        const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-        ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
-        const BoxTrack& box = found[0];
+        const std::vector<BoxTrack> tracks = discover_tracks(street.log, street.split.train);
+        ASSERT_EQ(tracks.size(), 1u) << "no second actor; labels " << first << " to " << end;
+        const BoxTrack& box = tracks[0];
         EXPECT_EQ(box.id, truth.id);
         EXPECT_EQ(box.category, truth.category);
         EXPECT_EQ(box.size_m, truth.size_m);
@@ -137,9 +137,9 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
                     truth.holds(w.point_m, w.time_s, 0.1))
                     frame.scan.range_m[ray] = frame.scan.intensity[ray] = 0.0f;
     }
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-    EXPECT_EQ(found.size(), street.truth.size());
-    const BoxTrack* track = found_in(found, truth);
+    const std::vector<BoxTrack> tracks = discover_tracks(street.log, street.split.train);
+    EXPECT_EQ(tracks.size(), street.truth.size());
+    const BoxTrack* track = found_in(tracks, truth);
     ASSERT_NE(track, nullptr);
     EXPECT_LT(track->world_from_box.time_s.front(), street.log.frames[4].time_s);
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
@@ -148,8 +148,8 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
 /// Only the rear of the car ahead is visible.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = street_without_labels();
-    const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-    const BoxTrack *ahead = found_in(found, street.truth[0]), *oncoming = found_in(found, street.truth[1]);
+    const std::vector<BoxTrack> tracks = discover_tracks(street.log, street.split.train);
+    const BoxTrack *ahead = found_in(tracks, street.truth[0]), *oncoming = found_in(tracks, street.truth[1]);
     ASSERT_TRUE(ahead && oncoming);
     EXPECT_EQ(ahead->size_guess, "car");
     EXPECT_NEAR(ahead->size_m.x, street.truth[0].size_m.x, 0.5);
@@ -181,10 +181,10 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.lidars[0].name = "first", street.log.lidars[1].name = "second";
         street.log.frames = std::move(frames);
         check_sequence(street.log);
-        const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train);
-        EXPECT_EQ(found.size(), street.truth.size()) << first_sees_all;
+        const std::vector<BoxTrack> tracks = discover_tracks(street.log, split_frames(street.log, 10).train);
+        EXPECT_EQ(tracks.size(), street.truth.size()) << first_sees_all;
         for (const BoxTrack& truth : street.truth)
-            EXPECT_NE(found_in(found, truth), nullptr) << "box " << truth.id;
+            EXPECT_NE(found_in(tracks, truth), nullptr) << "box " << truth.id;
     }
 }
 

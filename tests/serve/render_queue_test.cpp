@@ -89,8 +89,8 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
         const int before = n_in_line;
         clients.emplace_back([&queue, &n_in_line, work] {
             RenderQueue::Place place = std::move(*queue.enter());
-            const auto is_wanted = [&n_in_line, told = false]() mutable {
-                return n_in_line += !std::exchange(told, true), true;
+            const auto is_wanted = [&n_in_line, was_polled = false]() mutable {
+                return n_in_line += !std::exchange(was_polled, true), true;
             };
             try {
                 place.run(work, is_wanted);
@@ -142,13 +142,13 @@ TEST(RenderQueue, WorkInTwoThatFailsIsNotFinishedAndStopsNoOther) {
 
 TEST(RenderQueue, WorkWhoseClientHasLeftIsNeverBegun) {
     RenderQueue queue(4);
-    std::atomic<bool> ran = false, wanted = true;
+    std::atomic<bool> ran = false, is_connected = true;
     WorkEnd end = WorkEnd::done;
     {
         Blocker blocker(queue);
         std::jthread client(
-            [&] { end = queue.enter()->run([&] { ran = true; }, [&] { return wanted.load(); }); });
-        wanted = false;
+            [&] { end = queue.enter()->run([&] { ran = true; }, [&] { return is_connected.load(); }); });
+        is_connected = false;
         client.join();  // the thread is busy, but a cancelled client does not wait
         EXPECT_EQ(end, WorkEnd::unwanted);
     }

@@ -74,10 +74,10 @@ TEST_F(Service, WeatherIsThatOfTheRequest) {
     v1::RenderLidarRequest request = standing();
     request.mutable_actors(), request.set_time_s(0.5);
     const PoseTrack way{{0.5}, {at_x(0.0)}};
-    for (const char* asked : {"fog=20", "", "clear", "rain=80,fog=300", "clear"}) {
+    for (const char* request_weather : {"fog=20", "", "clear", "rain=80,fog=300", "clear"}) {
         for (const std::uint64_t seed : {1, 2}) {
-            request.set_weather(asked), request.set_sample_seed(seed);
-            const std::string expected = asked[0] == 0 ? "snow=4" : asked;
+            request.set_weather(request_weather), request.set_sample_seed(seed);
+            const std::string expected = request_weather[0] == 0 ? "snow=4" : request_weather;
             const v1::LidarScan scan = scan_of(request);
             const RenderedScan truth = rendered({0.5, way, ActorPoses{}}, "", seed, expected);
             expect_same(scan, truth);
@@ -163,9 +163,9 @@ TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
         EXPECT_EQ(p.time_s(), e.time_s());
         EXPECT_EQ(p.return_number(), e.return_number());
         EXPECT_EQ(p.instance(), e.instance());
-        const std::vector<float> found = values<float>(p.xyz_m()), expected = values<float>(e.xyz_m());
-        ASSERT_EQ(found.size(), expected.size());
-        for (std::size_t i = 0; i < found.size(); ++i) EXPECT_NEAR(found[i], expected[i], 2e-5) << i;
+        const std::vector<float> actual = values<float>(p.xyz_m()), expected = values<float>(e.xyz_m());
+        ASSERT_EQ(actual.size(), expected.size());
+        for (std::size_t i = 0; i < actual.size(); ++i) EXPECT_NEAR(actual[i], expected[i], 2e-5) << i;
         const std::vector<float> intensity = values<float>(p.intensity()),
                                  of_image = values<float>(e.intensity());
         for (std::size_t i = 0; i < intensity.size(); ++i) EXPECT_NEAR(intensity[i], of_image[i], 1e-6) << i;

@@ -137,14 +137,15 @@ struct Known {
 /// Returns the first groups of all matches in the sources of a folder. Two groups are
 /// joined by a dot.
 Names matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
-    Names found;
+    Names result;
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
         if (!has_extension(it->first, {".cpp", ".hpp", ".h"})) continue;
         const std::string& text = it->second.text;
         for (std::sregex_iterator match(text.begin(), text.end(), pattern), end; match != end; ++match)
-            found.insert(match->size() > 2 ? (*match)[1].str() + "." + (*match)[2].str() : (*match)[1].str());
+            result.insert(match->size() > 2 ? (*match)[1].str() + "." + (*match)[2].str()
+                                            : (*match)[1].str());
     }
-    return found;
+    return result;
 }
 
 Known names_of(const SourceTree& tree) {

@@ -77,16 +77,16 @@ private:
 
     void fill(std::uint32_t at, Indices primitives) {
         shared::BvhNode node{};
-        const Box whole = bounds(primitives);
+        const Box parent_box = bounds(primitives);
         const std::vector<Indices> parts =
             primitives.empty() ? std::vector<Indices>{} : split(std::move(primitives));
-        node.origin = parts.empty() ? glm::vec3(0.0f) : whole.low;
+        node.origin = parts.empty() ? glm::vec3(0.0f) : parent_box.low;
         node.first_leaf = static_cast<std::uint32_t>(order_.size());
         const auto n_inner = static_cast<std::uint32_t>(std::count_if(
             parts.begin(), parts.end(), [](const Indices& p) { return p.size() > RELIDAR_BVH_LEAF_SIZE; }));
         node.first_child = static_cast<std::uint32_t>(nodes_.size());
         nodes_.resize(nodes_.size() + n_inner);
-        for (int axis = 0; axis < 3; ++axis) set_axis(node, axis, parts, whole);
+        for (int axis = 0; axis < 3; ++axis) set_axis(node, axis, parts, parent_box);
         std::uint32_t child = node.first_child;
         for (std::size_t slot = 0; slot < parts.size(); ++slot) {
             if (parts[slot].size() > RELIDAR_BVH_LEAF_SIZE) {
@@ -106,11 +106,11 @@ private:
     /// Quantises the boxes of the children along one axis. The quantised boxes contain
     /// the exact boxes.
     void set_axis(shared::BvhNode& node, int axis, const std::vector<Indices>& parts,
-                  const Box& whole) const {
+                  const Box& parent_box) const {
         shared::uint* const low = axis == 0 ? node.low_x : axis == 1 ? node.low_y : node.low_z;
         shared::uint* const high = axis == 0 ? node.high_x : axis == 1 ? node.high_y : node.high_z;
         const double origin = double(node.origin[axis]),
-                     extent = parts.empty() ? 0.0 : double(whole.high[axis]) - origin;
+                     extent = parts.empty() ? 0.0 : double(parent_box.high[axis]) - origin;
         const int exponent = extent > 0.0 ? std::max(1, 127 + int(std::ceil(std::log2(extent / 255.0)))) : 0;
         const double step = exponent ? std::exp2(exponent - 127) : 1.0;
         node.exponents |= static_cast<std::uint32_t>(exponent) << (8 * axis);
@@ -179,10 +179,10 @@ HostBvh::HostBvh(Device& device, const DeviceScene& scene) {
     for (const Model& model : layout.models) {
         const std::vector<Box> own(boxes.begin() + model.first, boxes.begin() + model.first + model.count);
         Indices usable;
-        Box whole;
+        Box parent_box;
         for (std::uint32_t i = 0; i < model.count; ++i)
-            if (own[i].finite()) usable.push_back(i), whole.grow(own[i]);
-        model_box.push_back(whole);
+            if (own[i].finite()) usable.push_back(i), parent_box.grow(own[i]);
+        model_box.push_back(parent_box);
         root_of_model.push_back(usable.empty() ? RELIDAR_BVH_NO_NODE
                                                : Builder(own, nodes, order).build(usable));
     }

@@ -19,7 +19,9 @@ inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std:
                                                              Outputs outputs = Outputs::image) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
-    const auto draw = [&](float scale, bool wanted) { return wanted ? scale * normal(random) : 0.0f; };
+    const auto draw = [&](float scale, bool is_enabled) {
+        return is_enabled ? scale * normal(random) : 0.0f;
+    };
     const bool image = outputs == Outputs::image || outputs == Outputs::all;
     std::vector<reference::PixelGradient> gradients(n);
     for (reference::PixelGradient& g : gradients) {

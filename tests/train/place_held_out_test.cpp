@@ -77,8 +77,8 @@ TEST_F(PlaceHeldOut, DoesNothingWhereItIsNotAskedForOrStopped) {
             if (run.sequence.world_from_vehicle.pose[k].translation != before[k].translation) return false;
         return true;
     };
-    int asked = 0;
-    EXPECT_EQ(place_held_out(device(), run, {{}, [&] { return ++asked > 1; }}).scans, 0u);
+    int n_polls = 0;
+    EXPECT_EQ(place_held_out(device(), run, {{}, [&] { return ++n_polls > 1; }}).scans, 0u);
     EXPECT_TRUE(stays()) << "stopped at the second scan";
     EXPECT_FALSE(run.held_out_placed);
     run.config.train.place_held_out = false;

@@ -169,26 +169,28 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
     std::mt19937_64 random(3);
-    std::vector<Twist> wanted;
+    std::vector<Twist> true_corrections;
     for (int k = 0; k < 8; ++k) {
         track.time_s.push_back(0.1 * k);
         track.pose.push_back(moved({}, random_twist(random, 10.0, 1.0)));
-        wanted.push_back(random_twist(random, 0.05, 0.005));
+        true_corrections.push_back(random_twist(random, 0.05, 0.005));
     }
     TrackCorrection correction(track);
     for (int i = 0; i < 2000; ++i) {
         for (std::size_t k = 0; k < 8; ++k) {
             if (k == 5) continue;  // held out
             Twist g;
-            for (std::size_t j = 0; j < 6; ++j) g[j] = correction.at(k)[j] - wanted[k][j];
+            for (std::size_t j = 0; j < 6; ++j) g[j] = correction.at(k)[j] - true_corrections[k][j];
             correction.add_gradient(k, 1.0, g);
         }
         correction.step({.rate_m = 5e-3 / (1 + 0.05 * i), .rate_rad = 5e-4 / (1 + 0.05 * i)});
     }
     for (std::size_t k = 0; k < 8; ++k)
         for (std::size_t j = 0; j < 6; ++j)
-            EXPECT_NEAR(correction.at(k)[j], k == 5 ? 0.5 * (wanted[4][j] + wanted[6][j]) : wanted[k][j],
-                        j < 3 ? 1e-3 : 1e-4)
+            EXPECT_NEAR(
+                correction.at(k)[j],
+                k == 5 ? 0.5 * (true_corrections[4][j] + true_corrections[6][j]) : true_corrections[k][j],
+                j < 3 ? 1e-3 : 1e-4)
                 << k;
     TrackCorrection strict(track);
     for (int i = 0; i < 200; ++i) {

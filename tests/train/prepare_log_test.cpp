@@ -106,34 +106,36 @@ void expect_same(const Sequence& a, const Sequence& b) {
 }
 
 TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
-    const Sequence given = street();
-    const Split split = split_frames(given, 10);
+    const Sequence original = street();
+    const Split split = split_frames(original, 10);
     Config config;
     config.train.refine_poses = "sensor";
     config.init.unlabelled_movers = UnlabelledMovers::actors, config.sensor.calibrate = "range,intensity";
-    Sequence alone = given;
+    Sequence alone = original;
     std::vector<std::string> told_alone;
     prepare_log(alone, split, config, {[&](const std::string& line) { told_alone.push_back(line); }, {}, {}});
     ASSERT_FALSE(alone.boxes.empty()) << "no mover is discovered";
     ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
-    ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(given.world_from_vehicle.pose[50]))
+    ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(original.world_from_vehicle.pose[50]))
         << "no pose is registered";
     constexpr int kSize = 3;
     GroupOfThreads group(kSize);
-    std::vector<Sequence> logs(std::size_t(kSize), given);
-    std::vector<std::vector<std::string>> told(std::size_t(kSize), std::vector<std::string>{});
+    std::vector<Sequence> logs(std::size_t(kSize), original);
+    std::vector<std::vector<std::string>> messages(std::size_t(kSize), std::vector<std::string>{});
     std::vector<std::thread> processes;
     for (int rank = 0; rank < kSize; ++rank)
         processes.emplace_back([&, rank] {
-            const auto tell = [&, rank](const std::string& line) { told[std::size_t(rank)].push_back(line); };
+            const auto tell = [&, rank](const std::string& line) {
+                messages[std::size_t(rank)].push_back(line);
+            };
             prepare_log(logs[std::size_t(rank)], split, config,
                         {.tell = tell, .stop = {}, .group = group.of(rank)});
         });
     for (std::thread& process : processes) process.join();
     for (const Sequence& log : logs) expect_same(log, alone);
-    EXPECT_EQ(told[0], told_alone);
+    EXPECT_EQ(messages[0], told_alone);
     for (int rank = 1; rank < kSize; ++rank)
-        EXPECT_TRUE(told[std::size_t(rank)].empty()) << "the first one tells";
+        EXPECT_TRUE(messages[std::size_t(rank)].empty()) << "the first one tells";
     for (const std::size_t bytes : group.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";
 }
 
@@ -144,11 +146,11 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
     config.train.refine_poses = "sensor";
     const Split split = split_frames(good, 10);
     const auto warning_of = [&](Sequence log) {
-        std::string told;
-        prepare_log(log, split, config, {[&](const std::string& line) { told += line + "\n"; }, {}, {}});
-        const std::size_t at = told.find("warning: ");
+        std::string messages;
+        prepare_log(log, split, config, {[&](const std::string& line) { messages += line + "\n"; }, {}, {}});
+        const std::size_t at = messages.find("warning: ");
         EXPECT_EQ(at != std::string::npos, !log.notes.empty()) << "info shows what training has said";
-        return at == std::string::npos ? std::string() : told.substr(at);
+        return at == std::string::npos ? std::string() : messages.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
     Sequence bad = good;  // every second pose is a metre too far ahead

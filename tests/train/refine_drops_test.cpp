@@ -281,8 +281,8 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
 
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
     relidar::Run run = weak_run(device());
-    int asked = 0;
-    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++asked > 15; }}).empty())
+    int n_polls = 0;
+    EXPECT_TRUE(refine_drops(device(), run, {.stop = [&] { return ++n_polls > 15; }}).empty())
         << "in the network's training";
     EXPECT_TRUE(refine_drops(device(), run, {.stop = [] { return true; }}).empty())
         << "while frames are rendered";

@@ -127,7 +127,7 @@ TEST(ResumedSampler, GoesOnWithTheSameFramesAndNumbers) {
 
 TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
     const Config config = resumed_config();
-    const TrainResult whole = run(config);
+    const TrainResult uninterrupted = run(config);
     EXPECT_TRUE(list_checkpoints(folder).empty()) << "a short run leaves none";
     const TrainResult first = run(config, nullptr, kStoppedAfter);
     EXPECT_TRUE(first.interrupted);
@@ -137,18 +137,19 @@ TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
     EXPECT_EQ(checkpoint->iteration, kStoppedAfter);
     const TrainResult resumed = run(config, &*checkpoint);
     EXPECT_FALSE(resumed.interrupted);
-    ASSERT_EQ(resumed.log.size(), whole.log.size());
-    for (std::size_t i = 0; i < whole.log.size(); ++i) {
-        EXPECT_EQ(resumed.log[i].iteration, whole.log[i].iteration);
-        EXPECT_NEAR(resumed.log[i].loss, whole.log[i].loss, 0.01 * whole.log[i].loss);
+    ASSERT_EQ(resumed.log.size(), uninterrupted.log.size());
+    for (std::size_t i = 0; i < uninterrupted.log.size(); ++i) {
+        EXPECT_EQ(resumed.log[i].iteration, uninterrupted.log[i].iteration);
+        EXPECT_NEAR(resumed.log[i].loss, uninterrupted.log[i].loss, 0.01 * uninterrupted.log[i].loss);
         EXPECT_GT(resumed.log[i].seconds, i > 0 ? resumed.log[i - 1].seconds : 0.0);
     }
     EXPECT_EQ(resumed.initialise_s, first.initialise_s);
     EXPECT_GE(resumed.train_s, resumed.log.back().seconds);
     const Scene initial = initialise_scene(street, split.train, config.init);
-    expect_same_scene(resumed.scene, whole.scene, initial);
-    EXPECT_EQ(resumed.scene.models.size(), whole.scene.models.size());
-    EXPECT_EQ(resumed.scene.sensor_drop.probability.size(), whole.scene.sensor_drop.probability.size());
+    expect_same_scene(resumed.scene, uninterrupted.scene, initial);
+    EXPECT_EQ(resumed.scene.models.size(), uninterrupted.scene.models.size());
+    EXPECT_EQ(resumed.scene.sensor_drop.probability.size(),
+              uninterrupted.scene.sensor_drop.probability.size());
 }
 
 /// With a fixed order of summation all bits must be equal. Surfels are added and removed
@@ -166,19 +167,19 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
         config.densify.from = 4, config.densify.every = 4, config.densify.until = 36;
         config.densify.gradient_threshold = 1e-3;
         config.densify.opacity_reset_every = 20;
-        const TrainResult whole = run(config), first = run(config, nullptr, kStoppedAfter);
+        const TrainResult uninterrupted = run(config), first = run(config, nullptr, kStoppedAfter);
         const std::optional<Checkpoint> checkpoint = newest();
         ASSERT_TRUE(checkpoint);
         const TrainResult resumed = run(config, &*checkpoint);
-        expect_equal_bits(resumed.scene, whole.scene);
-        ASSERT_EQ(resumed.log.size(), whole.log.size());
+        expect_equal_bits(resumed.scene, uninterrupted.scene);
+        ASSERT_EQ(resumed.log.size(), uninterrupted.log.size());
         std::uint32_t changed = 0;
-        for (std::size_t i = 0; i < whole.log.size(); ++i) {
-            EXPECT_EQ(resumed.log[i].n_surfels, whole.log[i].n_surfels);
+        for (std::size_t i = 0; i < uninterrupted.log.size(); ++i) {
+            EXPECT_EQ(resumed.log[i].n_surfels, uninterrupted.log[i].n_surfels);
             for (const auto& [name, count] : kDensifyCounts)
-                EXPECT_EQ(resumed.log[i].densified.*count, whole.log[i].densified.*count)
+                EXPECT_EQ(resumed.log[i].densified.*count, uninterrupted.log[i].densified.*count)
                     << name << ", line " << i;
-            changed += whole.log[i].densified.added > 0;
+            changed += uninterrupted.log[i].densified.added > 0;
         }
         EXPECT_EQ(changed > 2, strategy != DensifyStrategy::none) << "before and after the stop";
         EXPECT_EQ(first.scene.surfels.size() != first.log.front().n_surfels,
@@ -192,38 +193,38 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
 /// response. The estimates must be equal bit for bit.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.005, 1));
-    const Sequence given = street;
+    const Sequence original = street;
     Config config = resumed_config();
     config.train.deterministic = true;
     config.train.refine_poses = "sensor,actors";
     config.init.actor_min_points = 10;
     config.train.iterations = 12;
     const auto prepare = [&] {
-        street = given;
+        street = original;
         prepare_log(street, split, config);
     };
     prepare();
-    EXPECT_NE(street.world_from_vehicle.pose[3].translation, given.world_from_vehicle.pose[3].translation);
+    EXPECT_NE(street.world_from_vehicle.pose[3].translation, original.world_from_vehicle.pose[3].translation);
     EXPECT_FALSE(street.intensity_response.factor.empty());
-    const TrainResult whole = run(config);
+    const TrainResult uninterrupted = run(config);
     const TrainResult first = run(config, nullptr, 6);
     EXPECT_TRUE(first.interrupted);
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint);
     prepare();
     const TrainResult resumed = run(config, &*checkpoint);
-    expect_equal_bits(resumed.scene, whole.scene);
+    expect_equal_bits(resumed.scene, uninterrupted.scene);
     for (std::size_t k = 0; k < street.frames.size(); ++k)
         EXPECT_EQ(resumed.poses->world_from_vehicle.pose[k].translation,
-                  whole.poses->world_from_vehicle.pose[k].translation);
+                  uninterrupted.poses->world_from_vehicle.pose[k].translation);
     for (std::size_t b = 0; b < street.boxes.size(); ++b)
         for (std::size_t k = 0; k < street.boxes[b].world_from_box.pose.size(); ++k) {
-            const glm::dvec3 end = whole.poses->boxes[b].world_from_box.pose[k].translation;
+            const glm::dvec3 end = uninterrupted.poses->boxes[b].world_from_box.pose[k].translation;
             EXPECT_EQ(resumed.poses->boxes[b].world_from_box.pose[k].translation, end);
             EXPECT_NE(end, street.boxes[b].world_from_box.pose[k].translation) << "it was refined";
         }
 
-    street = given;
+    street = original;
     EXPECT_THROW(run(config, &*checkpoint), DataError) << "a log that was not prepared is another log";
     try {
         PrepareSession session;
@@ -275,13 +276,13 @@ TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
     config.train.refine_poses = "actors";
     config.init.actor_min_points = 10;
     config.train.iterations = 12;
-    const TrainResult whole = run(config), first = run(config, nullptr, 6);
+    const TrainResult uninterrupted = run(config), first = run(config, nullptr, 6);
     const std::optional<Checkpoint> checkpoint = newest();
     ASSERT_TRUE(checkpoint && first.interrupted);
     const TrainResult resumed = run(config, &*checkpoint);
-    expect_equal_bits(resumed.scene, whole.scene);
+    expect_equal_bits(resumed.scene, uninterrupted.scene);
     const std::vector<Pose>&a = resumed.poses->boxes[0].world_from_box.pose,
-          &b = whole.poses->boxes[0].world_from_box.pose;
+          &b = uninterrupted.poses->boxes[0].world_from_box.pose;
     EXPECT_TRUE(std::ranges::equal(
         a, b, [](const Pose& x, const Pose& y) { return x.translation == y.translation; }));
     EXPECT_NE(b[3].translation, street.boxes[0].world_from_box.pose[3].translation) << "it was refined";
@@ -290,14 +291,14 @@ TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
 TEST_F(Resume, AFinishedRunStaysAndMayBeExtended) {
     Config config = resumed_config();
     config.train.checkpoint_every = 15;
-    const TrainResult whole = run(config);
+    const TrainResult uninterrupted = run(config);
     ASSERT_EQ(list_checkpoints(folder).size(), 2u) << "30 and the last one";
     const std::optional<Checkpoint> end = newest();
     EXPECT_EQ(end->iteration, kIterations);
     const TrainResult nothing = run(config, &*end);
-    EXPECT_EQ(nothing.scene.surfels.mean, whole.scene.surfels.mean);
-    EXPECT_EQ(nothing.scene.surfels.sh, whole.scene.surfels.sh);
-    EXPECT_EQ(nothing.log.size(), whole.log.size());
+    EXPECT_EQ(nothing.scene.surfels.mean, uninterrupted.scene.surfels.mean);
+    EXPECT_EQ(nothing.scene.surfels.sh, uninterrupted.scene.surfels.sh);
+    EXPECT_EQ(nothing.log.size(), uninterrupted.log.size());
     config.train.iterations = kIterations + 10;
     const TrainResult more = run(config, &*end);
     EXPECT_EQ(more.iterations, kIterations + 10);
@@ -401,10 +402,10 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
         if (step == expected - 1) loop.save(checkpoint);
     }
     const std::string message = data_error([&] { loop.settle(); });
-    const std::string wanted = "training, iteration " + std::to_string(expected) + ", frame " +
-                               std::to_string(frame.index) + ": the intensity loss is ";
+    const std::string expected_start = "training, iteration " + std::to_string(expected) + ", frame " +
+                                       std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);
-    EXPECT_EQ(message.rfind(wanted, 0), 0u) << message << "\nexpected " << wanted;
+    EXPECT_EQ(message.rfind(expected_start, 0), 0u) << message << "\nexpected " << expected_start;
     EXPECT_NO_THROW(check_finite(checkpoint)) << "of the iteration before";
 }
 

@@ -43,11 +43,11 @@ protected:
         run.config.init.scale_factor = 0.8;  // leaves no holes between the points of a car
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
-        Scene whole = initialise_scene(run.sequence, run.split.train, run.config.init);
-        for (std::size_t i = 0; i < whole.surfels.size(); ++i)
-            whole.surfels.opacity_logit[i] = i < whole.models[0].count ? 6.0f : -1.5f;
-        run.scene = with_background(whole, {});
-        for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(whole, right));
+        Scene full_scene = initialise_scene(run.sequence, run.split.train, run.config.init);
+        for (std::size_t i = 0; i < full_scene.surfels.size(); ++i)
+            full_scene.surfels.opacity_logit[i] = i < full_scene.models[0].count ? 6.0f : -1.5f;
+        run.scene = with_background(full_scene, {});
+        for (const bool right : {false, true}) run.scene.blocks.push_back(save_half(full_scene, right));
     }
 
     void TearDown() override {
@@ -55,11 +55,11 @@ protected:
         DeviceTest::TearDown();
     }
 
-    SceneBlock save_half(const Scene& whole, bool right) {
+    SceneBlock save_half(const Scene& full_scene, bool right) {
         std::vector<std::uint32_t> order;
-        for (std::uint32_t i = 0; i < whole.models[0].count; ++i)
-            if ((whole.surfels.mean[i].x >= 0.0f) == right) order.push_back(i);
-        const Scene half = make_background_scene(whole.surfels.permuted(order));
+        for (std::uint32_t i = 0; i < full_scene.models[0].count; ++i)
+            if ((full_scene.surfels.mean[i].x >= 0.0f) == right) order.push_back(i);
+        const Scene half = make_background_scene(full_scene.surfels.permuted(order));
         SceneBlock block{folder / (right ? "right.safetensors" : "left.safetensors"), half.models[0].count,
                          half.surfels.mean[0], half.surfels.mean[0]};
         for (const glm::vec3& mean : half.surfels.mean) {

@@ -269,7 +269,7 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
 /// masked while the car has labels.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     Sequence street = make_synthetic_street(small_street());
-    const std::vector<BoxTrack> whole = street.boxes;
+    const std::vector<BoxTrack> original = street.boxes;
     const std::size_t n_labels = street.frames.size() - 4;
     for (BoxTrack& box : street.boxes) {
         box.world_from_box.time_s.resize(n_labels);
@@ -285,7 +285,7 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const glm::dvec3 p =
                 glm::dvec3(rays[i].origin) + double(targets[i].range_m) * glm::dvec3(rays[i].direction);
-            if (!(targets[i].range_m > 0.0f) || !in_moving_box(whole, p, street.frames[frame].time_s, 0.0))
+            if (!(targets[i].range_m > 0.0f) || !in_moving_box(original, p, street.frames[frame].time_s, 0.0))
                 continue;
             n += 1.0;
             n_masked += targets[i].weight == 0.0f;

@@ -53,12 +53,12 @@ TEST(OnGrid, NearestReturnsOfCells) {
         const glm::vec3& d = binned.scan.rays.direction[cell];
         EXPECT_EQ(cell_of(10.0f * d), int(cell));
         EXPECT_EQ(binned.scan.rays.origin[cell], glm::vec3(0.0f));
-        const auto found = nearest.find(int(cell));
-        if (found == nearest.end()) {
+        const auto match = nearest.find(int(cell));
+        if (match == nearest.end()) {
             elsewhere += binned.scan.range_m[cell] != 0.0f;
             continue;
         }
-        const std::size_t ray = found->second;
+        const std::size_t ray = match->second;
         if (std::abs(binned.scan.range_m[cell] - glm::length(scan.point(ray))) > 1e-4f) {
             ++elsewhere;
             continue;

@@ -35,9 +35,9 @@ TEST_F(TwoLidars, TrainTogetherAndRenderEach) {
     Sequence street = test::two_lidar_street({.n_frames = 11, .rows = 16, .columns = 256});
     const Split split = split_frames(street, 10);
     Config config = two_lidar_config();
-    std::string told;
-    prepare_log(street, split, config, {[&](const std::string& text) { told += text + "\n"; }, {}, {}});
-    EXPECT_NE(told.find("scans registered"), std::string::npos) << told;
+    std::string messages;
+    prepare_log(street, split, config, {[&](const std::string& text) { messages += text + "\n"; }, {}, {}});
+    EXPECT_NE(messages.find("scans registered"), std::string::npos) << messages;
     const auto trained = [&](int iterations) {
         config.train.iterations = iterations;
         return train(device(), street, split, config, [](const TrainProgress&) { return true; });

@@ -112,21 +112,21 @@ TEST_F(Npz, NamesMissingAndForeignFiles) {
 
 TEST_F(Npz, RefusesEveryCut) {
     for (std::string_view file : {kNumpyStored, kNumpyDeflated}) {
-        const std::string whole = from_hex(file);
-        for (std::size_t n = 0; n < whole.size(); ++n) {
+        const std::string original = from_hex(file);
+        for (std::size_t n = 0; n < original.size(); ++n) {
             SCOPED_TRACE(n);
-            put(folder / "cut.npz", whole.substr(0, n));
+            put(folder / "cut.npz", original.substr(0, n));
             data_error([&] { read_npz(folder / "cut.npz"); });
         }
     }
 }
 
 TEST_F(Npz, SurvivesEveryChangedByte) {
-    const std::string whole = from_hex(kNumpyDeflated);
+    const std::string original = from_hex(kNumpyDeflated);
     int n_refused = 0;
-    for (std::size_t i = 0; i < whole.size(); ++i)
+    for (std::size_t i = 0; i < original.size(); ++i)
         for (int change : {0x01, 0x80, 0xFF}) {
-            std::string changed = whole;
+            std::string changed = original;
             changed[i] = char(changed[i] ^ change);
             put(folder / "changed.npz", changed);
             try {
@@ -136,7 +136,7 @@ TEST_F(Npz, SurvivesEveryChangedByte) {
                 ++n_refused;
             }
         }
-    EXPECT_GT(n_refused, int(whole.size()));
+    EXPECT_GT(n_refused, int(original.size()));
 }
 
 TEST_F(Npz, RefusesAbsurdSizes) {

@@ -63,22 +63,22 @@ TEST_F(Safetensors, WritesTheDocumentedLayout) {
 
 TEST_F(Safetensors, RefusesEveryCut) {
     write_safetensors(folder / "a.safetensors", some_arrays(), {{"k", "v"}});
-    const std::string whole = contents(folder / "a.safetensors");
-    for (std::size_t n = 0; n < whole.size(); ++n) {
+    const std::string original = contents(folder / "a.safetensors");
+    for (std::size_t n = 0; n < original.size(); ++n) {
         SCOPED_TRACE(n);
-        put(folder / "cut", whole.substr(0, n));
+        put(folder / "cut", original.substr(0, n));
         EXPECT_NE(data_error([&] { read_safetensors(folder / "cut"); }).find("cut"), std::string::npos);
     }
-    put(folder / "cut", whole + "x");
+    put(folder / "cut", original + "x");
     data_error([&] { read_safetensors(folder / "cut"); });
 }
 
 TEST_F(Safetensors, SurvivesEveryChangedByte) {
     write_safetensors(folder / "a.safetensors", some_arrays(), {{"k", "v"}});
-    const std::string whole = contents(folder / "a.safetensors");
-    for (std::size_t i = 0; i < whole.size(); ++i)
+    const std::string original = contents(folder / "a.safetensors");
+    for (std::size_t i = 0; i < original.size(); ++i)
         for (int change : {0x01, 0x20, 0x80, 0xFF}) {
-            std::string changed = whole;
+            std::string changed = original;
             changed[i] = char(changed[i] ^ change);
             put(folder / "changed", changed);
             try {

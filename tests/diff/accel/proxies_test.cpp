@@ -82,7 +82,7 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
          .first_surfel = 0,
          .n_surfels = kAll});
     stream.finish();
-    const std::vector<std::uint32_t> found = radii.download();
+    const std::vector<std::uint32_t> actual = radii.download();
     for (const std::uint32_t m : {0u, 1u}) {
         double expected = 0.0;
         for (std::uint32_t i = scene.models[m].first; i < scene.models[m].first + scene.models[m].count;
@@ -93,7 +93,7 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
             expected = std::max(expected, double(glm::length(surfels.mean[i])) +
                                               std::sqrt(2.0 * std::log(opacity / kAlphaMin)) * largest);
         }
-        EXPECT_NEAR(double(std::bit_cast<float>(found[m])), expected, 1e-5 * expected) << "model " << m;
+        EXPECT_NEAR(double(std::bit_cast<float>(actual[m])), expected, 1e-5 * expected) << "model " << m;
     }
 }
 

@@ -324,8 +324,8 @@ protected:
                 DevicePasses passes(device(), p, kept, {.reduction = reduction});
                 passes.run_all();
                 const std::vector<double> terms = p.terms();
-                const std::vector<float> found = passes.loss_terms.download();
-                EXPECT_NEAR(std::accumulate(found.begin(), found.end(), 0.0),
+                const std::vector<float> device_result = passes.loss_terms.download();
+                EXPECT_NEAR(std::accumulate(device_result.begin(), device_result.end(), 0.0),
                             std::accumulate(terms.begin(), terms.end(), 0.0), 1e-5);
                 const std::vector<std::vector<double>> actual = actual_rows(passes.gradients());
                 ASSERT_EQ(actual.size(), expected.size());
@@ -453,14 +453,14 @@ TEST_F(GeometryGradient, LikelihoodOfTwoSurfelsInClosedForm) {
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;
         EXPECT_NEAR(passes.renderer.rendered().geometry->rendered.download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);
-        const Surfels found = passes.gradients().surfels.download();
-        EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
+        const Surfels device_result = passes.gradients().surfels.download();
+        EXPECT_NEAR(device_result.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
             << "the nearer one is drawn to the range";
-        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
+        EXPECT_NEAR(device_result.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
             << "the other is there";
         // S = s_0 k + (1 - s_0) s_1, with the opacities s
-        EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
-        EXPECT_NEAR(found.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
+        EXPECT_NEAR(device_result.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
+        EXPECT_NEAR(device_result.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
     }
 }
 

@@ -55,21 +55,21 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
     std::vector<std::vector<bool>> frames(kN, std::vector<bool>(kFrames, false));
     for (int batch = 0; batch < 24; ++batch) {
         const std::uint32_t frame = random() % kFrames;
-        const bool whole = batch % 2 == 0;
+        const bool full = batch % 2 == 0;
         std::vector<float> d_mean(3 * kN);
         std::vector<std::uint32_t> touched(kN);
         for (std::uint32_t i = 0; i < kN; ++i) {
             touched[i] = random() % 3 == 0;
             // undefined for surfels that are not touched
             for (std::uint32_t k = 0; k < 3; ++k) d_mean[3 * i + k] = touched[i] ? normal(random) : NAN;
-            if (touched[i] || (!whole && frames[i][frame])) ++seen[i];
+            if (touched[i] || (!full && frames[i][frame])) ++seen[i];
             if (!touched[i]) continue;
             sum[i] += std::sqrt(double(d_mean[3 * i]) * d_mean[3 * i] +
                                 double(d_mean[3 * i + 1]) * d_mean[3 * i + 1] +
                                 double(d_mean[3 * i + 2]) * d_mean[3 * i + 2]);
             frames[i][frame] = true;
         }
-        o.show(d_mean, touched, frame, whole);
+        o.show(d_mean, touched, frame, full);
     }
     const SurfelStatistics& s = o.densifier.statistics();
     ASSERT_EQ(s.n_words, 3u);
@@ -109,12 +109,12 @@ TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
         for (std::uint32_t i = 0; i < kN; ++i) mean[i] = sum[i] / std::max(seen[i], 1u);
         return mean;
     };
-    const std::vector<double> whole = mean_of(1, 3), part = mean_of(kStride, 600);
+    const std::vector<double> full = mean_of(1, 3), part = mean_of(kStride, 600);
     for (std::uint32_t i = 0; i < kN; ++i) {
-        EXPECT_NEAR(whole[i], double(i + 1) / kRays, 1e-6);
+        EXPECT_NEAR(full[i], double(i + 1) / kRays, 1e-6);
         // A mean over only the batches that touch a surfel would be 16 times too large
         // for a single ray.
-        EXPECT_NEAR(part[i] / whole[i], 1.0, 0.35) << i + 1 << " rays";
+        EXPECT_NEAR(part[i] / full[i], 1.0, 0.35) << i + 1 << " rays";
     }
 }
 

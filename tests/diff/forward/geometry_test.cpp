@@ -73,12 +73,12 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         settings.likelihood_scale_m = 0.3;
         const test::RandomScene scene = test::make_random_scene(options, settings);
         const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
-        std::vector<float> found;
-        const std::vector<float> image = trace(scene, settings.image, 5, &found);
+        std::vector<float> actual;
+        const std::vector<float> image = trace(scene, settings.image, 5, &actual);
         double most = 0.0, likeliest = 0.0;
         for (std::size_t i = 0; i < scene.rays.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            const float* q = &found[7 * i];
+            const float* q = &actual[7 * i];
             EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
             EXPECT_NEAR(q[3], p.distortion, 1e-5 * p.distortion + 1e-7) << "ray " << i;
             EXPECT_NEAR(q[5], p.likelihood, 1e-5) << "ray " << i;
@@ -91,7 +91,7 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
         EXPECT_EQ(trace(scene, settings.image, 5, nullptr), image) << "the image does not depend on it";
         std::vector<float> again;
         trace(scene, settings.image, 64, &again);
-        EXPECT_EQ(again, found) << "nor on the chunk";
+        EXPECT_EQ(again, actual) << "nor on the chunk";
         for (const int room : {4, 64}) {
             trace(scene, settings.image,
                   {.chunk = 5,
@@ -101,11 +101,11 @@ TEST_F(Geometry, AgreesWithDoubleReference) {
                    .likelihood = kKernel},
                   &again);
             for (std::size_t k = 0; k < again.size(); ++k)
-                EXPECT_NEAR(again[k], found[k], 1e-6f * std::max(1.0f, std::abs(found[k])));
+                EXPECT_NEAR(again[k], actual[k], 1e-6f * std::max(1.0f, std::abs(actual[k])));
         }
         EXPECT_EQ(trace(scene, settings.image, {.likelihood = kKernel}, &again), image);
         for (std::size_t k = 0; k < again.size(); ++k)
-            EXPECT_EQ(again[k], k % 7 == 5 ? found[k] : 0.0f) << "the likelihood alone";
+            EXPECT_EQ(again[k], k % 7 == 5 ? actual[k] : 0.0f) << "the likelihood alone";
     }
 }
 
@@ -118,12 +118,12 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
     const reference::Settings settings;
     const test::RandomScene scene = test::make_random_scene(options, settings);
     const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
-    std::vector<float> found, image = trace(scene, settings.image, 5, nullptr);
-    EXPECT_EQ(trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap}, &found), image)
+    std::vector<float> actual, image = trace(scene, settings.image, 5, nullptr);
+    EXPECT_EQ(trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap}, &actual), image)
         << "the image does not depend on it";
     std::vector<float> by_lists;
     trace(scene, settings.image, {.order = HitOrder::lists, .mode_gap_m = kGap}, &by_lists);
-    for (std::size_t k = 6; k < found.size(); k += 7) EXPECT_NEAR(by_lists[k], found[k], 1e-5f);
+    for (std::size_t k = 6; k < actual.size(); k += 7) EXPECT_NEAR(by_lists[k], actual[k], 1e-5f);
     int clear = 0, other_than_first = 0;
     for (std::size_t i = 0; i < scene.rays.size(); ++i) {
         std::vector<reference::ShadedHit> hits;
@@ -136,7 +136,7 @@ TEST_F(Geometry, ModeAgreesWithDoubleReference) {
         for (auto s = all.begin(); s != all.end(); ++s)
             is_clear = is_clear && (s == heaviest || heaviest->weight - s->weight > 1e-5);
         if (!is_clear) continue;
-        EXPECT_NEAR(found[7 * i + 6], heaviest->mean, 1e-5) << "ray " << i;
+        EXPECT_NEAR(actual[7 * i + 6], heaviest->mean, 1e-5) << "ray " << i;
         ++clear;
         other_than_first += heaviest != all.begin();
     }
@@ -162,11 +162,11 @@ TEST_F(Geometry, LikelihoodOfEveryThirdRay) {
     const auto likelihoods = [&](const RayBatch& batch) {
         renderer.record_forward(batch);
         renderer.stream().finish();
-        std::vector<float> found;
+        std::vector<float> actual;
         for (const shared::RenderedGeometry& q :
              renderer.rendered().geometry->rendered.download(batch.n_rays))
-            found.push_back(q.likelihood);
-        return found;
+            actual.push_back(q.likelihood);
+        return actual;
     };
     const std::vector<float> all = likelihoods({&rays, 0, 1, 60, 0, &targets}),
                              some = likelihoods({&rays, 1, 3, 20, 0, &targets});
@@ -187,11 +187,11 @@ TEST_F(Geometry, OfARenderer) {
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.geometry = wanted}});
         renderer.scene().set_poses(placed.world_from_instance);
         renderer.place(glm::vec3(scene.view_origin));
-        const Rendering found = renderer.forward(test::to_world_rays(scene.rays));
-        ASSERT_EQ(found.normal.size(), wanted ? scene.rays.size() : 0u);
-        for (std::size_t i = 0; i < found.normal.size(); ++i) {
+        const Rendering actual = renderer.forward(test::to_world_rays(scene.rays));
+        ASSERT_EQ(actual.normal.size(), wanted ? scene.rays.size() : 0u);
+        for (std::size_t i = 0; i < actual.normal.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            EXPECT_LE(glm::length(glm::dvec3(found.normal[i]) - p.normal), 1e-5) << "ray " << i;
+            EXPECT_LE(glm::length(glm::dvec3(actual.normal[i]) - p.normal), 1e-5) << "ray " << i;
         }
     }
 }

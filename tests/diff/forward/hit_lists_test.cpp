@@ -175,9 +175,9 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     Placed placed(device(), c, {.name = "any"});
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
-    for (const int asked : {1, 60, 512}) {
-        const int room = std::min(asked, static_cast<int>(most_list_room(device())));
-        const std::vector<shared::RenderedRay> actual = placed.render_lists(asked);
+    for (const int requested_room : {1, 60, 512}) {
+        const int room = std::min(requested_room, static_cast<int>(most_list_room(device())));
+        const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_room);
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(room))
                 EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;

@@ -114,22 +114,22 @@ float squared(const glm::vec3& a, const glm::vec3& b) {
 }
 
 void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm::vec3>& cloud,
-                    const std::vector<std::uint32_t>& found, const char* what) {
-    ASSERT_EQ(found.size(), queries.size());
+                    const std::vector<std::uint32_t>& device_result, const char* what) {
+    ASSERT_EQ(device_result.size(), queries.size());
     for (std::size_t i = 0; i < queries.size(); ++i) {
         float best = kInfinity;
         if (std::isfinite(queries[i].x))
             for (const glm::vec3& p : cloud)
                 if (std::isfinite(p.x)) best = std::min(best, squared(queries[i], p));
-        if (best == kInfinity) EXPECT_EQ(found[i], ~0u) << what << " " << i;
-        else EXPECT_EQ(squared(queries[i], cloud.at(found[i])), best) << what << " " << i;
+        if (best == kInfinity) EXPECT_EQ(device_result[i], ~0u) << what << " " << i;
+        else EXPECT_EQ(squared(queries[i], cloud.at(device_result[i])), best) << what << " " << i;
     }
 }
 
-void expect_exact(const Clouds& c, const FoundChamfer& found, const std::string& what) {
+void expect_exact(const Clouds& c, const FoundChamfer& device_result, const std::string& what) {
     const std::vector<glm::vec3> simulated = points(c, c.simulated), measured = points(c, c.measured);
-    expect_nearest(simulated, measured, found.nearest[0], (what + ", simulated").c_str());
-    expect_nearest(measured, simulated, found.nearest[1], (what + ", measured").c_str());
+    expect_nearest(simulated, measured, device_result.nearest[0], (what + ", simulated").c_str());
+    expect_nearest(measured, simulated, device_result.nearest[1], (what + ", measured").c_str());
 }
 
 TEST_F(Chamfer, NearestNeighboursAreExact) {
@@ -162,12 +162,13 @@ TEST_F(Chamfer, DegenerateClouds) {
     const auto expect = [&](const char* what, const std::function<void(Clouds&)>& change) {
         Clouds c = scan;
         change(c);
-        const FoundChamfer found = device_chamfer(device(), c);
-        expect_exact(c, found, what);
+        const FoundChamfer device_result = device_chamfer(device(), c);
+        expect_exact(c, device_result, what);
         const bool empty =
             c.simulated == std::vector<float>(320, 0.0f) || c.measured == std::vector<float>(320, 0.0f);
-        EXPECT_EQ(found.loss == 0.0, empty || c.simulated == c.measured) << what;
-        for (const float x : found.upstream) EXPECT_TRUE(std::isfinite(x) && (!empty || x == 0.0f)) << what;
+        EXPECT_EQ(device_result.loss == 0.0, empty || c.simulated == c.measured) << what;
+        for (const float x : device_result.upstream)
+            EXPECT_TRUE(std::isfinite(x) && (!empty || x == 0.0f)) << what;
     };
     const std::vector<float> none(320, 0.0f);
     std::vector<float> one = none, far = none;
@@ -194,10 +195,10 @@ TEST_F(Chamfer, UnknownDroppedAndThinRaysAreNoPoints) {
     EXPECT_NE(solid.nearest[0][0], ~0u);
     Clouds broken = c;
     broken.simulated[7] = std::numeric_limits<float>::quiet_NaN();
-    const FoundChamfer found = device_chamfer(device(), broken);
-    EXPECT_EQ(found.nearest[0][7], ~0u);
-    for (const std::uint32_t i : found.nearest[1]) EXPECT_NE(i, 7u);
-    EXPECT_TRUE(std::isfinite(found.loss));
+    const FoundChamfer device_result = device_chamfer(device(), broken);
+    EXPECT_EQ(device_result.nearest[0][7], ~0u);
+    for (const std::uint32_t i : device_result.nearest[1]) EXPECT_NE(i, 7u);
+    EXPECT_TRUE(std::isfinite(device_result.loss));
 }
 
 TEST_F(Chamfer, AgreesWithReference) {
@@ -215,13 +216,14 @@ TEST_F(Chamfer, AgreesWithReference) {
         const float weight = 0.6f;
         std::vector<double> d_range;
         const double loss = reference::chamfer_loss(rays, &d_range);
-        const FoundChamfer found = device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
-        EXPECT_NEAR(found.loss, loss, 1e-4 * loss);
+        const FoundChamfer device_result =
+            device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
+        EXPECT_NEAR(device_result.loss, loss, 1e-4 * loss);
         // Relative to the norm of all rows, because differences of points 10 m away are
         // accurate to 1e-6 m.
         std::vector<double> expected, actual;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            const float* row = &found.upstream[5 * i];
+            const float* row = &device_result.upstream[5 * i];
             expected.insert(expected.end(), {normalised ? d_range[i] / weight : d_range[i],
                                              normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
             actual.insert(actual.end(), {row[0], row[1]});
@@ -229,7 +231,7 @@ TEST_F(Chamfer, AgreesWithReference) {
             for (std::size_t k = 2; k < 5; ++k) EXPECT_EQ(row[k], 0.0f);
         }
         EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream,
-                  found.upstream)
+                  device_result.upstream)
             << "the same bits every time";
         test::GradientTable table;
         table.add_row("depth and weight", expected, actual);

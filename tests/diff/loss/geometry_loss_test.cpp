@@ -108,11 +108,11 @@ FoundLoss device_terms(Device& device, const RangeImage& image, const LossWeight
 constexpr double kTolerance = 10.0 * test::kKernelGradient;
 
 /// Adds a row for every pixel with the central differences of the reference.
-void add_differences(RangeImage image, const FoundLoss& found, test::GradientTable& table) {
+void add_differences(RangeImage image, const FoundLoss& device_result, test::GradientTable& table) {
     const auto terms = [&] { return normal_terms(image, image_normals(image)); };
     for (std::size_t i = 0; i < image.pixels.size(); ++i) {
-        const shared::RayGradient& u = found.upstream[i];
-        const shared::GeometryGradient& g = found.gradient[i];
+        const shared::RayGradient& u = device_result.upstream[i];
+        const shared::GeometryGradient& g = device_result.gradient[i];
         const auto add = [&](const char* name, double* x, int n, const std::vector<double>& actual) {
             table.add_row(name, test::central_differences(x, n, terms), actual);
         };
@@ -147,11 +147,11 @@ TEST_F(GeometryTerms, AgreeWithReference) {
         }
         LossWeights weights;
         weights.distortion = 0.5f, weights.normal = 1.0f, weights.normalised_depth = c.normalised;
-        const FoundLoss found = device_terms(device(), image, weights, c.stride);
-        EXPECT_NEAR(found.distortion, 0.5 * distortion / n_returned, 1e-6);
-        EXPECT_NEAR(found.normal, std::accumulate(expected.begin(), expected.end(), 0.0), 1e-5);
+        const FoundLoss device_result = device_terms(device(), image, weights, c.stride);
+        EXPECT_NEAR(device_result.distortion, 0.5 * distortion / n_returned, 1e-6);
+        EXPECT_NEAR(device_result.normal, std::accumulate(expected.begin(), expected.end(), 0.0), 1e-5);
         test::GradientTable table;
-        add_differences(image, found, table);
+        add_differences(image, device_result, table);
         table.print("normal consistency");
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), name == "normal" ? test::kKernelGradient : kTolerance) << name;
@@ -159,7 +159,8 @@ TEST_F(GeometryTerms, AgreeWithReference) {
             EXPECT_GT(group.nonzero_rows(), 20u) << name;
         }
         for (std::size_t i = 0; i < image.pixels.size(); ++i)
-            EXPECT_FLOAT_EQ(found.gradient[i].distortion, image.returned[i] ? float(0.5 / n_returned) : 0.0f);
+            EXPECT_FLOAT_EQ(device_result.gradient[i].distortion,
+                            image.returned[i] ? float(0.5 / n_returned) : 0.0f);
     }
 }
 
@@ -168,12 +169,12 @@ TEST_F(GeometryTerms, DistortionIsARaysOwn) {
     const RangeImage image = random_image(4, 30, false, true);
     LossWeights weights;
     weights.distortion = 1.0f;
-    const FoundLoss found = device_terms(device(), image, weights, 1);
-    EXPECT_GT(found.distortion, 0.01);
-    EXPECT_EQ(found.normal, 0.0);
-    EXPECT_EQ(found.likelihood, 0.0);
-    for (const float x : test::floats_of(found.upstream)) EXPECT_EQ(x, 0.0f);
-    for (const shared::GeometryGradient& g : found.gradient) {
+    const FoundLoss device_result = device_terms(device(), image, weights, 1);
+    EXPECT_GT(device_result.distortion, 0.01);
+    EXPECT_EQ(device_result.normal, 0.0);
+    EXPECT_EQ(device_result.likelihood, 0.0);
+    for (const float x : test::floats_of(device_result.upstream)) EXPECT_EQ(x, 0.0f);
+    for (const shared::GeometryGradient& g : device_result.gradient) {
         EXPECT_EQ(g.normal, glm::vec3(0.0f));
         EXPECT_EQ(g.point, glm::vec3(0.0f));
         EXPECT_EQ(g.likelihood, 0.0f);
@@ -192,12 +193,12 @@ TEST_F(GeometryTerms, LikelihoodAgreesWithReference) {
         LossWeights weights;
         weights.likelihood = 0.7f, weights.likelihood_floor = 0.02f;
         if (!alone) weights.distortion = 0.5f, weights.normal = 0.5f, weights.normalised_depth = true;
-        const FoundLoss found = device_terms(device(), image, weights, 3);
-        EXPECT_NEAR(found.likelihood, 0.7 * term, 1e-5 * term);
-        EXPECT_EQ(found.distortion > 0.0 && found.normal > 0.0, !alone);
+        const FoundLoss device_result = device_terms(device(), image, weights, 3);
+        EXPECT_NEAR(device_result.likelihood, 0.7 * term, 1e-5 * term);
+        EXPECT_EQ(device_result.distortion > 0.0 && device_result.normal > 0.0, !alone);
         for (std::size_t i = 0; i < expected.size(); ++i) {
             const double d = 0.7 * expected[i].likelihood;
-            EXPECT_NEAR(found.gradient[i].likelihood, d, 1e-5 * std::abs(d)) << "ray " << i;
+            EXPECT_NEAR(device_result.gradient[i].likelihood, d, 1e-5 * std::abs(d)) << "ray " << i;
         }
     }
 }
@@ -224,10 +225,10 @@ TEST_F(GeometryTerms, APlaneHasItsOwnNormalFarAway) {
     EXPECT_EQ(n, 18 * 8);
     LossWeights weights;
     weights.normal = 1.0f, weights.normalised_depth = true;
-    const FoundLoss found = device_terms(device(), image, weights, 1);
-    EXPECT_LT(found.normal, 1e-4);
+    const FoundLoss device_result = device_terms(device(), image, weights, 1);
+    EXPECT_LT(device_result.normal, 1e-4);
     int with_normal = 0;
-    for (std::size_t i = 0; i < 200; ++i) with_normal += found.gradient[i].normal.z != 0.0f;
+    for (std::size_t i = 0; i < 200; ++i) with_normal += device_result.gradient[i].normal.z != 0.0f;
     EXPECT_EQ(with_normal, n);
 }
 

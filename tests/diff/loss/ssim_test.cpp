@@ -84,15 +84,15 @@ TEST_F(Ssim, AgreesWithReference) {
         const Image image = random_image(c.rows, c.columns, c.circular, c.known);
         std::vector<double> expected;
         const double loss = reference::ssim_loss(image, &expected);
-        const Result found = device_ssim(device(), image, 1.0f, c.stride);
-        EXPECT_NEAR(found.ssim, loss, 1e-4 * loss) << c.rows << " x " << c.columns;
-        EXPECT_EQ(found.l1, 0.0);
+        const Result device_result = device_ssim(device(), image, 1.0f, c.stride);
+        EXPECT_NEAR(device_result.ssim, loss, 1e-4 * loss) << c.rows << " x " << c.columns;
+        EXPECT_EQ(device_result.l1, 0.0);
         test::GradientTable table;
-        table.add_row("image", expected, found.d_x);
+        table.add_row("image", expected, device_result.d_x);
         EXPECT_EQ(table.groups().at("image").missing_rows(), 0u);
         EXPECT_LE(table.worst_error(), test::kKernelGradient) << c.rows << " x " << c.columns;
         for (std::size_t i = 0; i < expected.size(); ++i)
-            EXPECT_TRUE(image.known[i] || found.d_x[i] == 0.0) << "pixel " << i << " takes no part";
+            EXPECT_TRUE(image.known[i] || device_result.d_x[i] == 0.0) << "pixel " << i << " takes no part";
     }
 }
 

@@ -34,18 +34,18 @@ INSTANTIATE_TEST_SUITE_P(Refine, AttentionSizes,
 TEST_P(AttentionSizes, ForwardAndBackward) {
     const AttentionCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, 3 * c.channels, 1),
-                           asked = test::random_images(c.grid, c.channels, 2);
+                           upstream = test::random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
     AttentionState state = attention.make_state(device(), c.grid, true);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels),
-                                          d_to(device(), asked),
+                                          d_to(device(), upstream),
                                           d_qkv = OnDevice::unwritten(device(), c.grid, 3 * c.channels);
     attention.forward(stream, qkv.slice(), state, to.slice());
     attention.vjp(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
     stream.finish();
     EXPECT_LT(worst_error(to.read(), reference::attend(values, c.heads)), test::kLayer);
-    EXPECT_LT(worst_error(d_qkv.read(), reference::attend_vjp(values, c.heads, asked)), test::kLayer);
+    EXPECT_LT(worst_error(d_qkv.read(), reference::attend_vjp(values, c.heads, upstream)), test::kLayer);
     const std::vector<double> shares = test::doubles(state.share.values);
     const std::size_t pixels = c.grid.pixels();
     ASSERT_EQ(shares.size(), c.grid.n * std::size_t(c.heads) * pixels * pixels);

@@ -159,12 +159,12 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
         options.rays = "origin,direction";
         options.epochs = 4;
         const std::vector<DropImage> images = some_images(options, 6);
-        std::vector<RefineProgress> whole, parts;
+        std::vector<RefineProgress> uninterrupted, parts;
         const auto told_to = [](std::vector<RefineProgress>& lines) {
             return [&](const RefineProgress& p, const auto&) { return lines.push_back(p), true; };
         };
-        const DropNetwork expected = train_drop_network(device(), images, options, 1, told_to(whole));
-        ASSERT_EQ(whole.size(), 12u);
+        const DropNetwork expected = train_drop_network(device(), images, options, 1, told_to(uninterrupted));
+        ASSERT_EQ(uninterrupted.size(), 12u);
         const RefineState in_an_epoch = state_after(device(), images, options, 4),
                           at_its_end = state_after(device(), images, options, 6, &in_an_epoch);
         EXPECT_EQ(at_its_end.step, 6);
@@ -176,9 +176,9 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
         EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
         ASSERT_EQ(parts.size(), 6u);
         for (std::size_t i = 0; i < parts.size(); ++i) {
-            EXPECT_EQ(parts[i].step, whole[i + 6].step);
-            EXPECT_EQ(parts[i].epoch, whole[i + 6].epoch);
-            EXPECT_EQ(parts[i].entropy, whole[i + 6].entropy);
+            EXPECT_EQ(parts[i].step, uninterrupted[i + 6].step);
+            EXPECT_EQ(parts[i].epoch, uninterrupted[i + 6].epoch);
+            EXPECT_EQ(parts[i].entropy, uninterrupted[i + 6].entropy);
         }
         const RefineState all = state_after(device(), images, options, 12, &in_an_epoch);
         EXPECT_EQ(train_drop_network(device(), images, options, 1, told_to(parts), &all).parameters,

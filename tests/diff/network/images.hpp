@@ -140,7 +140,7 @@ inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) 
 
 /// Sets derivatives to 0 where the normalised value is so close to 0 that rounding
 /// decides whether ReLU passes the gradient.
-inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std::vector<double>& beta,
+inline void leave_out_kinks(ImageBatch& upstream, const ImageBatch& from, const std::vector<double>& beta,
                             const std::vector<double>& gamma) {
     reference::NormLayer above{beta, gamma, {}}, below = above;
     for (double& x : below.beta) x = -x;
@@ -148,8 +148,8 @@ inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std
     const reference::Moments moments = reference::moments_of(from);
     const ImageBatch positive = reference::normalise(from, moments, above),
                      negative = reference::normalise(from, moments, below);
-    for (std::size_t i = 0; i < asked.values.size(); ++i)
-        if (positive.values[i] + negative.values[i] < 1e-5) asked.values[i] = 0.0;
+    for (std::size_t i = 0; i < upstream.values.size(); ++i)
+        if (positive.values[i] + negative.values[i] < 1e-5) upstream.values[i] = 0.0;
 }
 
 inline double dot(const std::vector<double>& a, const std::vector<double>& b) {

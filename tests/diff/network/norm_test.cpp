@@ -84,12 +84,12 @@ double largest(const std::vector<double>& values) {
 /// Returns a bound of the terms that sum to the derivative of an input. With two pixels
 /// the terms nearly cancel.
 double largest_term(const test::ImageBatch& from, const reference::NormLayer& layer,
-                    const test::ImageBatch& asked) {
+                    const test::ImageBatch& upstream) {
     double scale = 0.0;
     const reference::Moments moments = reference::moments_of(from);
     for (std::size_t k = 0; k < layer.gamma.size(); ++k)
         scale = std::max(scale, std::abs(layer.gamma[k]) / std::sqrt(moments.variance[k] + layer.epsilon));
-    return scale * largest(asked.values);
+    return scale * largest(upstream.values);
 }
 
 TEST_P(NormSizes, ForwardAndRunningMoments) {
@@ -127,13 +127,13 @@ TEST_P(NormSizes, Derivatives) {
     const NormCase& c = GetParam();
     for (const float dropout : {0.0f, 0.3f}) {
         const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
-        test::ImageBatch asked = test::random_images(c.grid, c.channels, 2);
+        test::ImageBatch upstream = test::random_images(c.grid, c.channels, 2);
         OnePass pass(device(), c);
-        test::leave_out_kinks(asked, values, pass.layer.beta, pass.layer.gamma);
+        test::leave_out_kinks(upstream, values, pass.layer.beta, pass.layer.gamma);
         pass.state.dropout = dropout;
         pass.state.dropout_key = 77;
         if (dropout > 0.0f) pass.layer.gate = gate_of(device(), c, dropout, 77);
-        const OnDevice from(device(), values), d_to(device(), asked),
+        const OnDevice from(device(), values), d_to(device(), upstream),
             d_from = OnDevice::unwritten(device(), c.grid, c.channels);
         const std::size_t n = 2 * std::size_t(c.channels);
         // writes a part of the array, from the fourth element
@@ -144,8 +144,8 @@ TEST_P(NormSizes, Derivatives) {
         EXPECT_LT(
             worst_error(actual, reference::normalise(values, reference::moments_of(values), pass.layer)),
             test::kLayer);
-        const reference::NormGradient expected = reference::normalise_vjp(values, pass.layer, asked);
-        const double scale = largest(expected.from.values) / largest_term(values, pass.layer, asked);
+        const reference::NormGradient expected = reference::normalise_vjp(values, pass.layer, upstream);
+        const double scale = largest(expected.from.values) / largest_term(values, pass.layer, upstream);
         EXPECT_LT(worst_error(d_from.read(), expected.from) * scale, 2e-5);
         const std::vector<double> d = test::doubles(d_parameters);
         std::vector<double> d_beta, d_gamma;
@@ -159,9 +159,9 @@ TEST_P(NormSizes, Derivatives) {
 
 TEST_P(NormSizes, DerivativeByABias) {
     const NormCase& c = GetParam();
-    const test::ImageBatch asked = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
+    const test::ImageBatch upstream = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
     OnePass pass(device(), c);
-    const OnDevice d_to(device(), asked);
+    const OnDevice d_to(device(), upstream);
     const auto d_bias =
         test::to_device<shared::ConvBias>(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
     pass.norm.bias_vjp(pass.stream, d_to.slice(), d_bias.address());
@@ -169,7 +169,7 @@ TEST_P(NormSizes, DerivativeByABias) {
     std::vector<double> actual = test::doubles(d_bias);
     EXPECT_EQ(actual.back(), -7.0) << "wrote past the end";
     actual.pop_back();
-    EXPECT_LT(worst_error(actual, reference::channel_sums(asked)), test::kLayer);
+    EXPECT_LT(worst_error(actual, reference::channel_sums(upstream)), test::kLayer);
 }
 
 /// Mean 1000, deviation 1: the formula E[x^2] - E[x]^2 would lose all digits in single

@@ -54,17 +54,17 @@ TEST_P(PoolSizes, PoolAndItsDerivative) {
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
     const Grid small = refine::pooled(c.grid);
     EXPECT_EQ(small, (Grid{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
-    const test::ImageBatch asked = test::random_images(small, c.channels, 2),
+    const test::ImageBatch upstream = test::random_images(small, c.channels, 2),
                            before = test::random_images(c.grid, c.channels, 3);
     Resample resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::unwritten(device(), small, c.channels),
-                                           d_to(device(), asked), d_from(device(), before);
+                                           d_to(device(), upstream), d_from(device(), before);
     resample.pool(stream, from.slice(), to.slice());
     resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.finish();
     EXPECT_EQ(to.read().values, reference::pool(values).values);
-    test::ImageBatch expected = reference::pool_vjp(values, asked);
+    test::ImageBatch expected = reference::pool_vjp(values, upstream);
     // pool_vjp adds to the existing gradient
     for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += before.values[i];
     EXPECT_LT(worst_error(d_from.read(), expected), 1e-6);
@@ -97,23 +97,23 @@ TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
 TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const UpsampleCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.small, c.channels, 1),
-                           asked = test::random_images(c.large, c.channels, 2);
+                           upstream = test::random_images(c.large, c.channels, 2);
     Resample resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.large, c.channels),
-                                           d_to(device(), asked),
+                                           d_to(device(), upstream),
                                            d_from = OnDevice::unwritten(device(), c.small, c.channels);
     resample.upsample(stream, from.slice(), to.slice());
     resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
     stream.finish();
     const test::ImageBatch actual = to.read(), back = d_from.read();
     EXPECT_LT(worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
-    EXPECT_LT(worst_error(back, reference::upsample_vjp(asked, back.rows, back.columns)), 2e-6);
+    EXPECT_LT(worst_error(back, reference::upsample_vjp(upstream, back.rows, back.columns)), 2e-6);
     // Both kernels compute pixel positions in the same way, so they are transposes up to
     // rounding.
-    const double forth = test::dot(asked.values, actual.values);
+    const double forth = test::dot(upstream.values, actual.values);
     EXPECT_NEAR(test::dot(back.values, values.values), forth,
-                1e-6 * std::sqrt(double(asked.values.size())) * 4.0);
+                1e-6 * std::sqrt(double(upstream.values.size())) * 4.0);
 }
 
 /// Constants must stay constant, rows must be clamped at the border, and the first and

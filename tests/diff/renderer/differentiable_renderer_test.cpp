@@ -60,19 +60,22 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     place(renderer);
     renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // a small batch before a larger one
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
-    const HostGradients found = renderer.backward(to_arrays(d_rendered));
+    const HostGradients device_result = renderer.backward(to_arrays(d_rendered));
     test::GradientTable table;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
-        table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(found.surfels.mean[i], 3));
-        table.add_row("opacity_logit", {expected.surfels[i].opacity_logit}, {found.surfels.opacity_logit[i]});
-        EXPECT_EQ(found.touched[i] != 0, glm::length(found.surfels.mean[i]) > 0.0f) << "surfel " << i;
+        table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(device_result.surfels.mean[i], 3));
+        table.add_row("opacity_logit", {expected.surfels[i].opacity_logit},
+                      {device_result.surfels.opacity_logit[i]});
+        EXPECT_EQ(device_result.touched[i] != 0, glm::length(device_result.surfels.mean[i]) > 0.0f)
+            << "surfel " << i;
     }
-    ASSERT_EQ(found.rays.size(), 6 * rays.size());
+    ASSERT_EQ(device_result.rays.size(), 6 * rays.size());
     for (std::size_t i = 0; i < d_rays.size(); ++i)
-        table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(&found.rays[6 * i + 3], 3));
-    ASSERT_EQ(found.poses.size(), 12u);
-    table.add_row("pose", lanes(expected.instances[1].translation, 3), lanes(&found.poses[6], 3));
-    EXPECT_EQ(found.sensor.size(), 6u);
+        table.add_row("ray direction", lanes(d_rays[i].direction, 3),
+                      lanes(&device_result.rays[6 * i + 3], 3));
+    ASSERT_EQ(device_result.poses.size(), 12u);
+    table.add_row("pose", lanes(expected.instances[1].translation, 3), lanes(&device_result.poses[6], 3));
+    EXPECT_EQ(device_result.sensor.size(), 6u);
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
         EXPECT_EQ(group.missing_rows(), 0u) << name;

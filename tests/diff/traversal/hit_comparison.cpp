@@ -71,17 +71,17 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
     double last_t = -HUGE_VAL;
     for (const reference::Hit& hit : actual) {
         if (++seen[id_of(hit)] > 1) add_error(d, describe(ray_index, "reported twice:", hit));
-        const auto found = expected_t.find(id_of(hit));
-        if (found == expected_t.end()) {
+        const auto match = expected_t.find(id_of(hit));
+        if (match == expected_t.end()) {
             if (on_boundary(world, model, ray, hit)) d.n_flips += 1;
             else add_error(d, describe(ray_index, "not a hit:", hit));
             continue;
         }
-        if (found->second < last_t) {
-            if (last_t - found->second <= 1e-5 * (1.0 + std::abs(last_t))) d.n_swaps += 1;
+        if (match->second < last_t) {
+            if (last_t - match->second <= 1e-5 * (1.0 + std::abs(last_t))) d.n_swaps += 1;
             else add_error(d, describe(ray_index, "out of order:", hit));
         }
-        last_t = std::max(last_t, found->second);
+        last_t = std::max(last_t, match->second);
     }
     for (const reference::Hit& hit : expected) {
         if (seen.contains(id_of(hit))) continue;

@@ -91,10 +91,10 @@ protected:
         }();
         for (const Walk walk : {Walk::lane, Walk::subgroup}) {
             if (walk == Walk::lane && device().traversal() == Traversal::ray_query) continue;
-            const CollectedHits found = collect(scene, accel, {.walk = walk});
+            const CollectedHits result = collect(scene, accel, {.walk = walk});
             std::size_t n_different = 0;
             for (std::size_t i = 0; i < case_.rays.size(); ++i)
-                n_different += test::hits_of(found, i) != test::hits_of(brute, i);
+                n_different += test::hits_of(result, i) != test::hits_of(brute, i);
             EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup")
                                        << ": rays whose hits differ from brute force";
         }

@@ -58,11 +58,11 @@ Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
     EXPECT_THROW(load_sequence(log.string(), strict), DataError);
     Sequence left = load_sequence(log.string(), skipping(part));
     EXPECT_EQ(numbers(left), expected);
-    const auto told = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
+    const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
         return note.starts_with("a broken scan is left out: ") &&
                note.find(scan.filename().string()) != std::string::npos;
     });
-    EXPECT_EQ(told, 1) << testing::PrintToString(left.notes);
+    EXPECT_EQ(n_notes, 1) << testing::PrintToString(left.notes);
     for (const Frame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
     return left;
 }
@@ -96,18 +96,18 @@ std::string complaint(const test::KittiDrive& drive) {
 
 TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const test::KittiDrive drive("cut_scans");
-    const std::string whole = test::read_text(drive.scan(1));
-    const std::size_t n = whole.size() / 16;
+    const std::string original = test::read_text(drive.scan(1));
+    const std::size_t n = original.size() / 16;
     const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
-    put(whole.substr(0, 16 * (n / 3)));
+    put(original.substr(0, 16 * (n / 3)));
     EXPECT_THAT(complaint(drive),
                 HasSubstr(fmt::format("0000000001.bin: {} points where the scans beside it have", n / 3)));
     EXPECT_THAT(complaint(drive), HasSubstr("dataset.skip_broken=true leaves such scans out"));
     // about eight of 64 rings, because rings have different numbers of returns
-    put(whole.substr(0, 16 * (n - n / 8)));
+    put(original.substr(0, 16 * (n - n / 8)));
     EXPECT_THAT(complaint(drive), HasSubstr("0000000001.bin: its points end in ring 5"));
     EXPECT_THAT(complaint(drive), HasSubstr("those of the scans beside it in ring 64"));
-    put(std::string(whole.size(), '\0'));
+    put(std::string(original.size(), '\0'));
     EXPECT_THAT(complaint(drive),
                 HasSubstr(fmt::format("0000000001.bin: all {} points are at the sensor", n)));
     const Sequence left = load_sequence(drive.folder.string(), skipping());
@@ -118,10 +118,10 @@ TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     // any case.
     for (const int kept_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
-        put(whole.substr(0, 16 * (n - n_missing)));
+        put(original.substr(0, 16 * (n - n_missing)));
         EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << kept_deg;
     }
-    put(whole);
+    put(original);
     EXPECT_EQ(complaint(drive), "");
     EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Not(early));
 }

@@ -54,10 +54,11 @@ TEST(CheckSequence, GoodLogsPass) {
 /// text.
 void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) {
-        const std::string found = error_after(damage);
-        EXPECT_NE(found.find(expected), std::string::npos) << "found " << found << "\nexpected " << expected;
-        EXPECT_EQ(found.find('\n'), std::string::npos);
-        EXPECT_NE(found.find(", expected "), std::string::npos) << found;
+        const std::string message = error_after(damage);
+        EXPECT_NE(message.find(expected), std::string::npos)
+            << "found " << message << "\nexpected " << expected;
+        EXPECT_EQ(message.find('\n'), std::string::npos);
+        EXPECT_NE(message.find(", expected "), std::string::npos) << message;
     }
 }
 

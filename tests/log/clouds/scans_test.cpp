@@ -72,17 +72,17 @@ private:
     }
 };
 
-void expect_same_rays(const Scan& found, const Scan& truth, float late_s) {
-    ASSERT_EQ(found.rays.rows, truth.rays.rows);
-    ASSERT_EQ(found.rays.columns, truth.rays.columns);
+void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
+    ASSERT_EQ(actual.rays.rows, truth.rays.rows);
+    ASSERT_EQ(actual.rays.columns, truth.rays.columns);
     for (std::size_t i = 0; i < truth.rays.size(); ++i) {
-        ASSERT_EQ(found.range_m[i] > 0.0f, truth.range_m[i] > 0.0f) << "ray " << i;
-        EXPECT_NEAR(found.range_m[i], truth.range_m[i], 1e-4f);
-        EXPECT_EQ(found.intensity[i], truth.intensity[i]);
-        EXPECT_LT(glm::distance(found.rays.direction[i], truth.rays.direction[i]), 1e-4f) << "ray " << i;
-        EXPECT_LT(glm::distance(found.rays.origin[i], truth.rays.origin[i]), 1e-4f);
-        EXPECT_EQ(found.rays.channel[i], truth.rays.channel[i]);
-        EXPECT_NEAR(found.rays.time_offset_s[i], truth.rays.time_offset_s[i] + late_s, 1e-5f) << "ray " << i;
+        ASSERT_EQ(actual.range_m[i] > 0.0f, truth.range_m[i] > 0.0f) << "ray " << i;
+        EXPECT_NEAR(actual.range_m[i], truth.range_m[i], 1e-4f);
+        EXPECT_EQ(actual.intensity[i], truth.intensity[i]);
+        EXPECT_LT(glm::distance(actual.rays.direction[i], truth.rays.direction[i]), 1e-4f) << "ray " << i;
+        EXPECT_LT(glm::distance(actual.rays.origin[i], truth.rays.origin[i]), 1e-4f);
+        EXPECT_EQ(actual.rays.channel[i], truth.rays.channel[i]);
+        EXPECT_NEAR(actual.rays.time_offset_s[i], truth.rays.time_offset_s[i] + late_s, 1e-5f) << "ray " << i;
     }
 }
 
@@ -109,14 +109,14 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan found = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
-    ASSERT_EQ(found.second_returns.size(), 1u);
+    const Scan actual = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
+    ASSERT_EQ(actual.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
-        EXPECT_NEAR(found.range_m[i], truth.scan.range_m[i], 1e-4f);
-        EXPECT_NEAR(found.second_returns[0].range_m[i], truth.scan.second_returns[0].range_m[i], 1e-4f);
-        EXPECT_EQ(found.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
+        EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
+        EXPECT_NEAR(actual.second_returns[0].range_m[i], truth.scan.second_returns[0].range_m[i], 1e-4f);
+        EXPECT_EQ(actual.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
     }
-    Scan cut = found;
+    Scan cut = actual;
     drop_outside(cut, {0.0, 30.0});
     for (std::size_t i = 0; i < cut.range_m.size(); ++i)
         EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f ||

@@ -106,10 +106,10 @@ TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
         for (std::size_t c = 0; c < p.planes.size(); ++c)
             equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
-        const Eigen::VectorXd found =
+        const Eigen::VectorXd actual =
             equations.solve(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
         const DenseEquations dense = dense_equations(p, kPrior);
-        const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = found - expected;
+        const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = actual - expected;
         EXPECT_LT(off.dot(dense.h * off), 1e-4 * expected.dot(dense.h * expected)) << "seed " << seed;
     }
 }

@@ -27,10 +27,10 @@ std::string refusal(const std::string& names) {
 }
 
 TEST(ChannelList, IsAskedForByNames) {
-    const std::vector<ChannelInfo> wanted = wanted_channels("seen, normal,seen");
-    ASSERT_EQ(wanted.size(), 2u) << "each once";
-    EXPECT_EQ(wanted[0].name, "seen");
-    EXPECT_EQ(wanted[1].name, "normal");
+    const std::vector<ChannelInfo> channel_infos = wanted_channels("seen, normal,seen");
+    ASSERT_EQ(channel_infos.size(), 2u) << "each once";
+    EXPECT_EQ(channel_infos[0].name, "seen");
+    EXPECT_EQ(channel_infos[1].name, "normal");
     EXPECT_TRUE(wanted_channels("").empty());
     EXPECT_THAT(
         refusal("normal,sean"),

@@ -178,11 +178,11 @@ TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     std::vector<float> expected(kRays, kNoIntensity);
     const scatter_detail::Context context(image, expected);
     for (std::size_t i = 0; i < kRays; ++i) {
-        const scatter_detail::Features asked = context.of(int(i / kColumns), int(i % kColumns));
+        const scatter_detail::Features features = context.of(int(i / kColumns), int(i % kColumns));
         const IntensityScatter::Node* node = &scatter.nodes[0];
         while (node->feature >= 0)
             node = &scatter.nodes[std::size_t(node->child) +
-                                  (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
+                                  (features[std::size_t(node->feature)] <= node->at ? 0 : 1)];
         expected[i] =
             scatter.values[node->first + std::size_t(Random(hash64(11, i)).uniform() * double(node->count))];
     }

@@ -68,9 +68,9 @@ std::vector<Beam> unequal_beams() {
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = unequal_beams();
     Sequence sequence = drive(truth, 0.01);
-    const IntensityCalibration found = calibrate_intensity(sequence, kAll);
-    ASSERT_GT(found.returns, 2000u);
-    EXPECT_GT(found.rms_before, 3.0 * found.rms_after);
+    const IntensityCalibration calibration = calibrate_intensity(sequence, kAll);
+    ASSERT_GT(calibration.returns, 2000u);
+    EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
     // Compares the values that two beams report for the same surface, because the data do
     // not determine the common scale and offset.
     for (const double surface : {0.3, 0.6}) {
@@ -109,18 +109,18 @@ Sequence street() {
     return make_synthetic_street(options);
 }
 
-void expect_the_streets_fall(const IntensityResponse& found, double tolerance) {
+void expect_the_streets_fall(const IntensityResponse& calibration, double tolerance) {
     const auto exact = [](double range_m) { return (1.0 - range_m / 160.0) / (1.0 - 10.0 / 160.0); };
     for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0})
-        EXPECT_NEAR(found.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
-    EXPECT_NEAR(found.incidence, 0.7, 0.05);
+        EXPECT_NEAR(calibration.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
+    EXPECT_NEAR(calibration.incidence, 0.7, 0.05);
 }
 
 TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
     Sequence sequence = street();
-    const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
-    EXPECT_TRUE(found.shared);
-    EXPECT_FALSE(found.beams);
+    const IntensityCalibration calibration = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    EXPECT_TRUE(calibration.shared);
+    EXPECT_FALSE(calibration.beams);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
     expect_the_streets_fall(sequence.intensity_response, 0.04);
 }
@@ -135,8 +135,8 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
-    const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
-    EXPECT_TRUE(found.shared && found.beams);
+    const IntensityCalibration calibration = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    EXPECT_TRUE(calibration.shared && calibration.beams);
     // A beam sees the ground at a single range.
     expect_the_streets_fall(sequence.intensity_response, 0.06);
     double ratio = 0.0;  // the mean beam is weighted by returns
@@ -148,23 +148,23 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
-    Sequence whole = drive(unequal_beams(), 0.01), changed = whole;
+    Sequence original = drive(unequal_beams(), 0.01), changed = original;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
     const std::vector<int> without{0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11};
-    calibrate_intensity(whole, without);
+    calibrate_intensity(original, without);
     calibrate_intensity(changed, without);
     for (std::size_t b = 0; b < 8; ++b) {
-        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_gain,
+        EXPECT_EQ(original.lidars[0].sensor.beams[b].intensity_gain,
                   changed.lidars[0].sensor.beams[b].intensity_gain);
-        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_offset,
+        EXPECT_EQ(original.lidars[0].sensor.beams[b].intensity_offset,
                   changed.lidars[0].sensor.beams[b].intensity_offset);
     }
 }
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
     Sequence sequence = drive(unequal_beams(), 0.0);
-    const IntensityCalibration found = calibrate_intensity(sequence, {});
-    EXPECT_EQ(found.returns, 0u);
+    const IntensityCalibration calibration = calibrate_intensity(sequence, {});
+    EXPECT_EQ(calibration.returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
 

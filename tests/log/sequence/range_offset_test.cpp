@@ -60,9 +60,9 @@ const std::vector<int> kTrain{0, 1, 2, 3, 4, 6, 7, 8, 9};
 
 TEST(RangeOffset, ComesBackFromSharedPlanes) {
     Sequence sequence = drive();
-    const LaserCalibration found = calibrate_ranges(sequence, kTrain);
-    ASSERT_GT(found.returns, 20000u);
-    EXPECT_GT(found.rms_before, 2.0 * found.rms_after);
+    const LaserCalibration calibration = calibrate_ranges(sequence, kTrain);
+    ASSERT_GT(calibration.returns, 20000u);
+    EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
     double mean = 0.0;  // compares differences, because a common offset of all beams is hardly observable
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         mean +=

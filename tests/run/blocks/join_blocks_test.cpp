@@ -46,9 +46,9 @@ protected:
         run.config.refine.enabled = false;
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
-        whole = make_background_scene(test::walls_at(xs));
+        full_scene = make_background_scene(test::walls_at(xs));
         // moves the walls that block the path to the side
-        for (std::size_t i = 1; i < whole.surfels.size(); i += 3) whole.surfels.mean[i].y = 14.0f;
+        for (std::size_t i = 1; i < full_scene.surfels.size(); i += 3) full_scene.surfels.mean[i].y = 14.0f;
         blocks = plan_blocks(log, run.split, {200.0, 40.0});
         ASSERT_THAT(blocks, SizeIs(4));
         for (std::size_t k = 0; k < blocks.size(); ++k) save_block(k);
@@ -65,7 +65,7 @@ protected:
     void save_block(std::size_t k) {
         const BlockLog part = block_log(log, run.split, blocks[k], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));
-        relidar::Run block{folders.back(), part.config, part.sequence, part.split, whole};
+        relidar::Run block{folders.back(), part.config, part.sequence, part.split, full_scene};
         keep_own_surfels(block.scene, log, blocks, k);
         block.scene.sensor_drop = {1, 2, {0.25f * float(k), 0.5f}};
         // simulates refined poses
@@ -89,7 +89,7 @@ protected:
     fs::path folder;
     Sequence log;
     relidar::Run run;
-    Scene whole;
+    Scene full_scene;
     std::vector<Block> blocks;
     std::vector<fs::path> folders;
 };
@@ -110,7 +110,7 @@ TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
     const relidar::Run read = load_run(run.folder);
     EXPECT_THAT(read.scene.blocks, SizeIs(4));
     EXPECT_EQ(read.scene.models[0].count, 0u);
-    EXPECT_EQ(count_surfels(read.scene), whole.surfels.size() + 3);
+    EXPECT_EQ(count_surfels(read.scene), full_scene.surfels.size() + 3);
     ASSERT_THAT(read.scene.instances, SizeIs(2));
     EXPECT_EQ(read.scene.instances[1].track, "car");
     EXPECT_EQ(read.scene.surfels.mean[read.scene.models[1].first].x, 0.0f) << "the car of block 0";
@@ -118,12 +118,12 @@ TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
     const Scene all = whole_scene(read.scene);
     EXPECT_TRUE(all.blocks.empty());
     const auto places = [](const Scene& scene) {
-        std::multiset<std::tuple<float, float, float>> found;
+        std::multiset<std::tuple<float, float, float>> result;
         for (std::uint32_t i = 0; i < scene.models[0].count; ++i)
-            found.emplace(scene.surfels.mean[i].x, scene.surfels.mean[i].y, scene.surfels.sh[i * kShFloats]);
-        return found;
+            result.emplace(scene.surfels.mean[i].x, scene.surfels.mean[i].y, scene.surfels.sh[i * kShFloats]);
+        return result;
     };
-    EXPECT_EQ(places(all), places(whole));
+    EXPECT_EQ(places(all), places(full_scene));
 }
 
 TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {

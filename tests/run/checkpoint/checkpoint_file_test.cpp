@@ -90,12 +90,12 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
     save_checkpoint(folder, example(100), 2);
     save_checkpoint(folder, example(200), 2);
     const fs::path newest = list_checkpoints(folder).back();
-    const std::string whole = contents(newest);
+    const std::string original = contents(newest);
     constexpr std::size_t kCuts = 200;
     for (std::size_t i = 0; i < kCuts; ++i) {
-        const std::size_t length = i * whole.size() / kCuts;
+        const std::size_t length = i * original.size() / kCuts;
         SCOPED_TRACE(length);
-        put(newest, whole.substr(0, length));
+        put(newest, original.substr(0, length));
         const std::string message = data_error([&] { read_checkpoint(newest); });
         EXPECT_NE(message.find(newest.string()), std::string::npos) << message;
         const Loaded loaded = load(folder);
@@ -103,18 +103,18 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
         EXPECT_EQ(loaded.checkpoint->iteration, 100);
         EXPECT_EQ(loaded.notes.size(), 1u);
     }
-    put(newest, whole.substr(0, whole.size() - 1));  // without the last byte
+    put(newest, original.substr(0, original.size() - 1));  // without the last byte
     EXPECT_EQ(load(folder).checkpoint->iteration, 100);
 }
 
 TEST_F(CheckpointFile, EveryFlippedBitIsNoticed) {
     write_checkpoint(folder / "a", example(400));
-    const std::string whole = contents(folder / "a");
+    const std::string original = contents(folder / "a");
     std::mt19937 random(7);
     for (int i = 0; i < 2000; ++i) {
-        const std::size_t bit = random() % (8 * whole.size());
+        const std::size_t bit = random() % (8 * original.size());
         SCOPED_TRACE(bit);
-        std::string flipped = whole;
+        std::string flipped = original;
         flipped[bit / 8] = static_cast<char>(flipped[bit / 8] ^ (1 << bit % 8));
         put(folder / "a", flipped);
         try {

@@ -103,26 +103,27 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
 
 /// Runs of another version may have missing or additional settings; both are errors.
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
-    const std::string whole = to_toml(make_preset("quick"));
+    const std::string original = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {
         put(folder / "config.toml", text);
         return data_error([&] { load_saved_config(folder / "config.toml"); });
     };
-    put(folder / "config.toml", whole);
+    put(folder / "config.toml", original);
     expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
     const std::string file = (folder / "config.toml").string() + ": setting ";
     const std::string advice = "; a run of another version of relidar must be trained again";
     EXPECT_EQ(
-        error(whole + "[mars]\ncolour = \"red\"\n"),
+        error(original + "[mars]\ncolour = \"red\"\n"),
         file + "mars.colour: unknown key, expected one that `relidar list settings --all` lists" + advice);
     const std::string line = "alpha_min = 0.04\n";
-    std::string less = whole;
+    std::string less = original;
     ASSERT_NE(less.find(line), std::string::npos);
     EXPECT_EQ(error(less.erase(less.find(line), line.size())),
               file + "image.alpha_min: missing, expected every setting" + advice);
-    EXPECT_EQ(error(whole.substr(0, whole.find("preset = ")) + whole.substr(whole.find("[dataset]"))),
-              file + "preset: missing, expected every setting" + advice);
-    std::string changed = whole;
+    EXPECT_EQ(
+        error(original.substr(0, original.find("preset = ")) + original.substr(original.find("[dataset]"))),
+        file + "preset: missing, expected every setting" + advice);
+    std::string changed = original;
     const std::string quoted = "rolling_shutter = \"auto\"";
     ASSERT_NE(changed.find(quoted), std::string::npos);
     EXPECT_EQ(error(changed.replace(changed.find(quoted), quoted.size(), "rolling_shutter = true")),

@@ -155,12 +155,12 @@ TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
 class GroundOfBlocks : public TemporaryFolder {};
 
 TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
-    const DrivingScene whole = slope();
-    const std::uint32_t n = whole.scene.models[0].count;
+    const DrivingScene original = slope();
+    const std::uint32_t n = original.scene.models[0].count;
     const auto block_file = folder / "model.safetensors";
-    save_model(block_file, make_background_scene(whole.scene.surfels.slice(0, n)));
-    DrivingScene d = whole;
-    d.scene.surfels = whole.scene.surfels.slice(n, 1);
+    save_model(block_file, make_background_scene(original.scene.surfels.slice(0, n)));
+    DrivingScene d = original;
+    d.scene.surfels = original.scene.surfels.slice(n, 1);
     d.scene.models[0].count = 0;
     d.scene.models[1].first = 0;
     d.scene.blocks.push_back({block_file, n, glm::vec3(-20, -10, -3), glm::vec3(20, 10, 3)});

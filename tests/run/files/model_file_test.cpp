@@ -162,9 +162,9 @@ TEST_F(ModelFile, AnEmptySceneRoundTrips) {
 }
 
 TEST_F(ModelFile, CutFilesAreRefused) {
-    const std::string whole = contents(path);
-    for (std::size_t keep = 0; keep < whole.size(); keep += keep < 600 ? 37 : 211) {
-        put(path, std::string_view(whole).substr(0, keep));
+    const std::string original = contents(path);
+    for (std::size_t keep = 0; keep < original.size(); keep += keep < 600 ? 37 : 211) {
+        put(path, std::string_view(original).substr(0, keep));
         EXPECT_NE(load_error().find("model.safetensors"), std::string::npos) << keep;
     }
     std::filesystem::remove(path);
@@ -172,18 +172,18 @@ TEST_F(ModelFile, CutFilesAreRefused) {
 }
 
 TEST_F(ModelFile, ArraysAreChecked) {
-    const std::vector<NamedArray> whole = arrays;
+    const std::vector<NamedArray> original = arrays;
     for (const char* name : {"mean", "rotation", "log_scale", "opacity_logit", "sh"}) {
-        arrays = whole;
+        arrays = original;
         std::erase_if(arrays, [&](const NamedArray& a) { return a.name == name; });
         write_safetensors(path, arrays, metadata);
         EXPECT_NE(load_error().find(std::string("array ") + name + ": missing"), std::string::npos);
     }
-    arrays = whole;
+    arrays = original;
     array("sh").shape = {4, 48};
     write_safetensors(path, arrays, metadata);
     EXPECT_NE(load_error().find("array sh: found f4 [4, 48], expected f4 [4, 3, 16]"), std::string::npos);
-    arrays = whole;
+    arrays = original;
     const float one_row[4] = {1, 0, 0, 0};
     array("rotation") = make_array("rotation", {1, 4}, one_row, 4);
     write_safetensors(path, arrays, metadata);

@@ -72,9 +72,9 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
     run.drop_network = example_network();
     save_run(run);
     const auto file = run.folder / "drop_network.safetensors";
-    const std::string whole = contents(file);
+    const std::string original = contents(file);
     const auto replaced = [&](const std::string& from, const std::string& to) {
-        std::string text = whole;
+        std::string text = original;
         text.replace(text.find(from), from.size(), to);
         put(file, text);
         return load_error();
@@ -86,7 +86,7 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
                 ::testing::HasSubstr("heads: found 3, expected a divisor of 8"));
     EXPECT_THAT(replaced("\"running\"", "\"walking\""),
                 ::testing::HasSubstr("array running: missing or not f4, expected it"));
-    put(file, whole.substr(0, whole.size() - 5));
+    put(file, original.substr(0, original.size() - 5));
     EXPECT_THAT(load_error(), ::testing::HasSubstr("drop_network.safetensors"));
     run.drop_network.parameters[7] = std::numeric_limits<float>::quiet_NaN();
     save_run(run);
@@ -350,21 +350,21 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 }
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
-    const Json whole = Json::parse(scene);
+    const Json original = Json::parse(scene);
     // Optional fields: information for users, and edits, which an unedited run lacks.
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions",
-                                           "/lidars/0/sensor/beam_fields", "/edits"};
+    const std::vector<std::string> optional_fields = {"/relidar", "/units", "/conventions",
+                                                      "/lidars/0/sensor/beam_fields", "/edits"};
     int n_tried = 0;
-    const Json flat = whole.flatten();
+    const Json flat = original.flatten();
     for (const auto& [pointer, value] : flat.items()) {
         std::string field = pointer;
         // Arrays are removed as a unit, not element by element.
         while (std::isdigit(static_cast<unsigned char>(field.back())))
             field = field.substr(0, field.find_last_of('/'));
-        if (std::any_of(told.begin(), told.end(),
+        if (std::any_of(optional_fields.begin(), optional_fields.end(),
                         [&](const std::string& t) { return field.rfind(t, 0) == 0; }))
             continue;
-        Json changed = whole;
+        Json changed = original;
         const Json::json_pointer at(field);
         changed.at(at.parent_pointer()).erase(at.back());
         const std::string message = error_with(changed);
@@ -376,9 +376,9 @@ TEST_F(RunFolder, EveryFieldIsNeeded) {
 }
 
 TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
-    const Json whole = Json::parse(scene);
+    const Json original = Json::parse(scene);
     const auto replaced = [&](const char* pointer, const Json& value) {
-        Json changed = whole;
+        Json changed = original;
         changed[Json::json_pointer(pointer)] = value;
         return error_with(changed);
     };
@@ -402,9 +402,9 @@ TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
 }
 
 TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
-    const Json whole = Json::parse(scene);
+    const Json original = Json::parse(scene);
     const auto replaced = [&](const char* pointer, const Json& value) {
-        Json changed = whole;
+        Json changed = original;
         changed[Json::json_pointer(pointer)] = value;
         return error_with(changed);
     };
@@ -414,7 +414,7 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
     EXPECT_NE(replaced("/lidars/0/sensor/beams/1/3", 1e308)
                   .find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 100"),
               std::string::npos);
-    Json many = whole;
+    Json many = original;
     many["lidars"][0]["sensor"]["columns"] = 1000000;
     for (int i = 0; i < 200; ++i)
         many["lidars"][0]["sensor"]["beams"].push_back(many["lidars"][0]["sensor"]["beams"][0]);

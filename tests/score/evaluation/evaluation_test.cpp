@@ -61,13 +61,13 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
         seen.push_back(frame);
         frame.metrics["own"] = frame.frame;
     };
-    std::vector<double> told;
+    std::vector<double> progress;
     const Evaluation evaluation = evaluate_frames(
         renderer, run.config, run.sequence, positions,
-        [&](std::string_view, double done) { told.push_back(done); }, see);
+        [&](std::string_view, double done) { progress.push_back(done); }, see);
     expect_forgotten(evaluation, seen);
-    EXPECT_EQ(told.size(), std::size_t(kFrames) + 1);
-    EXPECT_TRUE(std::is_sorted(told.begin(), told.end()) && told.back() == 1.0);
+    EXPECT_EQ(progress.size(), std::size_t(kFrames) + 1);
+    EXPECT_TRUE(std::is_sorted(progress.begin(), progress.end()) && progress.back() == 1.0);
     EXPECT_DOUBLE_EQ(evaluation.mean.at("own"), 0.5 * (kFrames - 1))
         << "metrics that are added where a frame is seen count";
     double sum = 0.0;
@@ -76,8 +76,8 @@ TEST_F(EvaluationOf, ManyFramesIsThatOfEach) {
             score_frame(renderer, run.config, run.sequence, run.sequence.frames[std::size_t(i)]);
         EXPECT_GT(alone.metrics.size(), 20u);
         for (const auto& [name, value] : alone.metrics) {
-            const double found = evaluation.frames[std::size_t(i)].metrics.at(name);
-            EXPECT_TRUE(found == value || (std::isnan(found) && std::isnan(value)))
+            const double actual = evaluation.frames[std::size_t(i)].metrics.at(name);
+            EXPECT_TRUE(actual == value || (std::isnan(actual) && std::isnan(value)))
                 << "frame " << i << ", " << name;
         }
         sum += alone.metrics.at("strict/depth_rmse_m");

@@ -113,7 +113,7 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
     const std::map<std::string, double> expected = independent_scores(bench, pair);
     if (expected.empty()) GTEST_SKIP() << "no python3 with numpy and scipy";
     const std::vector<bool> moving(pair.moving.begin(), pair.moving.end());
-    const MetricRow found =
+    const MetricRow actual =
         evaluate_all({{&pair.rendered, &pair.real, standard_regions(pair.real, moving)}}).front();
     std::vector<std::pair<std::string, std::string>> names = {
         {"0.4:cd_sq", "peer/cd_sq_m2"},
@@ -145,8 +145,8 @@ TEST(Metrics, AgreeWithAnIndependentScript) {
     }
     for (const auto& [theirs, ours] : names) {
         ASSERT_TRUE(expected.contains(theirs)) << theirs;
-        ASSERT_TRUE(found.contains(ours)) << ours;
-        EXPECT_NEAR(found.at(ours), expected.at(theirs), 1e-6 * (1.0 + std::abs(expected.at(theirs))))
+        ASSERT_TRUE(actual.contains(ours)) << ours;
+        EXPECT_NEAR(actual.at(ours), expected.at(theirs), 1e-6 * (1.0 + std::abs(expected.at(theirs))))
             << theirs << " " << ours;
     }
 }

@@ -130,11 +130,11 @@ TEST(LpipsNetwork, AgreesWithDirectLoops) {
         const std::vector<float> a = random_values(n, -1.0f, 1.0f, 1), b = random_values(n, -3.0f, 5.0f, 2);
         const std::vector<Planes> fa = reference_features(a, rows, columns, weights),
                                   fb = reference_features(b, rows, columns, weights);
-        const std::array<double, 5> found = lpips.by_layer(a, b, rows, columns);
+        const std::array<double, 5> actual = lpips.by_layer(a, b, rows, columns);
         for (std::size_t l = 0; l < 5; ++l) {
             const double expected = reference_distance(fa[l], fb[l], weights.linear[l]);
             EXPECT_GT(expected, 0.0);
-            EXPECT_NEAR(found[l], expected, 2e-5 * expected)
+            EXPECT_NEAR(actual[l], expected, 2e-5 * expected)
                 << "layer " << l << " of " << rows << " x " << columns;
         }
     }
@@ -198,15 +198,15 @@ TEST(LpipsNetwork, AgreesWithPublishedWeightsAndValues) {
                                                          : std::sin(k2 * (x + y))));
         return values;
     };
-    const std::array<double, 5> found =
+    const std::array<double, 5> actual =
         Lpips(read_lpips_weights(file))
             .by_layer(image(0.05, 0.03, 0.11), image(0.08, 0.05, 0.13), n_rows, n_columns);
     const double expected[5] = {0.05731607973575592, 0.03482897952198982, 0.030503420159220695,
                                 0.02966426871716976, 0.01576225645840168};
     double sum = 0.0;
     for (std::size_t l = 0; l < 5; ++l) {
-        EXPECT_NEAR(found[l], expected[l], 0x1p-11 * expected[l]) << "layer " << l;
-        sum += found[l];
+        EXPECT_NEAR(actual[l], expected[l], 0x1p-11 * expected[l]) << "layer " << l;
+        sum += actual[l];
     }
     EXPECT_NEAR(sum, 0.16807499527931213, 0x1p-11 * 0.168);
 }

@@ -125,21 +125,21 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
     EXPECT_EQ(asset_clearance(load_run(folder / "car-7")), 0.15);
     EXPECT_FALSE(asset_clearance(run_of(plates(), kAhead)));
     ASSERT_EQ(asset_folders(folder), std::vector<std::filesystem::path>{folder / "car-7"});
-    const AssetFacts found = read_asset_facts(folder / "car-7");
-    EXPECT_EQ(found.name, "car-7");
-    EXPECT_EQ(found.category, "Car");
-    EXPECT_EQ(found.kind, ObjectKind::vehicle);
-    EXPECT_EQ(found.size_m, kCarSize_m);
-    EXPECT_EQ(found.source_track, "7");
-    EXPECT_EQ(found.sensor, "small");
-    EXPECT_EQ(found.seen_sides, asset.facts.seen_sides);
-    EXPECT_EQ(found.seen, asset.facts.seen);
-    EXPECT_EQ(found.completed, asset.facts.completed);
-    EXPECT_GT(found.seen, 0.0);
-    EXPECT_EQ(found.nearest_m, 8.25);
-    EXPECT_EQ(found.surfels, asset.facts.surfels);
-    EXPECT_EQ(found.mirrored, asset.facts.mirrored);
-    EXPECT_GT(found.mirrored, 0u);
+    const AssetFacts actual = read_asset_facts(folder / "car-7");
+    EXPECT_EQ(actual.name, "car-7");
+    EXPECT_EQ(actual.category, "Car");
+    EXPECT_EQ(actual.kind, ObjectKind::vehicle);
+    EXPECT_EQ(actual.size_m, kCarSize_m);
+    EXPECT_EQ(actual.source_track, "7");
+    EXPECT_EQ(actual.sensor, "small");
+    EXPECT_EQ(actual.seen_sides, asset.facts.seen_sides);
+    EXPECT_EQ(actual.seen, asset.facts.seen);
+    EXPECT_EQ(actual.completed, asset.facts.completed);
+    EXPECT_GT(actual.seen, 0.0);
+    EXPECT_EQ(actual.nearest_m, 8.25);
+    EXPECT_EQ(actual.surfels, asset.facts.surfels);
+    EXPECT_EQ(actual.mirrored, asset.facts.mirrored);
+    EXPECT_GT(actual.mirrored, 0u);
     EXPECT_EQ(load_run(folder / "car-7").scene.surfels.sh, asset.run.scene.surfels.sh);
 }
 

@@ -56,8 +56,8 @@ TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
             const glm::dvec3 direction =
                 glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
             const glm::dvec3 expected = reference::sh_values(here[i], direction, 3);
-            const glm::dvec3 found = reference::sh_values(there[i], kMirror * direction, 3);
-            EXPECT_LT(glm::length(found - expected), 1e-12);
+            const glm::dvec3 actual = reference::sh_values(there[i], kMirror * direction, 3);
+            EXPECT_LT(glm::length(actual - expected), 1e-12);
             EXPECT_GT(glm::length(reference::sh_values(here[i], kMirror * direction, 3) - expected), 1e-6)
                 << "they depend on it";
         }
@@ -105,15 +105,15 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
     EXPECT_EQ(asset.facts.mirrored, left.size());
     EXPECT_EQ(asset.facts.surfels, 2 * left.size()) << "guesses have made room";
     const RenderedScan expected = seen(asset.run, rays_from_the_right(-1.0)),
-                       found = seen(asset.run, rays_from_the_right(1.0));
-    ASSERT_EQ(found.weight.size(), expected.weight.size());
+                       actual = seen(asset.run, rays_from_the_right(1.0));
+    ASSERT_EQ(actual.weight.size(), expected.weight.size());
     std::size_t met = 0;
-    for (std::size_t i = 0; i < found.weight.size(); ++i) {
-        EXPECT_NEAR(found.weight[i], expected.weight[i], 1e-3) << i;
-        EXPECT_NEAR(found.image.intensity[i], expected.image.intensity[i], 1e-3) << i;
-        EXPECT_NEAR(found.image.drop_prob[i], expected.image.drop_prob[i], 1e-3) << i;
+    for (std::size_t i = 0; i < actual.weight.size(); ++i) {
+        EXPECT_NEAR(actual.weight[i], expected.weight[i], 1e-3) << i;
+        EXPECT_NEAR(actual.image.intensity[i], expected.image.intensity[i], 1e-3) << i;
+        EXPECT_NEAR(actual.image.drop_prob[i], expected.image.drop_prob[i], 1e-3) << i;
         if (expected.weight[i] < 0.1f) continue;
-        EXPECT_NEAR(found.mean_range_m[i], expected.mean_range_m[i], 0.01f) << i;
+        EXPECT_NEAR(actual.mean_range_m[i], expected.mean_range_m[i], 0.01f) << i;
         ++met;
     }
     EXPECT_GT(met, 500u);
@@ -121,15 +121,15 @@ TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
 
 TEST_F(MirroredCar, KeepsWhatWasSeen) {
     const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
-    const Surfels found = make_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
+    const Surfels actual = make_asset(run_of(left, {}), "7", from_outside(left.mean)).run.scene.surfels;
     for (std::size_t i = 0; i < left.size(); ++i) {
-        const auto it = std::ranges::find(found.mean, left.mean[i]);
-        ASSERT_NE(it, found.mean.end()) << i;
-        const auto k = std::size_t(it - found.mean.begin());
-        EXPECT_EQ(found.rotation[k], left.rotation[i]);
+        const auto it = std::ranges::find(actual.mean, left.mean[i]);
+        ASSERT_NE(it, actual.mean.end()) << i;
+        const auto k = std::size_t(it - actual.mean.begin());
+        EXPECT_EQ(actual.rotation[k], left.rotation[i]);
         EXPECT_TRUE(std::equal(left.sh.begin() + std::ptrdiff_t(i * kShFloats),
                                left.sh.begin() + std::ptrdiff_t((i + 1) * kShFloats),
-                               found.sh.begin() + std::ptrdiff_t(k * kShFloats)));
+                               actual.sh.begin() + std::ptrdiff_t(k * kShFloats)));
     }
 }
 

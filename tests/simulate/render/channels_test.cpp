@@ -181,11 +181,11 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
     for (const int sub_rays : {1, 5}) {
         config.sensor.sub_rays = sub_rays, config.sensor.divergence_mrad = 3.0;
         for (const char* sensor : {"native", "kitti360", "VLP-16"}) {
-            const RenderedScan found = scan(sensor);
+            const RenderedScan actual = scan(sensor);
             std::vector<std::string> names, expected = optional_channel_names();
-            for (const ScanChannel& channel : found.channels) {
+            for (const ScanChannel& channel : actual.channels) {
                 names.push_back(channel.info.name);
-                EXPECT_EQ(size(channel.values), found.image.range_m.size()) << channel.info.name;
+                EXPECT_EQ(size(channel.values), actual.image.range_m.size()) << channel.info.name;
                 EXPECT_FALSE(channel.info.meaning.empty());
             }
             std::ranges::sort(names), std::ranges::sort(expected);

@@ -91,17 +91,17 @@ protected:
 
 /// Checks that positions agree within float precision at 80 m, and that all other values
 /// are equal.
-void expect_same(const PointScan& found, const PointScan& expected, const std::string& what,
+void expect_same(const PointScan& actual, const PointScan& expected, const std::string& what,
                  double step = 0.0) {
-    ASSERT_EQ(found.points.size(), expected.points.size()) << what;
-    ASSERT_GT(found.points.size(), 100u) << what;
-    EXPECT_EQ(found.n_rays, expected.n_rays) << what;
-    EXPECT_EQ(found.time_s, expected.time_s) << what;
-    EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
-    EXPECT_EQ(found.dataset_from_points.translation, expected.dataset_from_points.translation) << what;
+    ASSERT_EQ(actual.points.size(), expected.points.size()) << what;
+    ASSERT_GT(actual.points.size(), 100u) << what;
+    EXPECT_EQ(actual.n_rays, expected.n_rays) << what;
+    EXPECT_EQ(actual.time_s, expected.time_s) << what;
+    EXPECT_EQ(actual.unseen_share, expected.unseen_share) << what;
+    EXPECT_EQ(actual.dataset_from_points.translation, expected.dataset_from_points.translation) << what;
     double farthest_m = 0.0, brightest = 0.0;
-    for (std::size_t i = 0; i < found.points.size(); ++i) {
-        const ScanPoint &p = found.points[i], &e = expected.points[i];
+    for (std::size_t i = 0; i < actual.points.size(); ++i) {
+        const ScanPoint &p = actual.points[i], &e = expected.points[i];
         farthest_m = std::max(farthest_m, double(glm::distance(p.position_m, e.position_m)));
         brightest = std::max(brightest, std::abs(double(p.intensity) - double(e.intensity)));
         ASSERT_EQ(p.time_offset_s, e.time_offset_s) << what << i;
@@ -135,9 +135,9 @@ TEST(FiringPoses, AreThoseOfEachRay) {
             FiringPoses poses(scan, target);
             for (std::size_t k = 0; k < 128; ++k) {
                 const std::size_t ray = k < 64 ? k : k * 37 % 64;
-                const Pose expected = target * scan.world_from_firing(ray), found = poses.at(ray);
-                EXPECT_EQ(found.translation, expected.translation) << ray;
-                EXPECT_EQ(found.rotation, expected.rotation) << ray;
+                const Pose expected = target * scan.world_from_firing(ray), actual = poses.at(ray);
+                EXPECT_EQ(actual.translation, expected.translation) << ray;
+                EXPECT_EQ(actual.rotation, expected.rotation) << ray;
             }
         }
 }
@@ -186,15 +186,16 @@ TEST_F(Points, ManyInFlightDoNotMix) {
 }
 
 /// Checks that two point scans are equal bit by bit.
-void expect_equal(const PointScan& found, const PointScan& expected, const std::string& what) {
-    ASSERT_EQ(found.points.size(), expected.points.size()) << what;
-    ASSERT_GT(found.points.size(), 100u) << what;
+void expect_equal(const PointScan& actual, const PointScan& expected, const std::string& what) {
+    ASSERT_EQ(actual.points.size(), expected.points.size()) << what;
+    ASSERT_GT(actual.points.size(), 100u) << what;
     EXPECT_EQ(
-        std::memcmp(found.points.data(), expected.points.data(), found.points.size() * sizeof(ScanPoint)), 0)
+        std::memcmp(actual.points.data(), expected.points.data(), actual.points.size() * sizeof(ScanPoint)),
+        0)
         << what;
-    EXPECT_EQ(found.n_rays, expected.n_rays) << what;
-    EXPECT_EQ(found.time_s, expected.time_s) << what;
-    EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
+    EXPECT_EQ(actual.n_rays, expected.n_rays) << what;
+    EXPECT_EQ(actual.time_s, expected.time_s) << what;
+    EXPECT_EQ(actual.unseen_share, expected.unseen_share) << what;
 }
 
 /// Submits more scans than lanes, as many, and fewer; two rigs are pending, and the last
@@ -328,16 +329,16 @@ TEST_F(Points, HaveTheStepsOfTheLog) {
     renderer->scatter_intensities({scatter});
     const PointScan expected = on_host(wish);
     ask(wish);
-    const PointScan found = renderer->take_points();
-    expect_same(found, expected, "steps", step);
+    const PointScan actual = renderer->take_points();
+    expect_same(actual, expected, "steps", step);
     std::size_t n_other = 0;
-    for (std::size_t i = 0; i < found.points.size(); ++i) {
-        const double steps = double(found.points[i].intensity) / step;
+    for (std::size_t i = 0; i < actual.points.size(); ++i) {
+        const double steps = double(actual.points[i].intensity) / step;
         EXPECT_NEAR(steps, std::round(steps), 1e-5);
         n_other +=
-            std::abs(double(found.points[i].intensity) - double(expected.points[i].intensity)) > 0.5 * step;
+            std::abs(double(actual.points[i].intensity) - double(expected.points[i].intensity)) > 0.5 * step;
     }
-    EXPECT_LT(n_other, found.points.size() / 1000);
+    EXPECT_LT(n_other, actual.points.size() / 1000);
 }
 
 /// Requests that the device cannot process completely are finished on the host.

@@ -259,11 +259,11 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
         on_device.refine(stream, refiner.pass(),
                          glm::vec3(scan.world_from_sensor.translation - first_origin_m));
         on_device.wait(stream);
-        const std::span<const float> found = on_device.refined(stream);
+        const std::span<const float> actual = on_device.refined(stream);
         double changed = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            EXPECT_NEAR(found[i], expected[i], 2e-4) << network << i;
-            changed = std::max(changed, std::abs(double(found[i]) - double(scan.image.drop_prob[i])));
+            EXPECT_NEAR(actual[i], expected[i], 2e-4) << network << i;
+            changed = std::max(changed, std::abs(double(actual[i]) - double(scan.image.drop_prob[i])));
         }
         EXPECT_GT(changed, 0.05) << "a network that says something";
     }

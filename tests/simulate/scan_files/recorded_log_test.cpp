@@ -149,26 +149,26 @@ double faced_at(const BoxTrack& box, double time_s) {
 void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.boxes.size(), 2u);
-    for (const BoxTrack& wanted : actors()) {
-        const BoxTrack* found = find_box(log, wanted.id);
-        ASSERT_NE(found, nullptr) << wanted.id;
-        EXPECT_EQ(found->category, wanted.category);
-        EXPECT_LT(glm::distance(found->size_m, wanted.size_m), 1e-9);
-        EXPECT_EQ(found->moves(), wanted.moves());
-        EXPECT_EQ(found->world_from_box.time_s.size(), wanted.id == "bin" ? kFrames : kFrames - 1);
-        for (std::size_t k = 0; k < found->world_from_box.time_s.size(); ++k) {
-            const double at_s = found->world_from_box.time_s[k] + kFirst_s;
-            BoxTrack there = wanted;
+    for (const BoxTrack& expected : actors()) {
+        const BoxTrack* actual = find_box(log, expected.id);
+        ASSERT_NE(actual, nullptr) << expected.id;
+        EXPECT_EQ(actual->category, expected.category);
+        EXPECT_LT(glm::distance(actual->size_m, expected.size_m), 1e-9);
+        EXPECT_EQ(actual->moves(), expected.moves());
+        EXPECT_EQ(actual->world_from_box.time_s.size(), expected.id == "bin" ? kFrames : kFrames - 1);
+        for (std::size_t k = 0; k < actual->world_from_box.time_s.size(); ++k) {
+            const double at_s = actual->world_from_box.time_s[k] + kFirst_s;
+            BoxTrack there = expected;
             // position as seen from the sensor
             for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;
             const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
             EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns)
-                << wanted.id << ": within a column";
-            const Pose pose = wanted.world_from_box.at(at_s);
-            EXPECT_LT(glm::distance(found->world_from_box.pose[k].translation + log.world_offset_m,
+                << expected.id << ": within a column";
+            const Pose pose = expected.world_from_box.at(at_s);
+            EXPECT_LT(glm::distance(actual->world_from_box.pose[k].translation + log.world_offset_m,
                                     pose.translation + moved_m),
                       1e-6);
-            EXPECT_NEAR(std::abs(glm::dot(found->world_from_box.pose[k].rotation, pose.rotation)), 1.0,
+            EXPECT_NEAR(std::abs(glm::dot(actual->world_from_box.pose[k].rotation, pose.rotation)), 1.0,
                         1e-12);
         }
     }
@@ -181,20 +181,20 @@ void expect_same(const Sequence& log, bool has_second) {
     ASSERT_EQ(log.frames.size(), std::size_t(kFrames)) << testing::PrintToString(log.notes);
     EXPECT_EQ(log.lidars[0].sensor.beams.size(), std::size_t(kRows));
     EXPECT_EQ(log.lidars[0].sensor.columns, kColumns);
-    std::vector<SeenPoint> wanted = truth();
-    if (!has_second) std::erase_if(wanted, &SeenPoint::second);
-    const std::vector<SeenPoint> found = read_again(log, kFirst_s);
-    ASSERT_EQ(found.size(), wanted.size());
-    for (std::size_t i = 0; i < wanted.size(); ++i) {
-        ASSERT_EQ(found[i].ring, wanted[i].ring) << i;
-        ASSERT_EQ(found[i].second, wanted[i].second) << i;
-        ASSERT_NEAR(found[i].time_s, wanted[i].time_s, 2e-6) << i;
-        ASSERT_NEAR(found[i].intensity, wanted[i].intensity, 1e-6) << i;
+    std::vector<SeenPoint> expected = truth();
+    if (!has_second) std::erase_if(expected, &SeenPoint::second);
+    const std::vector<SeenPoint> actual = read_again(log, kFirst_s);
+    ASSERT_EQ(actual.size(), expected.size());
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+        ASSERT_EQ(actual[i].ring, expected[i].ring) << i;
+        ASSERT_EQ(actual[i].second, expected[i].second) << i;
+        ASSERT_NEAR(actual[i].time_s, expected[i].time_s, 2e-6) << i;
+        ASSERT_NEAR(actual[i].intensity, expected[i].intensity, 1e-6) << i;
         // The recording has a pose every 10 ms, whose chords deviate by 0.1 mm. Poses at
         // the frames only would not be sufficient: at 10 m/s in a bend of 0.5 rad/s the
         // chord of 0.1 s deviates by 6 mm, and a straight extrapolation after the last
         // frame by 5 cm.
-        ASSERT_LT(glm::distance(found[i].world_m, wanted[i].world_m), 3e-4) << i;
+        ASSERT_LT(glm::distance(actual[i].world_m, expected[i].world_m), 3e-4) << i;
     }
 }
 

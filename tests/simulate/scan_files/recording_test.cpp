@@ -57,14 +57,14 @@ struct Record {
 /// Returns the records of the file or of a chunk by code.
 /// @param at offset of the first record
 std::multimap<int, Record> records(const std::string& bytes, std::size_t at, std::size_t end) {
-    std::multimap<int, Record> found;
+    std::multimap<int, Record> result;
     while (at < end) {
         const std::size_t body = at + 9, next = body + number<std::uint64_t>(bytes, at + 1);
         EXPECT_LE(next, end);
-        found.insert({static_cast<unsigned char>(bytes[at]), {at, body, next}});
+        result.insert({static_cast<unsigned char>(bytes[at]), {at, body, next}});
         at = next;
     }
-    return found;
+    return result;
 }
 
 class Recordings : public TemporaryFolder {

@@ -73,7 +73,7 @@ std::string message_on(const std::string& bytes, const std::string& topic) {
                 return bytes.substr(body + 22, next - body - 22);
             if (kind == 6) {  // a chunk: times, sizes, name of the compression, records
                 const std::size_t inside = body + 28 + 4 + value_at<std::uint32_t>(bytes, body + 28) + 8;
-                if (std::string found = self(inside, next, self); !found.empty()) return found;
+                if (std::string result = self(inside, next, self); !result.empty()) return result;
             }
             at = next;
         }

@@ -98,10 +98,10 @@ struct StreetOfImages {
 
 /// Compares every ray with the truth: its return within 1 mm in the sensor's world, its
 /// beam, column and time.
-void expect_same_scans(const Sequence& found, const Sequence& truth, double ray_tolerance) {
-    ASSERT_EQ(found.frames.size(), truth.frames.size());
+void expect_same_scans(const Sequence& sequence, const Sequence& truth, double ray_tolerance) {
+    ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t f = 0; f < truth.frames.size(); ++f) {
-        const Scan &a = found.frames[f].scan, &b = truth.frames[f].scan;
+        const Scan &a = sequence.frames[f].scan, &b = truth.frames[f].scan;
         ASSERT_EQ(std::tuple(a.rays.rows, a.rays.columns), std::tuple(b.rays.rows, b.rays.columns));
         EXPECT_EQ(a.rays.channel, b.rays.channel);
         EXPECT_EQ(a.intensity, b.intensity);
@@ -130,8 +130,8 @@ TEST(ExrFolder, ImagesWithoutRaysTakeThoseOfTheSensor) {
         return name.starts_with("range") || name.starts_with("intensity");
     };
     const StreetOfImages street("sensor", keep);
-    const Sequence found = load_sequence(street.folder.string(), {});
-    expect_same_scans(found, street.truth, 1e-6);  // 0.1 mm at 80 m
+    const Sequence sequence = load_sequence(street.folder.string(), {});
+    expect_same_scans(sequence, street.truth, 1e-6);  // 0.1 mm at 80 m
 }
 
 TEST(ExrFolder, RowsFromBelow) {

@@ -81,12 +81,12 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     for (int i = 0; i < 3; ++i) {
         const glm::dmat4 truth = Kitti360Folder::world_from_velo(Kitti360Folder::kFirst + i) *
                                  test::box_matrix({9.5, 0, 0}, 0.3, {1, 1, 1});
-        const Pose& found = driving.world_from_box.pose[std::size_t(i)];
+        const Pose& actual = driving.world_from_box.pose[std::size_t(i)];
         EXPECT_EQ(driving.world_from_box.time_s[std::size_t(i)], log.frames[std::size_t(i)].time_s);
-        EXPECT_LT(glm::distance(found.translation + log.world_offset_m, glm::dvec3(truth[3])), 1e-6);
-        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(1, 0, 0), glm::dvec3(truth[0])), 1e-9)
+        EXPECT_LT(glm::distance(actual.translation + log.world_offset_m, glm::dvec3(truth[3])), 1e-6);
+        EXPECT_LT(glm::distance(actual.rotation * glm::dvec3(1, 0, 0), glm::dvec3(truth[0])), 1e-9)
             << "front, of a mirrored one too";
-        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
+        EXPECT_LT(glm::distance(actual.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
     }
     EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
     for (const Frame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
@@ -273,9 +273,9 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
 
 TEST(Kitti360, SaysWhichBoxIsWrong) {
     const Kitti360Folder kitti("k360_box_errors");
-    const std::string whole = read_text(kitti.boxes());
+    const std::string original = read_text(kitti.boxes());
     const auto expect = [&](const std::string& from, const std::string& to, const std::string& part) {
-        std::string text = whole;
+        std::string text = original;
         ASSERT_NE(text.find(from), std::string::npos) << from;
         expect_error(kitti, kitti.boxes(), text.replace(text.find(from), from.size(), to), part);
     };

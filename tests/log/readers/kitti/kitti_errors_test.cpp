@@ -131,25 +131,25 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
 
 TEST(KittiErrors, BrokenScans) {
     const KittiDrive drive("scans");
-    const std::string whole = read_text(drive.scan(1));
-    write_text(drive.scan(1), whole.substr(0, 100));
+    const std::string original = read_text(drive.scan(1));
+    write_text(drive.scan(1), original.substr(0, 100));
     expect_data_error(drive,
                       {"0000000001.bin: truncated: 100 bytes", "multiple of 16", "6 points and 4 bytes"});
     write_text(drive.scan(1), "");
     expect_data_error(drive, {"0000000001.bin: empty"});
-    std::string bad = whole;
+    std::string bad = original;
     put_float(bad, 77, 1, NAN);
     write_text(drive.scan(1), bad);
     expect_data_error(drive, {"0000000001.bin: point 77", "finite"});
-    bad = whole;
+    bad = original;
     put_float(bad, 5, 3, INFINITY);
     write_text(drive.scan(1), bad);
     expect_data_error(drive, {"point 5", "intensity inf"});
-    bad = whole;
+    bad = original;
     put_float(bad, 8, 0, 2e4f);
     write_text(drive.scan(1), bad);
     expect_data_error(drive, {"point 8", "within 10000 m"});
-    for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), whole.substr(0, 16 * 3000));
+    for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), original.substr(0, 16 * 3000));
     expect_data_error(drive, {"velodyne_points/data: ", "rings in file order, expected 64"});
 }
 
@@ -180,8 +180,8 @@ TEST(KittiErrors, AzimuthStepsOfNoSensor) {
 TEST(KittiErrors, Timestamps) {
     const KittiDrive drive("times");
     const auto file = drive.file("velodyne_points/timestamps.txt");
-    const std::string whole = read_text(file);
-    write_text(file, whole.substr(0, whole.find('\n') + 1));
+    const std::string original = read_text(file);
+    write_text(file, original.substr(0, original.find('\n') + 1));
     expect_data_error(drive, {"timestamps.txt: 1 lines, frame 1 needs line 2"});
     write_text(file, "2011-13-31 23:59:10.0\n");
     expect_data_error(drive, {"timestamps.txt line 1", "2011-13-31", "expected YYYY-MM-DD"});
@@ -194,12 +194,12 @@ TEST(KittiErrors, Timestamps) {
     } catch (const DataError& error) {
         EXPECT_LT(std::string(error.what()).size(), 400u);
     }
-    const std::string line = whole.substr(0, whole.find('\n') + 1);
+    const std::string line = original.substr(0, original.find('\n') + 1);
     write_text(file, line + "\n" + line);
     expect_data_error(drive, {"timestamps.txt line 2: empty, expected the time of frame 1"});
     write_text(file, "\n \n");
     expect_data_error(drive, {"timestamps.txt: empty"});
-    write_text(file, "   " + whole);  // leading blanks are allowed
+    write_text(file, "   " + original);  // leading blanks are allowed
     EXPECT_EQ(load_sequence(drive.folder.string(), {}).frames.size(), 3u);
     write_text(file, line + line + line);
     expect_data_error(drive, {"timestamps.txt line 2", "rising"});
@@ -245,10 +245,10 @@ TEST(KittiErrors, FrameRange) {
 TEST(KittiErrors, Tracklets) {
     const KittiDrive drive("tracklets");
     const auto file = drive.file("tracklet_labels.xml");
-    const std::string whole = read_text(file);
+    const std::string original = read_text(file);
     const auto expect = [&](const std::string& from, const std::string& to,
                             const std::vector<std::string>& parts) {
-        std::string text = whole;
+        std::string text = original;
         write_text(file, text.replace(text.find(from), from.size(), to));
         expect_data_error(drive, parts);
     };

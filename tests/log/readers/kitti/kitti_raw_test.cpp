@@ -88,17 +88,17 @@ TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
 
 TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
     const KittiDrive drive("ring");
-    const std::string whole = test::read_text(drive.scan(1));
+    const std::string original = test::read_text(drive.scan(1));
     std::size_t end = 16;  // first ring: until the azimuth wraps
     const auto y = [&](std::size_t at) {
         float v;
-        std::memcpy(&v, whole.data() + at + 4, 4);
+        std::memcpy(&v, original.data() + at + 4, 4);
         return v;
     };
     while (!(y(end - 16) < 0.0f && y(end) >= 0.0f)) end += 16;
-    test::write_text(drive.scan(1), whole.substr(end));
+    test::write_text(drive.scan(1), original.substr(end));
     const Scan scan = load_sequence(drive.folder.string(), {}).frames[1].scan;
-    EXPECT_EQ(scan.count_returns(), (whole.size() - end) / 16);
+    EXPECT_EQ(scan.count_returns(), (original.size() - end) / 16);
     for (int c = 0; c < KittiDrive::kFirings; ++c) EXPECT_EQ(scan.range_m[static_cast<std::size_t>(c)], 0.0f);
 }
 
@@ -162,9 +162,9 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
 
 /// Empties the given lines of a file.
 void blank_lines(const std::filesystem::path& path, const std::vector<std::size_t>& numbers) {
-    const std::string whole = test::read_text(path);
+    const std::string original = test::read_text(path);
     std::string text, line;
-    std::istringstream lines(whole);
+    std::istringstream lines(original);
     for (std::size_t n = 0; std::getline(lines, line); ++n)
         text += (std::find(numbers.begin(), numbers.end(), n) == numbers.end() ? line : "") + "\n";
     test::write_text(path, text);
@@ -217,7 +217,7 @@ TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
 
 TEST(KittiRaw, WithoutPosesAndTracklets) {
     const KittiDrive drive("no_poses");
-    const Sequence whole = load_sequence(drive.folder.string(), {});
+    const Sequence original = load_sequence(drive.folder.string(), {});
     std::filesystem::remove_all(drive.file("oxts"));
     std::filesystem::remove(drive.calibration());
     DatasetOptions options;
@@ -227,14 +227,14 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
     for (std::size_t i = 0; i < 3; ++i) {
         EXPECT_EQ(log.world_from_vehicle.pose[i].translation, glm::dvec3(0.0));
         EXPECT_EQ(log.world_from_vehicle.pose[i].rotation, glm::dquat(1, 0, 0, 0));
-        EXPECT_EQ(log.world_from_vehicle.time_s[i], whole.world_from_vehicle.time_s[i]);
-        EXPECT_EQ(log.frames[i].scan.range_m, whole.frames[i].scan.range_m);
+        EXPECT_EQ(log.world_from_vehicle.time_s[i], original.world_from_vehicle.time_s[i]);
+        EXPECT_EQ(log.frames[i].scan.range_m, original.frames[i].scan.range_m);
     }
     EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));  // as labelled
-    set_vehicle_poses(log, whole.world_from_vehicle);
+    set_vehicle_poses(log, original.world_from_vehicle);
     for (std::size_t k = 0; k < 2; ++k)
         EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation,
-                                  whole.boxes[0].world_from_box.pose[k].translation),
+                                  original.boxes[0].world_from_box.pose[k].translation),
                     0.0, 1e-9);
     std::filesystem::remove(drive.file("tracklet_labels.xml"));
     log = load_sequence(drive.folder.string(), options);

@@ -401,8 +401,8 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     ASSERT_EQ(read.frames.size(), 2u);
     EXPECT_EQ(read.frames[1].index, 2);
     EXPECT_EQ(read.world_offset_m, made.world_offset_m);
-    const Scan whole = load_sequence(folder.string(), {}).frames[2].scan;
-    EXPECT_EQ(whole.range_m, made.frames[2].scan.range_m);
+    const Scan original = load_sequence(folder.string(), {}).frames[2].scan;
+    EXPECT_EQ(original.range_m, made.frames[2].scan.range_m);
     EXPECT_TRUE(read.rolling_shutter);
     range.rolling_shutter = false;
     EXPECT_FALSE(load_sequence(folder.string(), range).rolling_shutter)

@@ -232,29 +232,29 @@ std::map<std::pair<std::size_t, int>, std::size_t> rays_by_cell(const Scan& scan
 }
 
 /// Checks that two scans have the same rays: origin, direction, time and measurement.
-void expect_same_scan(const Scan& found, const Scan& expected, const SpinningSensor& sensor) {
-    ASSERT_EQ(found.rays.rows, expected.rays.rows);
-    ASSERT_EQ(found.rays.columns, expected.rays.columns);
-    EXPECT_EQ(found.count_returns(), expected.count_returns());
-    ASSERT_EQ(found.second_returns.size(), expected.second_returns.size());
-    const auto cells = rays_by_cell(found, sensor), others = rays_by_cell(expected, sensor);
-    ASSERT_EQ(cells.size(), found.rays.size());
+void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSensor& sensor) {
+    ASSERT_EQ(actual.rays.rows, expected.rays.rows);
+    ASSERT_EQ(actual.rays.columns, expected.rays.columns);
+    EXPECT_EQ(actual.count_returns(), expected.count_returns());
+    ASSERT_EQ(actual.second_returns.size(), expected.second_returns.size());
+    const auto cells = rays_by_cell(actual, sensor), others = rays_by_cell(expected, sensor);
+    ASSERT_EQ(cells.size(), actual.rays.size());
     ASSERT_EQ(others.size(), cells.size());
     std::size_t n_wrong = 0;
     for (const auto& [cell, a] : cells) {
         const std::size_t b = others.at(cell);
-        bool is_same = std::abs(found.range_m[a] - expected.range_m[b]) < 1e-4f &&
-                       found.intensity[a] == expected.intensity[b] &&
-                       std::abs(found.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
-                       glm::distance(found.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
+        bool is_same = std::abs(actual.range_m[a] - expected.range_m[b]) < 1e-4f &&
+                       actual.intensity[a] == expected.intensity[b] &&
+                       std::abs(actual.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
+                       glm::distance(actual.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
         // The folder reader estimates the phase of the columns from the points.
-        is_same = is_same && glm::distance(found.rays.direction[a], expected.rays.direction[b]) <
-                                 (found.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
-        for (std::size_t k = 0; k < found.second_returns.size(); ++k)
+        is_same = is_same && glm::distance(actual.rays.direction[a], expected.rays.direction[b]) <
+                                 (actual.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
+        for (std::size_t k = 0; k < actual.second_returns.size(); ++k)
             is_same = is_same &&
-                      std::abs(found.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) <
+                      std::abs(actual.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) <
                           1e-4f &&
-                      found.second_returns[k].intensity[a] == expected.second_returns[k].intensity[b];
+                      actual.second_returns[k].intensity[a] == expected.second_returns[k].intensity[b];
         n_wrong += !is_same;
     }
     EXPECT_EQ(n_wrong, 0u) << "of " << cells.size();
@@ -347,10 +347,10 @@ TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-        const Columns columns(loaded.log, 1), whole(loaded.log, 2);
+        const Columns columns(loaded.log, 1), complete(loaded.log, 2);
         for (const std::size_t column : {0, 20, 21, 127}) EXPECT_EQ(columns.rays[column], 0u) << column;
         EXPECT_EQ(columns.rays[19], 3u * images.rows);  // replaces the missing neighbouring columns
-        EXPECT_EQ(std::ranges::count(whole.rays, images.rows), std::ptrdiff_t(images.columns));
+        EXPECT_EQ(std::ranges::count(complete.rays, images.rows), std::ptrdiff_t(images.columns));
         EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("missing")));
     }
 }
