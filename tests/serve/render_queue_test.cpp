@@ -74,7 +74,8 @@ TEST(RenderQueue, DoesAllWorkOnOneThread) {
 }
 
 /// Returns the order in which a queue processes waiting work: a lower-case letter where
-/// two-part work starts, a comma if more work starts with it, and a capital where it ends.
+/// two-part work starts, a comma if more work starts with it, and a capital where it
+/// ends.
 /// @param line names and kinds of the work; kind 0 has one part
 /// @param fails name of the work that fails at its start
 std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,

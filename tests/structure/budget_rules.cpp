@@ -15,7 +15,7 @@ constexpr std::size_t kCommentColumns = 90;
 
 const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
 
-/// Longest allowed length of a file, or 0 where there is no limit.
+/// Returns the maximum length of a file in lines, or 0 if the length is not limited.
 int line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 180;
     if (path.starts_with("include/relidar/")) return 400;
@@ -25,14 +25,15 @@ int line_limit(const std::string& path) {
     return 0;
 }
 
-/// Characters of a line in UTF-8.
+/// Returns the number of characters of a line in UTF-8.
 std::size_t columns_of(const std::string& line) {
     return static_cast<std::size_t>(std::count_if(
         line.begin(), line.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));
 }
 
 /// Returns the limit that a line exceeds, or 0. Literals may be longer than code. Comment
-/// lines that are indented by two or more spaces (tables, equations) may be as long as code.
+/// lines that are indented by two or more spaces (tables, equations) may be as long as
+/// code.
 std::size_t exceeded_columns(const std::string& text, const std::string& code) {
     const std::size_t columns = columns_of(text), first = text.find_first_not_of(' ');
     if (first != std::string::npos && text.compare(first, 2, "//") == 0) {

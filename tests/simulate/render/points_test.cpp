@@ -199,8 +199,8 @@ void expect_equal(const PointScan& actual, const PointScan& expected, const std:
 }
 
 /// Submits more scans than lanes, as many, and fewer; two rigs are pending, and the last
-/// two scans are collected without an explicit submission. Launches of the lanes alternate, so that
-/// data shared by mistake would be noticed.
+/// two scans are collected without an explicit submission. Launches of the lanes
+/// alternate, so that data shared by mistake would be noticed.
 TEST_F(Points, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;

@@ -105,8 +105,7 @@ TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
     EXPECT_EQ(extinction({}), 0.0);
 }
 
-/// The extinction is twice the shadow area of all particles: integrates over their
-/// diameters in small steps.
+/// The extinction is twice the shadow area of all particles, integrated over diameters.
 TEST(Weather, ParticlesTakeTwiceTheirShadow) {
     const auto shadows = [](double n0, double slope, double widening) {
         double sum = 0.0;
