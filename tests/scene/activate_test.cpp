@@ -101,8 +101,8 @@ std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view
 /// division, the rounding of rotation elements, and 2e-6 of the summed terms.
 std::vector<double> record_tolerance(const reference::Surfel& s, const std::vector<double>& expected) {
     // Error of an element of the rotation matrix. q / |q| uses an inverse square root (2
-    // units) and 6 roundings, twice in each of two products whose sum is at most 1. Twice
-    // that product, minus 1, adds further roundings.
+    // units) and 6 roundings, twice in each of two products whose sum is at most 1. The
+    // element is 1 minus twice this sum, which adds further roundings.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {s.log_scale.x, s.log_scale.y, s.log_scale_w.value_or(0.0)};

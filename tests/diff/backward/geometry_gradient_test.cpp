@@ -418,7 +418,7 @@ TEST_F(GeometryGradient, TwoSurfelsInClosedForm) {
         const Surfels d = passes.gradients().surfels.download();
         EXPECT_NEAR(d.mean[0].x, -w0 * w1, 1e-6);
         EXPECT_NEAR(d.mean[1].x, w0 * w1, 1e-6);
-        // Dist = s_0 (1 - s_0) s_1 between, with the opacities s
+        // The distortion is s_0 (1 - s_0) s_1 times `between`, with the opacities s.
         EXPECT_NEAR(d.opacity_logit[0], (1.0 - 2.0 * 0.6) * 0.5 * between * 0.6 * 0.4,
                     1e-5 * between + 0.6 * 0.4 * 0.1 * apart);
         EXPECT_NEAR(d.opacity_logit[1], 0.6 * 0.4 * between * 0.5 * 0.5,

@@ -63,8 +63,8 @@ std::vector<MeasuredIntensities> scans_of(int n, const Measure& measure) {
 
 const std::vector<std::uint8_t> kAll(kRays, 1);
 
-/// Returns a value in steps of 0.01: the number of heads of four coins around the
-/// rendered value, shifted by two. Bright panels use sixteen coins.
+/// Returns the rendered value, rounded to 0.01, plus (heads - n / 2) / 100, where heads
+/// is the number of heads of n fair coins: 4, or 16 on bright panels.
 double coins(double rendered, double, Random& random) {
     const int n = rendered > 0.7 ? 16 : 4;
     int heads = 0;

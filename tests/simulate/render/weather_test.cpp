@@ -64,8 +64,8 @@ TEST(WeatherOnScans, ClearAirChangesNoBit) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
 }
 
-/// Checks the darkening to 1 %, also with a sensor that reports a surface at this range
-/// with half its brightness.
+/// Checks the darkening with a tolerance of 1 %, also for a sensor that reports a surface
+/// at this range with half of its brightness.
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
         RenderedScan scan = wall_at(8.0f, 0.8f);

@@ -349,7 +349,7 @@ TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
         ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
         const Columns columns(loaded.log, 1), complete(loaded.log, 2);
         for (const std::size_t column : {0, 20, 21, 127}) EXPECT_EQ(columns.rays[column], 0u) << column;
-        EXPECT_EQ(columns.rays[19], 3u * images.rows);  // replaces the missing neighbouring columns
+        EXPECT_EQ(columns.rays[19], 3u * images.rows);  // also has the rays of missing columns
         EXPECT_EQ(std::ranges::count(complete.rays, images.rows), std::ptrdiff_t(images.columns));
         EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("missing")));
     }
