@@ -2,8 +2,8 @@
 // Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the
 // same in every run. Hits come sorted by row; a thread takes a block of 32 and adds the
 // sum of each row that lies in it. What it has of a row that began earlier or goes on is
-// left in `parts`, for backward/gather_heads. Input: scene, upstream, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: parts.
-// Maximum: most_hits.
+// left in `parts`, for backward/gather_heads. Input: scene, upstream, hits, rows, slots,
+// n_hits. Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable

@@ -40,9 +40,7 @@ protected:
         const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured),
                                                   "targets");
         const Array<shared::RenderedSurface>* surfaces = renderer.rendered().surfaces;
-        if (surfaces)
-            surfaces->upload(std::vector<shared::RenderedSurface>(
-                n_rays + 1, {.normal = glm::vec3(-7.0f), .mode = -7.0f}));
+        if (surfaces) renderer.stream().fill(*surfaces, 0xc0e00000u);  // -7 as a float
         renderer.place(glm::vec3(random.view_origin));
         renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().finish();

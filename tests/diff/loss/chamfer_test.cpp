@@ -19,6 +19,8 @@
 namespace relidar {
 namespace {
 
+constexpr std::size_t kRayFloats = sizeof(shared::RayGradient) / sizeof(float);
+
 class Chamfer : public test::DeviceTest {};
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
@@ -54,7 +56,7 @@ Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
 struct FoundChamfer {
     std::array<std::vector<std::uint32_t>, 2> nearest;
     double loss = 0.0;
-    std::vector<float> upstream;  ///< [n,5]
+    std::vector<float> upstream;  ///< [n,kRayFloats]
 };
 
 struct Setting {
@@ -223,7 +225,7 @@ TEST_F(Chamfer, AgreesWithReference) {
         // accurate to 1e-6 m.
         std::vector<double> expected, actual;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            const float* row = &device_result.upstream[5 * i];
+            const float* row = &found.upstream[kRayFloats * i];
             expected.insert(expected.end(), {normalised ? d_range[i] / weight : d_range[i],
                                              normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
             actual.insert(actual.end(), {row[0], row[1]});
