@@ -5,8 +5,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
-#include "../shared/render.h"
-#include "sensor_way.glsl"
+#include "../shared/place_point.h"
 RELIDAR_PARAMS(GatherPointsParams);
 
 /// floor(k n_rays / n_asked), in 32 bits.
@@ -21,10 +20,10 @@ void main() {
     if (params.marks.at[i] == 0u) return;
     SensorRay ray = params.rays.at[i];
     MeasuredRay m = params.measured.at[i];
-    Firing firing = firing_at(params.poses, params.n_poses, ray.time_offset_s);
-    float range_m = params.of_image != 0u ? m.range_m : m.median_range_m;
-    float intensity = params.step > 0.0 ? round(m.intensity / params.step) * params.step : m.intensity;
+    uint k = 0u;
+    while (k + 2u < params.n_poses && params.poses.at[k + 1u].time_offset_s <= ray.time_offset_s) ++k;
+    vec3 seen = ray_end(ray.origin, ray.direction, params.of_image != 0u ? m.range_m : m.median_range_m);
     params.points.at[params.places.at[i]] =
-        ReturnedPoint(placed_point(firing, ray.origin + range_m * ray.direction), intensity,
+        ReturnedPoint(place_point(params.poses.at[k], ray.time_offset_s, seen), m.intensity,
                       ray.time_offset_s, ray.channel, m.instance);
 }

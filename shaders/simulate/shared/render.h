@@ -27,6 +27,20 @@ struct SensorPose {
 };
 RELIDAR_POINTER(SensorPoses, SensorPose);
 
+/// A pose of the sensor in the frame of points, and how it goes on to the next one.
+struct PointPose {
+    vec3 x;  // axes of the sensor in the frame of the points
+    vec3 y;
+    vec3 z;
+    vec3 position;        // m
+    vec3 position_rest;   // m, what rounding took off `position`
+    vec3 way;             // m to the next pose
+    vec3 turn;            // rotation vector to the next pose, rad
+    float time_offset_s;  // from the sweep's reference time
+    float per_s;          // 1 / seconds to the next pose; 0: there is none
+};
+RELIDAR_POINTER(PointPoses, PointPose);
+
 struct FireRaysParams {
     SensorRays rays;    // input [n_rays]
     SensorPoses poses;  // input [n_poses] in ascending order of time
@@ -125,7 +139,7 @@ struct MarkReturnsParams {
 struct GatherPointsParams {
     SensorRays rays;                         // input [n_rays]
     MeasuredRays measured;                   // input [n_rays]
-    SensorPoses poses;                       // input [n_poses] of the sensor, in the frame of the points
+    PointPoses poses;                        // input [n_poses] in ascending order of time
     RELIDAR_OF(Uints, ReturnMarks) marks;    // input [n_rays]
     RELIDAR_OF(Uints, ReturnPlaces) places;  // input [n_rays] rays before it that return
     ReturnedPoints points;                   // output [rays that return]
@@ -135,7 +149,6 @@ struct GatherPointsParams {
     uint n_poses;
     uint n_asked;  // at most n_rays and 65,536
     uint of_image;
-    float step;  // of intensities; 0: they come in no steps
 };
 
 RELIDAR_SHARED_END

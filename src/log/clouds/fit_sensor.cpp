@@ -35,22 +35,22 @@ double middle_of(std::vector<double>& values, double share) {
 
 /// First returns of each ring.
 using Rings = std::vector<std::vector<std::size_t>>;
-Rings rings_of(const ScanPoints& scan, std::size_t n_rings) {
+Rings rings_of(const Points& scan, std::size_t n_rings) {
     Rings rings(n_rings);
     for (std::size_t i = 0; i < scan.size(); ++i)
-        if (scan.return_number.empty() || scan.return_number[i] == 0) rings[scan.ring[i]].push_back(i);
+        if (scan.return_number.empty() || scan.return_number[i] == 1) rings[scan.ring[i]].push_back(i);
     return rings;
 }
 
 /// Median elevation of the farther half of each ring; nothing where a ring has no point.
-std::vector<std::optional<double>> elevations_of(const std::vector<ScanPoints>& scans, std::size_t n_rings) {
+std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scans, std::size_t n_rings) {
     struct Seen {
         double range_m, elevation_rad;
     };
     std::vector<std::vector<Seen>> seen(n_rings);
-    for (const ScanPoints& scan : scans)
+    for (const Points& scan : scans)
         for (std::size_t i = 0; i < scan.size(); ++i) {
-            const glm::dvec3 p(scan.point_m[i]);
+            const glm::dvec3 p(scan.position_m[i]);
             seen[scan.ring[i]].push_back({glm::length(p), std::atan2(p.z, std::hypot(p.x, p.y))});
         }
     std::vector<std::optional<double>> elevations(n_rings);
@@ -69,11 +69,11 @@ std::vector<std::optional<double>> elevations_of(const std::vector<ScanPoints>& 
 /// Columns of a sweep by the steps between neighbouring azimuths of a ring. Where many
 /// rays were dropped most steps are several columns wide: the lower quartile still is
 /// one.
-int columns_by_steps(const ScanPoints& scan, const Rings& rings) {
+int columns_by_steps(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const std::vector<std::size_t>& ring : rings) {
         std::vector<double> azimuths;
-        for (const std::size_t i : ring) azimuths.push_back(azimuth_of(scan.point_m[i]));
+        for (const std::size_t i : ring) azimuths.push_back(azimuth_of(scan.position_m[i]));
         std::sort(azimuths.begin(), azimuths.end());
         for (std::size_t i = 1; i < azimuths.size(); ++i)
             if (const double step = azimuths[i] - azimuths[i - 1];
@@ -89,11 +89,11 @@ int columns_by_steps(const ScanPoints& scan, const Rings& rings) {
 }
 
 /// S_r(N) of each ring.
-std::vector<std::complex<double>> phases_of(const ScanPoints& scan, const Rings& rings, int columns) {
+std::vector<std::complex<double>> phases_of(const Points& scan, const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const std::vector<std::size_t>& ring : rings) {
         std::complex<double> sum = 0.0;
-        for (const std::size_t i : ring) sum += std::polar(1.0, columns * azimuth_of(scan.point_m[i]));
+        for (const std::size_t i : ring) sum += std::polar(1.0, columns * azimuth_of(scan.position_m[i]));
         sums.push_back(sum);
     }
     return sums;
@@ -104,7 +104,7 @@ struct Lattice {
     std::vector<double> offset_rad;  ///< [rings] within half a step
 };
 
-Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
+Lattice find_lattice(const Points& scan, const Rings& rings) {
     Lattice lattice{columns_by_steps(scan, rings), std::vector<double>(rings.size(), 0.0)};
     const int about = lattice.columns, reach = std::max(1, int(kTried * about));
     double best = kCoherent * double(scan.size());
@@ -125,7 +125,7 @@ Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
 
 /// Turning rate of the head in radians a second, counter-clockwise above 0, by how the
 /// azimuths of a ring follow each other in time; nothing without times.
-std::optional<double> turning_rate(const ScanPoints& scan, const Rings& rings) {
+std::optional<double> turning_rate(const Points& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
     for (std::vector<std::size_t> ring : rings) {
@@ -133,7 +133,7 @@ std::optional<double> turning_rate(const ScanPoints& scan, const Rings& rings) {
                   [&](auto a, auto b) { return scan.time_offset_s[a] < scan.time_offset_s[b]; });
         for (std::size_t k = 1; k < ring.size(); ++k) {
             const double step = std::remainder(
-                azimuth_of(scan.point_m[ring[k]]) - azimuth_of(scan.point_m[ring[k - 1]]), 2.0 * kPi);
+                azimuth_of(scan.position_m[ring[k]]) - azimuth_of(scan.position_m[ring[k - 1]]), 2.0 * kPi);
             if (std::abs(step) > kLargestStep_rad) continue;
             turned += step;
             passed_s += double(scan.time_offset_s[ring[k]]) - double(scan.time_offset_s[ring[k - 1]]);
@@ -145,10 +145,10 @@ std::optional<double> turning_rate(const ScanPoints& scan, const Rings& rings) {
 
 }  // namespace
 
-FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s) {
+FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
     std::size_t n_rings = 0;
-    const ScanPoints* fullest = nullptr;
-    for (const ScanPoints& scan : scans) {
+    const Points* fullest = nullptr;
+    for (const Points& scan : scans) {
         if (scan.ring.size() != scan.size())
             throw UsageError(
                 fmt::format("fitting a spinning LiDAR: {} rings of {} points, expected one a point",

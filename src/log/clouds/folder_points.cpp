@@ -41,7 +41,7 @@ void rearrange(std::vector<T>& values, const std::vector<std::size_t>& order) {
 /// Points of one ring and time whose directions are the same are returns of one ray: the
 /// strongest is the first of them.
 /// @param type  [n] of the points
-void number_returns(ScanPoints& points, const std::vector<double>& type) {
+void number_returns(Points& points, const std::vector<double>& type) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
@@ -52,14 +52,15 @@ void number_returns(ScanPoints& points, const std::vector<double>& type) {
     std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
         return ray(a) != ray(b) ? ray(a) < ray(b) : strength(a) > strength(b);
     });
-    points.return_number.assign(n, 0);
+    points.return_number.assign(n, 1);
     for (std::size_t k = 1; k < n; ++k) {
         const std::size_t i = order[k], before = order[k - 1];
-        const glm::vec3 a = glm::normalize(points.point_m[i]), b = glm::normalize(points.point_m[before]);
+        const glm::vec3 a = glm::normalize(points.position_m[i]),
+                        b = glm::normalize(points.position_m[before]);
         if (ray(i) == ray(before) && 1.0f - glm::dot(a, b) < kOneRay)
-            points.return_number[i] = std::uint8_t(std::min(points.return_number[before] + 1, 7));
+            points.return_number[i] = std::uint8_t(std::min(points.return_number[before] + 1, 8));
     }
-    rearrange(points.point_m, order);
+    rearrange(points.position_m, order);
     rearrange(points.intensity, order);
     rearrange(points.ring, order);
     rearrange(points.time_offset_s, order);
@@ -74,8 +75,7 @@ std::uint8_t return_of(double number, const std::string& where) {
 
 }  // namespace
 
-ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
-                     const std::string& where) {
+Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where) {
     const std::vector<double>*x = table.find({"x"}), *y = table.find({"y"}), *z = table.find({"z"});
     if (!x || !y || !z)
         throw DataError(fmt::format("{}: no field {}, expected x, y and z", where,
@@ -92,10 +92,10 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
     // some count from 1, as relidar's own point files do: no scan has second returns
     // alone
     const double first_number = number && !number->empty() && std::ranges::min(*number) == 1.0 ? 1.0 : 0.0;
-    ScanPoints points;
+    Points points;
     std::size_t n = 0;
     for (std::size_t i = 0; i < table.n; ++i) n += is_return(i);
-    points.point_m.reserve(n);
+    points.position_m.reserve(n);
     std::vector<double> types;
     std::size_t i = 0;
     // named where something is wrong with it alone: a text for each would take longer
@@ -106,11 +106,13 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
             if (!is_return(i)) continue;
             const glm::dvec3 p((*x)[i], (*y)[i], (*z)[i]);
             check_coordinate(p, of_point);
-            points.point_m.emplace_back(p);
+            points.position_m.emplace_back(p);
             points.intensity.push_back(intensity ? unit_intensity((*intensity)[i], units, of_point) : 0.0f);
             if (ring) points.ring.push_back(ring_number((*ring)[i], of_point));
             if (time) points.time_offset_s.push_back(time_offset((*time)[i], units, time_s, of_point));
-            if (number) points.return_number.push_back(return_of((*number)[i] - first_number, of_point));
+            if (number)
+                points.return_number.push_back(
+                    std::uint8_t(1 + return_of((*number)[i] - first_number, of_point)));
             if (type) types.push_back((*type)[i]);
         }
     } catch (const DataError& error) {

@@ -31,7 +31,8 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
                                                              const Array<std::uint32_t>& n_capped) {
     const std::size_t n = rays.table().size();
     make_room(stream, n);
-    const std::vector<shared::SensorPose> poses = rays.poses(how.points_from_sensor, how.time_s);
+    const std::vector<shared::PointPose> poses =
+        rays.point_poses(how.world_from_sensor, how.world_from_points, how.time_s);
     run(stream, mark_, n,
         {.measured = rays.measured().address(),
          .drop_prob = rays.drop_probabilities(),
@@ -53,8 +54,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
          .n_asked = std::uint32_t(n_asked(n)),
-         .of_image = how.of_image ? 1u : 0u,
-         .step = how.step});
+         .of_image = how.of_image ? 1u : 0u});
     return read_back(stream, n, n_capped);
 }
 

@@ -98,6 +98,28 @@ std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_
     return poses;
 }
 
+std::vector<shared::PointPose> point_poses(const PoseTrack& world_from_sensor, const Pose& world_from_points,
+                                           double time_s, double first_s, double last_s) {
+    const Pose points_from_world = inverse(world_from_points);
+    PoseTrack track = world_from_sensor;
+    for (Pose& pose : track.pose) pose = points_from_world * pose;
+    std::vector<shared::PointPose> poses;
+    std::size_t k = track.place(time_s + first_s).left;
+    for (const shared::SensorPose& pose : poses_through_sweep(track, time_s, first_s, last_s)) {
+        const glm::mat3 axes(glm::mat3_cast(track.pose[k].rotation));
+        poses.push_back({.x = axes[0],
+                         .y = axes[1],
+                         .z = axes[2],
+                         .position = pose.position,
+                         .position_rest = glm::vec3(track.pose[k++].translation - glm::dvec3(pose.position)),
+                         .way = pose.way,
+                         .turn = pose.turn,
+                         .time_offset_s = pose.time_offset_s,
+                         .per_s = pose.duration_s > 0.0f ? 1.0f / pose.duration_s : 0.0f});
+    }
+    return poses;
+}
+
 SensorRays::SensorRays(Device& device)
     : device_(device),
       fire_(device, "simulate/render/fire_rays"),
@@ -139,6 +161,11 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor,
 
 std::vector<shared::SensorPose> SensorRays::poses(const PoseTrack& track, double time_s) const {
     return poses_through_sweep(track, time_s, double(first_s_), double(last_s_));
+}
+
+std::vector<shared::PointPose> SensorRays::point_poses(const PoseTrack& track, const Pose& world_from_points,
+                                                       double time_s) const {
+    return relidar::point_poses(track, world_from_points, time_s, double(first_s_), double(last_s_));
 }
 
 void SensorRays::fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s) {

@@ -45,7 +45,7 @@ public:
     bool has_points(std::size_t frame) const override {
         return lidars_[clouds_[frame].lidar].clouds->packets.empty();
     }
-    ScanPoints points(std::size_t frame) const override;
+    Points points(std::size_t frame) const override;
     Scan rays(std::size_t frame) const override;
 
 private:
@@ -55,7 +55,7 @@ private:
     const Clock clock_;
     const LidarPose deskewed_by_;
 
-    ScanPoints points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
+    Points points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
 };
 
 /// What numbers of a topic's points mean, by some of its clouds. @param step_s  from
