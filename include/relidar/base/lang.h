@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The only file that knows both languages. The other shared headers are plain struct
-// definitions, read unchanged by C++ and GLSL: scalar block layout, vectors by GLSL name,
-// pointers as buffer references here and 8-byte addresses there.
+// The only file that knows both languages. C++ and GLSL read the other shared headers
+// unchanged. These are struct definitions (scalar block layout, vectors by GLSL name,
+// pointers as buffer references here and 8-byte addresses there) and a few functions.
 #ifndef RELIDAR_INCLUDED_BASE_LANG_H
 #define RELIDAR_INCLUDED_BASE_LANG_H
 #ifdef __cplusplus
@@ -9,6 +9,11 @@
 #include <glm/glm.hpp>
 #define RELIDAR_SHARED_BEGIN namespace relidar::shared {
 #define RELIDAR_SHARED_END }
+// Begins a function of both languages, and declares a variable that both compute by the
+// same operations. Files that call it are compiled without fused multiplications and
+// additions.
+#define RELIDAR_FUNCTION inline
+#define RELIDAR_EXACT
 #define RELIDAR_POINTER(name, type) using name = Address<type>
 #define RELIDAR_HANDLE(name)     \
     struct name {                \
@@ -63,6 +68,8 @@ using uint = std::uint32_t;
 #extension GL_EXT_control_flow_attributes : enable
 #define RELIDAR_SHARED_BEGIN
 #define RELIDAR_SHARED_END
+#define RELIDAR_FUNCTION
+#define RELIDAR_EXACT precise
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
 // What the driver alone reads through.

@@ -5,7 +5,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
-#include "../shared/place_point.h"
+#include "sensor_way.glsl"
 RELIDAR_PARAMS(GatherPointsParams);
 
 /// floor(k n_rays / n_asked), in 32 bits.
@@ -20,10 +20,8 @@ void main() {
     if (params.marks.at[i] == 0u) return;
     SensorRay ray = params.rays.at[i];
     MeasuredRay m = params.measured.at[i];
-    uint k = 0u;
-    while (k + 2u < params.n_poses && params.poses.at[k + 1u].time_offset_s <= ray.time_offset_s) ++k;
+    SensorPose pose = pose_before(params.poses, params.n_poses, ray.time_offset_s);
     vec3 seen = ray_end(ray.origin, ray.direction, params.of_image != 0u ? m.range_m : m.median_range_m);
-    params.points.at[params.places.at[i]] =
-        ReturnedPoint(place_point(params.poses.at[k], ray.time_offset_s, seen), m.intensity,
-                      ray.time_offset_s, ray.channel, m.instance);
+    params.points.at[params.places.at[i]] = ReturnedPoint(
+        place_point(pose, ray.time_offset_s, seen), m.intensity, ray.time_offset_s, ray.channel, m.instance);
 }

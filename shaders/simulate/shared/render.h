@@ -16,20 +16,9 @@ struct SensorRay {
 };
 RELIDAR_POINTER(SensorRays, SensorRay);
 
-/// A pose of the sensor in the world, and how it goes on to the next one.
+/// A pose of the sensor in a frame, and how it goes on to the next one.
 struct SensorPose {
-    vec4 rotation;        // quaternion (w, x, y, z)
-    vec3 position;        // m
-    vec3 way;             // m to the next pose
-    vec3 turn;            // rotation vector to the next pose, world, rad
-    float time_offset_s;  // from the sweep's reference time
-    float duration_s;     // to the next pose; 0: there is none
-};
-RELIDAR_POINTER(SensorPoses, SensorPose);
-
-/// A pose of the sensor in the frame of points, and how it goes on to the next one.
-struct PointPose {
-    vec3 x;  // axes of the sensor in the frame of the points
+    vec3 x;  // axes of the sensor
     vec3 y;
     vec3 z;
     vec3 position;        // m
@@ -39,7 +28,7 @@ struct PointPose {
     float time_offset_s;  // from the sweep's reference time
     float per_s;          // 1 / seconds to the next pose; 0: there is none
 };
-RELIDAR_POINTER(PointPoses, PointPose);
+RELIDAR_POINTER(SensorPoses, SensorPose);
 
 struct FireRaysParams {
     SensorRays rays;    // input [n_rays]
@@ -139,7 +128,7 @@ struct MarkReturnsParams {
 struct GatherPointsParams {
     SensorRays rays;                         // input [n_rays]
     MeasuredRays measured;                   // input [n_rays]
-    PointPoses poses;                        // input [n_poses] in ascending order of time
+    SensorPoses poses;                       // input [n_poses] of the sensor, in the frame of the points
     RELIDAR_OF(Uints, ReturnMarks) marks;    // input [n_rays]
     RELIDAR_OF(Uints, ReturnPlaces) places;  // input [n_rays] rays before it that return
     ReturnedPoints points;                   // output [rays that return]

@@ -103,9 +103,9 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     asked.time_s = request.time_s;
     asked.max_range_m = std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m));
     asked.step = s.scatter[std::size_t(sensor.lidar)].step;
+    const PoseTrack points_from_sensor = seen_from(asked.dataset_from_sensor, asked.dataset_from_points);
     asked.points = strand.points.record(stream, *cast.rays,
-                                        {.world_from_sensor = asked.dataset_from_sensor,
-                                         .world_from_points = asked.dataset_from_points,
+                                        {.points_from_sensor = points_from_sensor,
                                          .time_s = request.time_s,
                                          .of_image = s.config.render.points != "median",
                                          .refined = refined},

@@ -36,17 +36,18 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
 
 /// The sensor's poses through a scan in the frame of the points; none if each point stays
 /// in the sensor's frame.
-std::vector<shared::PointPose> poses_of(const RenderedScan& scan,
-                                        const std::optional<Pose>& dataset_from_points) {
+std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
+                                         const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
     const PoseTrack track =
         scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
-    return point_poses(track, *dataset_from_points, scan.time_s, double(first_s), double(last_s));
+    return poses_through_sweep(seen_from(track, *dataset_from_points), scan.time_s, double(first_s),
+                               double(last_s));
 }
 
-/// The pose that the sensor moves on from when it fires a ray.
-const shared::PointPose& pose_before(const std::vector<shared::PointPose>& poses, float time_offset_s) {
+/// See shaders/simulate/render/sensor_way.glsl.
+const shared::SensorPose& pose_before(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
     std::size_t k = 0;
     while (k + 2 < poses.size() && poses[k + 1].time_offset_s <= time_offset_s) ++k;
     return poses[k];
@@ -59,7 +60,7 @@ Points place_points(const RenderedScan& scan, const Config& config,
     const std::vector<float>& range_m = point_ranges(scan, config);
     check_channels(scan.channels, range_m.size(), "a scan");
     const std::vector<Return> returns = find_returns(scan, range_m, of);
-    const std::vector<shared::PointPose> poses = poses_of(scan, dataset_from_points);
+    const std::vector<shared::SensorPose> poses = poses_of(scan, dataset_from_points);
     const std::size_t n = returns.size();
     Points points{.position_m = std::vector<glm::vec3>(n),
                   .intensity = std::vector<float>(n),

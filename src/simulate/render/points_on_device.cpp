@@ -31,8 +31,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
                                                              const Array<std::uint32_t>& n_capped) {
     const std::size_t n = rays.table().size();
     make_room(stream, n);
-    const std::vector<shared::PointPose> poses =
-        rays.point_poses(how.world_from_sensor, how.world_from_points, how.time_s);
+    const std::vector<shared::SensorPose> poses = rays.poses(how.points_from_sensor, how.time_s);
     run(stream, mark_, n,
         {.measured = rays.measured().address(),
          .drop_prob = rays.drop_probabilities(),

@@ -24,9 +24,8 @@ inline constexpr std::size_t kAskedRays = 1024;
 
 /// Where points are made, and of what.
 struct PointMaking {
-    const PoseTrack& world_from_sensor;  ///< one pose: the sensor stands
-    const Pose& world_from_points;
-    double time_s;  ///< of the sweep
+    const PoseTrack& points_from_sensor;  ///< one pose: the sensor stands
+    double time_s;                        ///< of the sweep
     bool of_image;  ///< points lie where the image's range says, else on the dominant surface
     bool refined;   ///< drop probabilities are those of the network
 };

@@ -68,9 +68,6 @@ public:
     Address<float, shared::DropProbabilities> drop_probabilities() const { return address_of(refined_); }
     /// Poses that the rays of a sweep are fired from.
     std::vector<shared::SensorPose> poses(const PoseTrack& track, double time_s) const;
-    /// The same poses in the frame of the points.
-    std::vector<shared::PointPose> point_poses(const PoseTrack& track, const Pose& world_from_points,
-                                               double time_s) const;
 
 private:
     Device& device_;
@@ -98,8 +95,7 @@ std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names);
 /// @param first_s @param last_s  time offsets of the sweep's rays
 std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
                                                     double first_s, double last_s);
-/// The same poses in the frame of points, for place_point().
-std::vector<shared::PointPose> point_poses(const PoseTrack& world_from_sensor, const Pose& world_from_points,
-                                           double time_s, double first_s, double last_s);
+/// The same motion in another frame.
+PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame);
 
 }  // namespace relidar
