@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a physical device offers against what relidar needs, with every missing extension
-// and feature named at once.
+// Compares the features of a physical device with those that relidar needs, and lists all
+// missing extensions and features.
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
@@ -103,8 +103,8 @@ bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
            (optional.subgroup_size && optional.full_subgroups);
 }
 
-/// Lavapipe before 24.1 cannot compile our kernels on every processor: its code generator
-/// ends the process (docs/platform.md).
+/// Returns true for lavapipe before 24.1. Its code generator terminates the process on
+/// some CPUs when it compiles our kernels (docs/debugging.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
     return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
@@ -117,9 +117,9 @@ constexpr const char* kNoCompiler = "a compiler for kernels that trace, which Sw
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional) {
-    const auto operations = [&](VkSubgroupFeatureFlags wanted) {
+    const auto operations = [&](VkSubgroupFeatureFlags required) {
         return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-               (subgroup.supportedOperations & wanted) == wanted;
+               (subgroup.supportedOperations & required) == required;
     };
     Missing groups;
     groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");
@@ -147,9 +147,46 @@ bool has_extension(VkPhysicalDevice physical, const char* name) {
     return has_extension(extensions_of(physical), name);
 }
 
+namespace {
+
+/// Returns what the device lacks to run any kernel. Empty if it lacks nothing.
+std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
+                                const VkPhysicalDeviceDriverProperties& driver,
+                                const VkPhysicalDeviceVulkan12Features& v12,
+                                const VkPhysicalDeviceVulkan13Features& v13,
+                                const VkPhysicalDeviceSubgroupProperties& subgroup) {
+    Missing base;
+    base.need(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
+    base.need(!is_old_lavapipe(driver), "a lavapipe of Mesa 24.1 or newer");
+    base.need(v12.bufferDeviceAddress, "bufferDeviceAddress");
+    base.need(v12.scalarBlockLayout, "scalarBlockLayout");
+    base.need(v12.timelineSemaphore, "timelineSemaphore");
+    base.need(v12.hostQueryReset, "hostQueryReset");
+    base.need(v13.maintenance4, "maintenance4");
+    base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
+                  (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
+              "subgroup arithmetic and ballots in compute");
+    base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups of 4 to 64 lanes");
+    return base.text;
+}
+
+/// Returns what the device lacks to trace rays by ray query. Empty if it lacks nothing.
+std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
+                                  const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
+                                  const VkPhysicalDeviceRayQueryFeaturesKHR& query) {
+    Missing rays;
+    for (const char* name : {VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME,
+                             VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME, VK_KHR_RAY_QUERY_EXTENSION_NAME})
+        rays.need(has_extension(extensions, name), name);
+    rays.need(accel.accelerationStructure, "accelerationStructure");
+    rays.need(query.rayQuery, "rayQuery");
+    return rays.text;
+}
+
+}  // namespace
+
 DeviceInfo describe(VkPhysicalDevice physical, int index) {
     const std::vector<VkExtensionProperties> extensions = extensions_of(physical);
-    const auto has = [&](const char* name) { return has_extension(extensions, name); };
     VkPhysicalDeviceDriverProperties driver{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_DRIVER_PROPERTIES};
     VkPhysicalDeviceSubgroupSizeControlProperties sizes{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES, &driver};
@@ -180,38 +217,16 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.memory_bytes = largest_local_heap(physical);
     info.subgroup_size = static_cast<int>(subgroup.subgroupSize);
     info.timestamps = properties.properties.limits.timestampComputeAndGraphics != 0;
-    info.float_atomics =
-        has(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) && atomics.shaderBufferFloat32AtomicAdd;
+    info.float_atomics = has_extension(extensions, VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME) &&
+                         atomics.shaderBufferFloat32AtomicAdd;
 
-    Missing base;
-    base.need(is_13, "Vulkan 1.3");
-    base.need(!is_old_lavapipe(driver), "a lavapipe of Mesa 24.1 or newer");
-    base.need(v12.bufferDeviceAddress, "bufferDeviceAddress");
-    base.need(v12.scalarBlockLayout, "scalarBlockLayout");
-    base.need(v12.timelineSemaphore, "timelineSemaphore");
-    base.need(v12.hostQueryReset, "hostQueryReset");
-    base.need(v13.maintenance4, "maintenance4");
-    base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-                  (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
-              "subgroup arithmetic and ballots in compute");
-    base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups of 4 to 64 lanes");
-    info.why_not_usable = base.text;
-
-    Missing rays;
-    rays.need(has(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME),
-              VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME);
-    rays.need(has(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME),
-              VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
-    rays.need(has(VK_KHR_RAY_QUERY_EXTENSION_NAME), VK_KHR_RAY_QUERY_EXTENSION_NAME);
-    rays.need(accel.accelerationStructure, "accelerationStructure");
-    rays.need(query.rayQuery, "rayQuery");
-    info.why_not_ray_query = rays.text;
-    info.ray_query = rays.text.empty() && base.text.empty();
-
+    info.why_not_usable = missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
+    info.why_not_ray_query = missing_for_ray_query(extensions, accel, query);
+    info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
     info.known_subgroups = known_subgroups(sizes, optional);
     info.why_not_software =
         is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
-    info.software = info.why_not_software.empty() && base.text.empty();
+    info.software = info.why_not_software.empty() && info.why_not_usable.empty();
     return info;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each rule of rules.hpp finds what it is there to find: small trees with one planted
-// violation each.
+// Tests that each rule of rules.hpp finds its violations, with small trees that contain
+// one violation each.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -171,9 +171,20 @@ TEST(Rules, BudgetsAreCounted) {
     const SourceTree tree = make_tree(
         {{"src/core/long_function.cpp", "void f() {\n" + body + "}\n"},
          {"src/core/many.cpp", "void g(int a, int b, int c, int d, int e, int f, int g, int h) {}\n"},
-         {"shaders/loss/long.comp", std::string(201, '\n')},
-         {"src/core/wide.hpp", "//" + std::string(139, '-') + "\n"}});
-    EXPECT_EQ(check_budgets(tree).size(), 4u);
+         {"shaders/loss/long.comp", std::string(221, '\n')},
+         {"src/core/wide.hpp", "//" + std::string(89, '-') + "\nint " + std::string(110, 'a') + ";\n// " +
+                                   std::string(87, '-') + "\nint " + std::string(105, 'a') +
+                                   ";\n///   x = " + std::string(90, 'y') + "\nconst char* s = \"" +
+                                   std::string(200, 'x') + "\";\n"}});
+    EXPECT_EQ(check_budgets(tree).size(), 5u);
+}
+
+TEST(Rules, FileNameInTwoRoomsIsFound) {
+    const SourceTree tree = make_tree({{"src/gpu/describe.cpp", ""},
+                                       {"src/log/readers/describe.cpp", ""},
+                                       {"src/log/describe.hpp", ""},
+                                       {"tests/gpu/describe.cpp", ""}});
+    EXPECT_THAT(check_file_names(tree), ElementsAre(HasSubstr("src/log/readers/describe.cpp:1")));
 }
 
 TEST(Rules, VulkanNameIsFound) {
@@ -208,7 +219,7 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
-/// What is wrong in a document of a small checkout.
+/// Returns the violations in a document of a small checkout.
 Violations wrong_in(const std::string& document) {
     return check_documents(
         make_tree({{"docs/a.md", document},

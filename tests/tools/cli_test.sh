@@ -293,7 +293,7 @@ rendering() {
         grep -q "^relidar: note: below: in 2 of 2 scans more than 20 % of the rays look where no ray of the log did, in number [23] 9" err
     check "scans.json does not say how much is unseen" grep -q '"unseen":0.9' <(tr -d ' \n' <below/scans.json)
     good render run --out far_off --frames 2:3 --offset 9000,0,0 --channels seen
-    check "the summary does not say how much is unseen" grep -q "0.0 % return, 100.0 % look where the log did not" out
+    check "the summary does not say how much is unseen" grep -q "0.0 % return, 100.0 % go through space that the log did not see" out
     good render run --out other --frames 11: --sensor VLP-16
     good render run --out grid --frames all --sensor kitti360 --quiet
     check "--frames all wrote other than 12 files and scans.json" test "$(ls grid | wc -l)" = 13
@@ -587,7 +587,7 @@ evaluation() {
 # Eight rows of 48 rays are too few to place a scan by.
 lost_scans() {
     mkdir sparse && sed 's/^columns.*/columns = 48/' street/street.toml >sparse/street.toml
-    bad 3 "[0-9]+ of 12 scans did not find their place.*expected at most 5 %.*train.allow_lost_scans" train sparse --out adrift --quiet --preset quick --set train.iterations=1
+    bad 3 "[0-9]+ of 12 scans could not be registered.*expected at most 5 %.*train.allow_lost_scans" train sparse --out adrift --quiet --preset quick --set train.iterations=1
     good train sparse --out adrift --quiet --preset quick --set train.iterations=1 --set train.allow_lost_scans=true --no-eval
     bad 2 "dataset.poses=none.*train.refine_poses=sensor" train street --out adrift --force --set dataset.poses=none --set train.refine_poses=none
     rm -r adrift sparse

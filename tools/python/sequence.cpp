@@ -105,7 +105,9 @@ py::object actors_of(const Sequence& sequence, const std::vector<std::string>& n
     return actors;
 }
 
-void add_sequence(py::module_& module) {
+namespace {
+
+void add_sequence_class(py::module_& module) {
     py::class_<Log>(module, "Sequence",
                     "A LiDAR log: scans with their rays, poses of the sensor in time, tracked boxes. Made by "
                     "load_sequence().")
@@ -149,7 +151,9 @@ void add_sequence(py::module_& module) {
              "the ray, 0 where dropped) and "
              "intensity.\n\n"
              "position: 0 ... len(sequence) - 1");
+}
 
+void add_loading(py::module_& module) {
     module.def(
         "load_sequence",
         [](const py::object& dataset, const std::optional<Config>& config, const Tell& progress) {
@@ -168,6 +172,13 @@ void add_sequence(py::module_& module) {
                "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. "
                "people: it has pedestrians and a\n"
                "cyclist. gait: and the pedestrians swing their legs and arms.");
+}
+
+}  // namespace
+
+void add_sequence(py::module_& module) {
+    add_sequence_class(module);
+    add_loading(module);
 }
 
 }  // namespace relidar::python

@@ -130,10 +130,6 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
                     "more where training would keep more)")
         ->type_name("N");
     command
-        .add_option("--distortion", choice.distortion,
-                    "weight of loss.distortion (default: 0, or as the run says)")
-        ->type_name("WEIGHT");
-    command
         .add_option("--likelihood", choice.likelihood,
                     "weight of loss.likelihood (default: 0, or as the run says)")
         ->type_name("WEIGHT");
@@ -181,6 +177,50 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
 }
 
+/// Adds the options of how rays are traced.
+void add_trace_options(CLI::App& command, BenchChoice& choice) {
+    command
+        .add_option("--chunk", choice.chunk,
+                    "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")
+        ->type_name("N");
+    command
+        .add_option("--proxy", choice.proxy,
+                    "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as "
+                    "the run says)")
+        ->type_name("WHAT");
+    command
+        .add_option(
+            "--walk", choice.walk,
+            "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
+        ->type_name("HOW");
+    command
+        .add_option("--order", choice.order,
+                    "how hits come in order: auto, chunks as they are found, or lists that are sorted "
+                    "(default: auto: lists on a GPU)")
+        ->type_name("HOW");
+    command
+        .add_option("--sh", choice.sh,
+                    "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
+        ->type_name("ray|surfel");
+}
+
+constexpr const char* kBenchHelp =
+    R"(One repetition: a rebuild (proxies, bottom level, top level), an iteration (activation, refit,
+forward, loss, backward, and Adam with learning rate 0, so that the scene does not change), and
+one instance moved (top level). Times are device timestamps. A kernel that runs several times in
+an iteration counts with their sum. Mrays/s is the median of forward and backward tracing. The
+floor of a kernel is the time in which a copy moves the bytes that the kernel has to move.
+Examples:
+  relidar-dev bench --json bench.json
+  relidar-dev bench --scene B --surfels 1000000 --rays waymo --sh surfel
+  relidar-dev bench --run run --repeat 50
+  relidar-dev bench --run run --scans 100
+  relidar-dev bench --run run --scans 400 --sensor rig.json
+  relidar-dev bench --run run --steps 100
+  relidar-dev bench --keep-hits 0 --deterministic
+  relidar-dev bench --actors 1,1000
+  relidar-dev bench --serve 127.0.0.1:50051 --sensor HDL-32E:512x10 --clients 4)";
+
 }  // namespace
 
 void add_dev_bench(CLI::App& app, Call& call) {
@@ -206,30 +246,7 @@ void add_dev_bench(CLI::App& app, Call& call) {
         ->add_option("--run", choice.run,
                      "bench a run instead: its scene, and its sensor's rays at the first held-out frame")
         ->type_name("RUN");
-    command
-        ->add_option("--chunk", choice.chunk,
-                     "hits sorted at a time, 1 to 64 (default: 16, or as the run says)")
-        ->type_name("N");
-    command
-        ->add_option("--proxy", choice.proxy,
-                     "what stands for a surfel in ray query: auto, triangles or boxes (default: auto, or as "
-                     "the run says)")
-        ->type_name("WHAT");
-    command
-        ->add_option(
-            "--walk", choice.walk,
-            "how rays walk the software tree: auto, lane or subgroup (default: auto, or as the run says)")
-        ->type_name("HOW");
-    command
-        ->add_option("--order", choice.order,
-                     "how hits come in order: auto, chunks as they are found, or lists that are sorted "
-                     "(default: auto: lists on a GPU)")
-        ->type_name("HOW");
-    command
-        ->add_option(
-            "--sh", choice.sh,
-            "harmonics evaluated along each ray, or once a surfel (default: ray, or as the run says)")
-        ->type_name("ray|surfel");
+    add_trace_options(*command, choice);
     add_training_options(*command, choice);
     command->add_option("--repeat", options->settings.repeat, "repetitions after warming up (default: 10)")
         ->type_name("N");
@@ -239,25 +256,7 @@ void add_dev_bench(CLI::App& app, Call& call) {
     command->add_option("--json", options->json, "write the numbers to this file too")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->settings.quiet, "print errors only");
-    command->footer(
-        "A repetition: rebuild (proxies, bottom level, top level); an iteration (activation, refit, forward, "
-        "loss, backward, Adam with\n"
-        "learning rate 0, so that the scene stays); one instance moved (top level). Times are device "
-        "timestamps; a kernel launched\n"
-        "several times in an iteration counts in full. Mrays/s: of forward and backward tracing, median. A "
-        "floor is the bytes that a\n"
-        "kernel must move once, over what a copy moves on the same device: no latency, no divergence, no "
-        "arithmetic.\n"
-        "Examples:\n"
-        "  relidar-dev bench --json bench.json\n"
-        "  relidar-dev bench --scene B --surfels 1000000 --rays waymo --sh surfel\n"
-        "  relidar-dev bench --run run --repeat 50\n"
-        "  relidar-dev bench --run run --scans 100\n"
-        "  relidar-dev bench --run run --scans 400 --sensor rig.json\n"
-        "  relidar-dev bench --run run --steps 100\n"
-        "  relidar-dev bench --keep-hits 0 --deterministic\n"
-        "  relidar-dev bench --actors 1,1000\n"
-        "  relidar-dev bench --serve 127.0.0.1:50051 --sensor HDL-32E:512x10 --clients 4");
+    command->footer(kBenchHelp);
     command->callback([&call, options, scene, surfels, rays] {
         options->describes_street = scene->count() + surfels->count() + rays->count() > 0;
         call.run = [&call, options] { run_bench(*options, call.command_line); };

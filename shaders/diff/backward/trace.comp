@@ -2,7 +2,7 @@
 // Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward
 // pass kept, front to back, and adds the gradient of every hit to its surfel's record
 // gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
-// Input: scene, rendered, upstream, kept, geometry, d_geometry, first_hit. Accumulated:
+// Input: scene, rendered, upstream, kept, first_hit. Accumulated:
 // d_records, d_sh (where SH are evaluated a hit). Output: touched, d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and
 // is right. The background needs no term of its own: it is in the final value that Eq. 9
@@ -85,16 +85,6 @@ void load_kept_hits(uint first, uint n) {
         append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
 }
 
-/// What the geometry of a ray adds: distortion is of second degree in the weights, so the
-/// shares of all hits are twice its value.
-void start_geometry(uint ray_index, inout BlendState state) {
-    RenderedGeometry q = params.geometry.at[ray_index];
-    if (LIKELIHOOD != 0u) state.remaining += ray_geometry.likelihood * q.likelihood;
-    if (GEOMETRY == 0u) return;
-    state.moment = q.moment;
-    state.remaining += 2.0 * ray_geometry.distortion * q.distortion + dot(ray_geometry.normal, q.normal);
-}
-
 /// Adds the gradients of the first n hits of the buffer, last first. Where rows are
 /// exchanged all lanes of a subgroup come here.
 /// @param slot    of the first one's record
@@ -117,12 +107,16 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
 }
 
 /// What a ray starts with.
-BlendState start_blending(uint ray_index, RenderedRay final, RayGradient g) {
-    precise float remaining = g.depth * final.depth;
-    remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit +
-                 g.drop_logit * final.drop_logit;
-    BlendState state = BlendState(0.0, 1.0, remaining, 0.0, 0.0, 0.0, 0.0);
-    if (WITH_GEOMETRY) start_geometry(ray_index, state);
+BlendState start_blending(RenderedRay final, RayGradient g) {
+#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +g.name* final.name
+    precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
+#undef RELIDAR_REMAINS
+    remaining += g.depth * final.depth;
+    BlendState state = BlendState(0.0, 1.0, remaining, 0.0);
+#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) \
+    if (built) state.remaining += g.name * final.name;
+    RELIDAR_LOSS_VALUES(RELIDAR_REMAINS)
+#undef RELIDAR_REMAINS
     return state;
 }
 
@@ -131,9 +125,7 @@ BlendState start_blending(uint ray_index, RenderedRay final, RayGradient g) {
 /// first hit in the buffer, as that number, small differences are no longer differences
 /// of large numbers.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
-    Hit nearest = hit_at(0u);
-    state.first_t = nearest.t;
-    state.shift = shade_of(scene, ray, g, nearest, state);
+    state.shift = shade_of(scene, ray, g, hit_at(0u));
     add_compensated(state.remaining, state.lost, -state.shift * final.weight);
     add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
 }
@@ -142,7 +134,7 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, in
 /// the others of its subgroup come along
 /// @return hits blended: final.n_hits, or fewer where the search does not find them again
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
-    BlendState state = start_blending(ray_index, final, g);
+    BlendState state = start_blending(final, g);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
     Key after = first_key(scene);
     going = going && final.n_hits > 0u;
@@ -176,15 +168,14 @@ void empty_slots(uint ray_index, uint first, uint n) {
         params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
-/// Makes ray_geometry that of this ray, whose own gradient starts with what its point
-/// has. @return whether a hit can have a gradient
-bool take_geometry(uint ray_index, RenderedRay final) {
-    take_ray(params.scene, ray_index, params.d_geometry.at[ray_index], final.transmittance);
-    bool explains = LIKELIHOOD != 0u && ray_geometry.likelihood != 0.0;
-    if (GEOMETRY == 0u) return explains;
-    d_ray_origin = ray_geometry.point;
-    d_ray_direction = ray_geometry.range * ray_geometry.point;
-    return explains || ray_geometry.distortion != 0.0 || ray_geometry.normal != vec3(0.0);
+/// Whether any blended value has a gradient.
+bool has_gradient(RayGradient g) {
+    bool any_gradient = false;
+#define RELIDAR_HAS(name, built, value, input, slope, meaning) \
+    any_gradient = any_gradient || (built && g.name != 0.0);
+    RELIDAR_BLENDED_VALUES(RELIDAR_HAS)
+#undef RELIDAR_HAS
+    return any_gradient;
 }
 
 void main() {
@@ -199,11 +190,9 @@ void main() {
     d_ray_direction = vec3(0.0);
     ray_basis_instance = kNoInstance;
     RayGradient g = params.upstream.at[i];
-    bool any_gradient =
-        g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
     RenderedRay final = params.rendered.at[i];
-    if (WITH_GEOMETRY) any_gradient = take_geometry(i, final) || any_gradient;
-    uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && any_gradient);
+    if (LIKELIHOOD != 0u) take_measured(params.scene, i);
+    uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && has_gradient(g));
     if (!inside) return;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;

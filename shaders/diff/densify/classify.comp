@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel,
 // faint, too large or outside its actor's box; else it grows by its gradient (clone or
-// split) or by its opacity (share), or stays. One thread a surfel of any model. Input:
+// split), or stays. One thread a surfel of any model. Input:
 // surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -36,7 +36,7 @@ bool is_surfel(uint i, vec4 q, vec3 scale) {
 
 /// Whether two random points of the surfel both lie outside the model's box.
 bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
-    if (params.bounded == 0u || !(half_size.x > 0.0)) return false;
+    if (!(half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1],
                      params.surfels.mean.at[3 * i + 2]);
     mat3 r = rotation_matrix(q);
@@ -78,9 +78,7 @@ void main() {
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
     if (has_third_scale()) max_scale = max(max_scale, scale.z);
-    bool by_gradient = params.growth == RELIDAR_DENSIFY_BY_GRADIENT;
-    uint action =
-        by_gradient ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
+    uint action = grow_by_gradient(i, max_scale, params.extents.at[model]);
     // its halves are judged, as if the split came first
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = verdict(i, model, q, scale, opacity, max_scale);
@@ -90,9 +88,6 @@ void main() {
     } else if (action != RELIDAR_DENSIFY_KEEP) {
         weight = 1u;
         count(model, action == RELIDAR_DENSIFY_CLONE ? RELIDAR_DENSIFY_CLONES : RELIDAR_DENSIFY_SPLITS, 1u);
-    } else if (params.growth == RELIDAR_DENSIFY_BY_OPACITY) {
-        action = RELIDAR_DENSIFY_SHARE;
-        weight = max(uint(opacity * 255.0 + 0.5), 1u);
     }
     params.action.at[i] = action;
     params.weight.at[i] = weight;

@@ -37,6 +37,21 @@ void load_tile(uint first_out, uint first_in) {
     }
 }
 
+/// Replaces the tile by the weights of input channels from `first_in` on.
+void stage_tile(uint first_out, uint first_in) {
+    barrier();
+    load_tile(first_out, first_in);
+    barrier();
+}
+
+/// Loads the weights of one input channel and tap that this lane holds for its subgroup.
+void load_weights(uint first_out, uint i, uint tap, out float held[kHeld]) {
+    [[unroll]] for (uint k = 0u; k < kHeld; ++k) {
+        uint o = min(first_out + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
+        held[k] = params.weights.at[weight_index(o, i, tap)];
+    }
+}
+
 void main() {
     uint n_pixels = params.rows * params.columns,
          segments = (params.columns + LANES * PIXELS - 1u) / (LANES * PIXELS);
@@ -63,11 +78,7 @@ void main() {
     [[unroll]] for (uint k = 0u; k < PIXELS * kOut; ++k) sum[k] = 0.0;
 
     for (uint i = 0u; i < params.n_in; ++i) {
-        if (STAGED && i % kIn == 0u) {
-            barrier();
-            load_tile(first_out, i);
-            barrier();
-        }
+        if (STAGED && i % kIn == 0u) stage_tile(first_out, i);
         [[unroll]] for (uint ky = 0u; ky < kLines; ++ky) {
             float v[kLoads];
             [[unroll]] for (uint k = 0u; k < kLoads; ++k) {
@@ -77,11 +88,7 @@ void main() {
             [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
                 uint tap = ky * kLines + kx;
                 float held[kHeld];
-                if (!STAGED) {
-                    [[unroll]] for (uint k = 0u; k < kHeld; ++k) held[k] =
-                        params.weights
-                            .at[weight_index(min(first_out + k * LANES + lane, params.n_out - 1u), i, tap)];
-                }
+                if (!STAGED) load_weights(first_out, i, tap, held);
                 float seen[PIXELS];
                 [[unroll]] for (uint p = 0u; p < PIXELS; ++p) seen[p] =
                     kx == 0u ? v[p] : from_lane(v[p], v[min(p + 1u, kLoads - 1u)], kx);

@@ -32,11 +32,9 @@ struct BackwardParams {
     RELIDAR_OF(Uints, FirstHits) first_hit;         // input [n_rays] slot of each ray's first hit (gather)
     HitRecords hits;                                // output [capacity] (gather)
     RELIDAR_OF(Uints, HitRows) rows;                // output [capacity] (gather)
-    Hits kept;                    // input [ceil(n/2),n_kept,2] of n threads, as the forward pass blended them
-    RenderedGeometries geometry;  // input [n_rays], where the kernel is built for it
-    GeometryGradients d_geometry;  // input [n_rays], likewise
-    uint n_kept;                   // what a ray has behind them is searched again
-    uint capacity;                 // hits in slots beyond it are added with atomics
+    Hits kept;      // input [ceil(n/2),n_kept,2] of n threads, as the forward pass blended them
+    uint n_kept;    // what a ray has behind them is searched again
+    uint capacity;  // hits in slots beyond it are added with atomics
     uint n_rows;
     uint with_turn;  // 1: d_records gets the turn of SH directions too, where SH are evaluated a hit
 };
@@ -56,8 +54,6 @@ struct GatherParams {
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], where SH are evaluated a hit
     RELIDAR_OF(Uints, MostHits) most_hits;          // maximum [1] of n_hits
-    RenderedRays rendered;                          // input [n_rays], where the kernel is built for geometry
-    GeometryGradients d_geometry;                   // input [n_rays], likewise
     uint capacity;
     uint n_rows;
 };

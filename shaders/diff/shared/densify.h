@@ -13,7 +13,6 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_KEEP 1
 #define RELIDAR_DENSIFY_CLONE 2  // stays, with a copy beside it
 #define RELIDAR_DENSIFY_SPLIT 3  // replaced by two smaller ones
-#define RELIDAR_DENSIFY_SHARE 4  // stays, with copies; all of them together are as opaque as it was
 
 // Counters of a model, one uint each.
 #define RELIDAR_DENSIFY_KEPT 0     // survivors, growing ones included
@@ -25,11 +24,6 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_SPLITS 6   // wanted
 #define RELIDAR_DENSIFY_WEIGHT 7   // sum of weights
 #define RELIDAR_DENSIFY_COUNTERS 8
-
-// What makes a surfel grow.
-#define RELIDAR_DENSIFY_BY_NOTHING 0
-#define RELIDAR_DENSIFY_BY_GRADIENT 1
-#define RELIDAR_DENSIFY_BY_OPACITY 2
 
 /// One batch into the statistics (densify/observe.comp).
 struct ObserveParams {
@@ -51,7 +45,7 @@ struct ClassifyParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, GradientSums) gradient_sum;  // input [n]
     RELIDAR_OF(Uints, SeenBatches) n_seen;          // input [n]
-    RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SHARE
+    RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SPLIT
     RELIDAR_OF(Uints, GrowthWeights) weight;      // output [n] share in the growth, 0 where it does not grow
     RELIDAR_OF(Uints, DensifyCounters) counters;  // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
     Models models;                                // input [n_models]
@@ -60,8 +54,6 @@ struct ClassifyParams {
     float max_extent_share;                       // scale over the model's extent above: dropped
     float clone_extent_share;  // max scale over the model's extent below: cloned, else split
     float gradient_threshold;  // mean norm above: grows
-    uint growth;               // RELIDAR_DENSIFY_BY_*
-    uint bounded;              // 1: outside the box of the model: dropped
     uint n_surfels;
     uint n_models;
     uint key;  // of the random numbers
@@ -91,14 +83,13 @@ struct MoveParams {
     uint fresh;  // 1: rows of new surfels, and of those whose values change, are zero (moments)
 };
 
-/// Values of split and shared surfels in their new places, which hold copies of the old
-/// ones (densify/spawn.comp).
+/// Values of split surfels in their new places, which hold copies of the old ones
+/// (densify/spawn.comp).
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] old order
     RELIDAR_OF(Uints, RowCounts) n_rows;       // input [n]
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n]
-    float min_opacity;                         // shared surfels do not go below
     uint n_surfels;                            // before
     uint key;
 };
@@ -108,15 +99,6 @@ struct ResetOpacityParams {
     RELIDAR_OF(Floats, OpacityLogits) opacity_logit;  // in place [n]
     float max_logit;
     uint n_surfels;
-};
-
-/// Noise on the means (densify/jitter.comp).
-struct JitterParams {
-    SurfelPointers surfels;  // means in place
-    float amount;            // standard deviation, in scales of the surfel
-    float faint_opacity;     // half of the noise is left there
-    uint n_surfels;
-    uint key;
 };
 
 RELIDAR_SHARED_END

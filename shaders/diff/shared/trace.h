@@ -69,7 +69,7 @@ struct ForwardParams {
     Hits kept;              // output [ceil(n/2),n_kept,2] of n threads, their rays' first hits
     // accumulated [1] rays with more hits than are kept; not touched where n_kept is 0
     RELIDAR_OF(Uints, OverfullCount) n_overfull;
-    RenderedGeometries geometry;  // output [n_rays], where the kernel is built for it
+    RenderedSurfaces surfaces;  // output [n_rays], where the kernel is built for normals or modes
     uint n_kept;
     uint kept_in_lists;   // 1: they are lists.hits
     float surface_gap_m;  // between the hits of two surfaces, where the kernel is built for modes

@@ -11,7 +11,7 @@ namespace relidar {
 Proxy resolve(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
-    // measured: docs/platform.md; hardware intersects triangles itself
+    // measured: docs/performance.md; hardware intersects triangles itself
     return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
 }
 

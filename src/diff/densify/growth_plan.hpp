@@ -31,10 +31,10 @@ struct GrowthPlan {
     std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
 };
 
-/// Survivors and as much growth as the strategy wants. @param random any number: fixes
-/// the phase
+/// Returns survivors and growth by one surfel for each that grows, up to
+/// DensifyOptions::max_surfels. @param random any number: fixes the phase
 GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
-                       std::uint32_t before, std::uint64_t random);
+                       std::uint64_t random);
 /// The same with at most so many surfels in all; survivors always stay.
 GrowthPlan limited_to(GrowthPlan plan, std::uint32_t size);
 

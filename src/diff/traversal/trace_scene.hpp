@@ -66,7 +66,7 @@ inline KernelVariant traversal_variant(const Device& device) {
 }
 
 /// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree
-/// together. Measured: 1.2 times as fast on lavapipe (docs/platform.md). On a GPU lanes
+/// together. This is faster on lavapipe (docs/performance.md). On a GPU lanes
 /// are free to part; on a CPU they are those of one vector, and load surfels for each
 /// other.
 inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
@@ -84,7 +84,7 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
             {ConstantId::TOGETHER, walks_together(device, options)},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
+            {ConstantId::NORMAL, options.normals ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
             {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }

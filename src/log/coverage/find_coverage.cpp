@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the scans of a log have looked at, firing by firing.
+// Computes which space the scans of a log have observed, one firing at a time.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -11,19 +11,19 @@
 namespace relidar {
 namespace {
 
-/// A ray of the world, as far as it has looked.
+/// A ray in the world, and how far it has observed the space.
 struct Look {
     WorldRay ray;
-    double length_m = 0.0;  ///< 0: it tells nothing
+    double length_m = 0.0;  ///< 0 if the ray gives no information
 
     glm::dvec3 end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
-/// How far the rays of one firing have looked, highest beam first.
-/// @param range_m [rows] of the returns, 0 where the ray was dropped
+/// Returns how far the rays of one firing have observed the space, highest beam first.
+/// @param range_m [rows] ranges of the returns, 0 if the ray was dropped
 std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();
-    std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above
+    std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above each row
     for (std::size_t row = 1; row < n; ++row)
         above[row] = range_m[row - 1] > 0.0 ? range_m[row - 1] : above[row - 1];
     double below = 0.0;
@@ -34,7 +34,7 @@ std::vector<double> looked_m(const std::vector<double>& range_m, double max_rang
     return result;
 }
 
-/// Adds what lies between two rays that start together.
+/// Adds the space between two neighbouring rays.
 void add_between(Coverage& coverage, const Look& a, const Look& b) {
     const double length_m = std::min(a.length_m, b.length_m);
     const int n =
@@ -47,7 +47,8 @@ void add_between(Coverage& coverage, const Look& a, const Look& b) {
     }
 }
 
-/// Columns that can be left out, since those beside them cross the same cells.
+/// Returns the step between the columns that are used. Columns in between can be skipped,
+/// because they cross the same cells.
 std::size_t column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;
@@ -88,7 +89,7 @@ Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_veh
         world_from_sensor.push_back(moved_track(world_from_vehicle, lidar.vehicle_from_sensor));
     Coverage all;
     std::mutex mutex;
-    run_parallel(static_cast<int>(positions.size()), [&](int i) {
+    parallel_for(static_cast<int>(positions.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(i)])];
         const Coverage one =
             coverage_of(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);

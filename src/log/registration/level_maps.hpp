@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The same map with large cells and small ones: scans are placed from coarse to fine.
+// Stores a map at several cell sizes, so that scans can be aligned from coarse to fine.
 #pragma once
 
 #include <vector>
@@ -13,7 +13,7 @@ class LevelMaps {
 public:
     static constexpr int kLevels = 3;
 
-    /// @param first, last  cells and kernel of the coarsest level and of the finest
+    /// @param first, last cell size and kernel of the coarsest and of the finest level
     LevelMaps(const RegisterRound& first, const RegisterRound& last) : first_(first), last_(last) { clear(); }
 
     void clear() {
@@ -22,17 +22,18 @@ public:
     }
     bool empty() const { return maps_.front().empty(); }
     RegisterRound round(int level) const { return between(first_, last_, level / double(kLevels - 1)); }
-    /// As VoxelPlanes has them, on every level.
+    /// Adds points to the maps of all levels, like VoxelPlanes::add().
     void add(const std::vector<glm::dvec3>& points_m, double travelled_m) {
-        run_parallel(kLevels, [&](int level) {
+        parallel_for(kLevels, [&](int level) {
             for (const glm::dvec3& point_m : points_m) maps_[std::size_t(level)].add(point_m, travelled_m);
         });
     }
     void forget(double travelled_m) {
         for (VoxelPlanes& map : maps_) map.forget(travelled_m);
     }
-    /// Of the maps up to a level: what lies far away fills large cells only. Null where
-    /// none has a plane.
+    /// Returns the plane at a point from the finest level that has one, up to `level`.
+    /// Distant points are sparse and form planes in large cells only. Returns null if no
+    /// level has a plane.
     const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
         const Plane* plane = nullptr;
         for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);

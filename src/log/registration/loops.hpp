@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Roads that are driven again: scans of the later pass find their place on the map of the
-// earlier one, and what they are off is spread over the way between.
+// Closes loops. Scans of a later pass over a road are registered to the map of the
+// earlier pass. The error is then distributed over the path between the two passes.
 #pragma once
 
 #include <functional>
@@ -11,28 +11,29 @@
 namespace relidar {
 
 struct LoopOptions {
-    RegisterRound first, last;                 ///< cells and kernel of a scan's steps, from coarse to fine
-    std::function<bool(double done)> proceed;  ///< called now and then; false ends it
+    RegisterRound first, last;  ///< cells and kernel of a scan's alignment steps, from coarse to fine
+    /// called repeatedly; if it returns false, the search stops
+    std::function<bool(double done)> proceed;
 };
 
 struct ClosedLoops {
     PoseTrack track;
-    std::size_t places = 0;  ///< at which a scan found its place on the map of an earlier pass
-    double largest_m = 0.0;  ///< by which one of them was off
+    std::size_t places = 0;  ///< number of loop closures
+    double largest_m = 0.0;  ///< largest correction of a loop closure, in metres
 };
 
-/// Looks for poses that come near where the track was 80 m of its way before or earlier;
-/// how near they must come grows with the way. A place counts where a scan's points lie
-/// on the planes of the earlier pass as those of odometry do; of places that contradict
-/// the others the weight falls off (Geman and McClure 1985). Corrections x of the poses
-/// then minimise
+/// Closes the loops of a track. Searches for poses near a place that the track passed at
+/// least 80 m of path earlier. The allowed distance grows with the path length. A loop
+/// closure is accepted if the share of the scan's points on planes of the earlier pass is
+/// as high as in odometry. Loop closures that contradict the others get a lower weight
+/// (Geman and McClure 1985). The corrections x of the poses minimise
 ///   sum over the track of |x_k+1 - x_k|^2 / s_k^2  +  sum over places of rho(|x_later - x_earlier - what it was off|)
-/// each x a translation and a rotation that carries along what comes after it.
-/// @param followed  by odometry: right from scan to scan, drifting by metres over
-/// kilometres
-/// @param scans [poses] points of each scan; empty where a pose has none of its own
-/// @return the track as it was where fewer than two places are found, or proceed() ended
-/// it
+/// where each x is a translation and a rotation that also moves all later poses.
+/// @param followed poses from odometry: accurate from scan to scan, with a drift of
+/// metres over kilometres
+/// @param scans [poses] points of each scan; empty if a pose has no scan
+/// @return the unchanged track if fewer than two loop closures exist, or if proceed()
+/// returned false
 ClosedLoops close_loops(const PoseTrack& followed, const std::vector<std::vector<ThinPoint>>& scans,
                         const LoopOptions& options);
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scan to map: a scan starts where its motion is predicted to bring it, by the given
-// poses and by the velocity of the scan before, and moves as a rigid body in Gauss-Newton
-// steps onto planes of cells of 2 m, then finer. Its points are placed at their own
-// firing times: the pose before is known, the pose after moves along. Of several
-// predictions the one counts on which most points find a plane.
+// Aligns each scan with a map of earlier scans. The start pose is predicted from the
+// given poses and from the velocity of the previous scan. Gauss-Newton steps then move
+// the scan as a rigid body onto planes, first in cells of 2 m, then in finer ones. Each
+// point is placed at its firing time: the earlier pose is fixed and the later pose moves.
+// If there are several predictions, the result with the most points on planes is used.
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
@@ -22,34 +22,37 @@ namespace relidar {
 namespace {
 
 constexpr int kMostSteps = 8;
-constexpr double kConverged_m = 1e-3;  // length of the last step
-// of the mean stiffness, towards the prediction: decides along what no point sees, such
-// as a bare road
+constexpr double kConverged_m = 1e-3;  // the iteration stops if a step is shorter than this
+// Stiffness towards the prediction, as a share of the mean stiffness. It determines
+// directions that no point constrains, for example along a bare road.
 constexpr double kPrior = 3e-4;
-// of a scan's points that lie on planes of the map: streets 0.5 to 0.8
+// Minimum share of a scan's points that lie on planes of the map. Streets have 0.5 to
+// 0.8.
 constexpr double kFewestShare = 0.1;
-// what was last seen so far back is forgotten: odometry must not close loops
+// Parts of the map that were last seen this far back are removed, because odometry must
+// not close loops.
 constexpr double kMemory_m = 80.0;
-// of the way at a time: looking through all cells takes as long as adding a scan
+// Path length between removals. Checking all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-constexpr double kSame_m = 0.05;       // predictions nearer to each other lead to the same place
-constexpr int kLostInARow = 5;         // after which the map begins anew
-constexpr std::size_t kStretch = 200;  // poses
-// poses that a stretch and the one before it both have: enough for a map
+constexpr double kSame_m = 0.05;       // predictions closer than this lead to the same result
+constexpr int kLostInARow = 5;         // number of lost scans in a row after which the map is cleared
+constexpr std::size_t kStretch = 200;  // number of poses
+// Number of poses that two consecutive sections share, enough for a map.
 constexpr std::size_t kOverlap = 20;
-constexpr int kTrialScans = 4;  // by which the first motion is chosen
-// between scans: 40 m/s at 10 Hz
+constexpr int kTrialScans = 4;  // number of scans used to choose the first motion
+// Motion between two scans; the maximum is 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-/// The motion from a to b, s times.
+/// Returns the motion from a to b, scaled by s.
 Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
 
-/// Poses that are followed one after the other.
+/// Section of a log whose poses are estimated one after the other.
 struct Stretch {
     std::size_t begin, end;
 };
 
-/// Stretches of a log: the last one may be up to twice as long as the others.
+/// Divides a log into sections. The last section can be up to twice as long as the
+/// others.
 std::vector<Stretch> stretches_of(std::size_t n_poses) {
     std::vector<Stretch> stretches{{0, n_poses}};
     for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
@@ -72,7 +75,7 @@ public:
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
     }
 
-    /// Poses are followed in their order.
+    /// Estimates one pose. Must be called for the poses in their order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
             pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
@@ -94,12 +97,12 @@ public:
     }
 
     const PoseTrack& track() const { return track_; }
-    double share() const { return share_; }  ///< of points on planes, summed over scans
+    double share() const { return share_; }  ///< share of points on planes, summed over the scans
 
 private:
     struct Candidate {
         Pose pose;
-        double share = 0.0;  // of its points that lie on planes
+        double share = 0.0;  // share of the points that lie on planes
     };
     const PoseTrack& given_;
     PoseTrack track_;
@@ -119,7 +122,8 @@ private:
         maps_.forget(forgotten_m_);
     }
 
-    /// Motion from pose k - 1 to k as the velocity from pose k - 2 to k - 1 has it.
+    /// Returns the motion from pose k - 1 to k, extrapolated from the motion between the
+    /// two previous poses.
     Pose kept_motion(std::size_t k) const {
         if (k < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -129,7 +133,7 @@ private:
 
     Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
 
-    /// Where a pose after the first may be, the likeliest first.
+    /// Returns the possible predictions of pose k, the most likely one first.
     std::vector<Pose> predictions(std::size_t k) const {
         const Pose kept = track_.pose[k - 1] * kept_motion(k);
         if (!options_.given_motion) return {kept};
@@ -138,15 +142,16 @@ private:
         return {given, kept};
     }
 
-    /// Sets a pose; the next one moves along, as far as it is known.
+    /// Sets a pose, and moves the next pose along with it.
     void set(std::size_t k, const Pose& pose) {
         track_.pose[k] = pose;
         if (k + 1 < track_.pose.size())
             track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
     }
 
-    /// A scan moved onto the maps. @return where it ends, and the share of its points
-    /// that lie on planes there
+    /// Aligns a scan with the maps.
+    /// @return the final pose, and the share of the scan's points that lie on planes
+    /// there
     Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
         set(k, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
@@ -159,11 +164,12 @@ private:
         return {track_.pose[k], share};
     }
 
+    /// Makes one Gauss-Newton step.
     /// @return length of the step
     double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level,
                 double scale_m, double& share) {
         const RigidEquations equations =
-            sum_parallel(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            parallel_reduce(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
                     const PlacedPoint at = place(track_, point);
@@ -181,8 +187,9 @@ private:
     }
 };
 
-/// How the sensor moved from a stretch's first pose to the second, where nothing says so:
-/// the speed ahead on which the first scans agree best.
+/// Returns the motion of the sensor between the first two poses of a section if no poses
+/// are given. Tries several forward speeds and uses the one for which the first scans
+/// agree best.
 Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options, const Stretch& stretch) {
     Pose best;
@@ -200,8 +207,10 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
     return best;
 }
 
-/// @param proceed asked before each scan @return poses of the stretch, the first as
-/// given; nothing where ended
+/// Estimates the poses of a section.
+/// @param proceed called before each scan
+/// @return poses of the section, the first one as given; empty if proceed() returned
+/// false
 std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                            const OdometryOptions& options, const Stretch& stretch,
                            const std::function<bool()>& proceed) {
@@ -217,10 +226,11 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
     return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
 }
 
-/// Puts each stretch where the one before it has seen the last scan that both have.
+/// Joins the sections. Each section is moved so that its pose at the last shared scan
+/// equals the pose in the previous section.
 std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
                           const std::vector<std::vector<ThinPoint>>& scans) {
-    auto own = poses.begin();  // of the first pose of a stretch, by that stretch
+    auto own = poses.begin();  // first pose of the current section in `poses`
     std::vector<Pose> track(own, own + std::ptrdiff_t(stretches.front().end));
     for (std::size_t i = 1; i < stretches.size(); ++i) {
         own += std::ptrdiff_t(stretches[i - 1].end - stretches[i - 1].begin);
@@ -255,7 +265,7 @@ PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<Thi
         return !ended;
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
-    run_parallel(static_cast<int>(parts.size()), [&](int i) {
+    parallel_for(static_cast<int>(parts.size()), [&](int i) {
         parts[std::size_t(i)] =
             followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
     });

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses found scan by scan, each on the map of the scans before it: where given poses
-// drift or jump, or where there are none. A long log is followed in stretches, which
-// threads and processes do at the same time; a stretch begins some scans before the one
-// before it ends, and is put where that one has seen the last of these.
+// Estimates poses scan by scan, each against a map of the earlier scans. It is used if
+// the given poses drift or jump, or if there are none. A long log is divided into
+// overlapping sections that threads and processes handle in parallel. The last scan that
+// two sections share connects them.
 #pragma once
 
 #include <functional>
@@ -16,19 +16,20 @@
 namespace relidar {
 
 struct OdometryOptions {
-    RegisterRound first, last;  ///< cells and kernels of a scan's steps, from coarse to fine
-    /// the given poses say how the sensor moved from scan to scan; false: it keeps its
-    /// velocity
+    RegisterRound first, last;  ///< cells and kernels of a scan's alignment steps, from coarse to fine
+    /// True if the given poses predict the motion from scan to scan. Otherwise the
+    /// velocity is assumed to be constant.
     bool given_motion = true;
-    /// called now and then, from the calling thread; false ends it
+    /// Called repeatedly from the calling thread. If it returns false, the estimation
+    /// stops.
     std::function<bool(double done)> proceed;
     ProcessGroup group = {};
 };
 
-/// Scans that do not find their place move as predicted. @param scans  [poses] points of
-/// each scan; empty where a pose has none of its own
-/// @return the same in all processes; starts where the given poses start; the given poses
-/// where proceed() ended it
+/// Estimates the poses of a log. A scan that cannot be aligned gets its predicted pose.
+/// @param scans [poses] points of each scan; empty if a pose has no scan
+/// @return poses that are identical in all processes and start at the first given pose;
+/// the given poses if proceed() returned false
 PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options);
 

@@ -17,7 +17,7 @@ bool is_mover(const RegisterOptions& options, const WorldReturn& w) {
     });
 }
 
-/// The LiDAR with the most returns.
+/// Returns the LiDAR with the most returns.
 int leading_lidar(const Sequence& sequence) {
     std::vector<std::size_t> returns(sequence.lidars.size(), 0);
     if (returns.size() > 1)
@@ -111,7 +111,7 @@ std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const S
                                                const std::vector<bool>& chosen,
                                                const RegisterOptions& options, double cell_m) {
     std::vector<std::vector<ThinPoint>> scans(chosen.size());
-    run_parallel(static_cast<int>(scans.size()), [&](int i) {
+    parallel_for(static_cast<int>(scans.size()), [&](int i) {
         const auto sweep = std::size_t(i);
         if (chosen[sweep]) scans[sweep] = thin(sequence, sweeps, sweep, options, cell_m);
     });

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree is grown from all returns, layer by layer. A node is parted at the feature and
-// value that lower the entropy of its classes most,
-//   gain = sum n_c ln(n_c / n) of both children - that of the node,   c a class of 24 quantiles of all intensities,
-// as long as that is more than chance gives.
+// Grows the intensity tree from all returns, layer by layer. A node is split at the
+// feature and the value that reduce the entropy of the classes most:
+//   gain = sum n_c ln(n_c / n) of both children - the same sum of the node,   c: one of 24 quantiles of all intensities.
+// A node is not split if the gain could be chance.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -15,8 +15,9 @@
 
 #include "base/joined.hpp"
 #include "base/parallel.hpp"
+#include "base/parallel_sort.hpp"
 #include "base/random.hpp"
-#include "log/scatter/context.hpp"
+#include "log/scatter/ray_features.hpp"
 
 namespace relidar {
 namespace {
@@ -27,29 +28,29 @@ using scatter_detail::kFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// twice it is chi-square with 23 degrees of freedom: one in 100 by chance, of the best of
-// all cuts
+// Minimum gain. Twice the gain is chi-square distributed with 23 degrees of freedom. The
+// best of all cuts exceeds this limit by chance in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
-constexpr std::size_t kQuantileReturns = 100000;  // that quantiles are taken from
+constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// What is known of a return.
+/// Features, class and intensity of a return.
 struct Return {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
     float value;
 };
 
-/// Those of a node lie side by side, so that whoever counts them reads memory in its
-/// order.
+/// All returns. Those of a node are contiguous, so that counting reads the memory
+/// sequentially.
 struct Returns {
     std::vector<Return> all;
-    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins but the last
+    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Where a sorted list is parted into n parts; none twice.
+/// Returns the values that divide a list into n parts of equal size, without duplicates.
 std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
-    sort_parallel(values, std::less<>());
+    parallel_sort(values, std::less<>());
     std::vector<float> cuts;
     for (std::size_t k = 1; k < n; ++k) cuts.push_back(values[values.size() * k / n]);
     cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
@@ -60,7 +61,7 @@ std::uint8_t bin(const std::vector<float>& cuts, float value) {
     return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
 }
 
-/// A return of the images.
+/// Index of a return: image and ray.
 struct ReturnPlace {
     std::uint32_t image, ray;
 };
@@ -69,15 +70,15 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns on rendered surfaces; about `most` of them, chosen by chance, where there are
-/// more.
+/// Returns the returns on rendered surfaces. If there are more than `most`, selects about
+/// `most` of them at random.
 std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
     const double share = double(most) / double(std::max<std::size_t>(n, 1));
     std::vector<std::vector<ReturnPlace>> of_images(images.size());
-    run_parallel(int(images.size()), [&](int image) {
+    parallel_for(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
             if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share)
@@ -97,7 +98,7 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
     const std::size_t stride = places.size() / kQuantileReturns + 1;
     std::vector<Features> some((places.size() + stride - 1) / stride);
     for_each_block(some.size(), [&](std::size_t k) { some[k] = features_of(images, places[k * stride]); });
-    run_parallel(int(kFeatures), [&](int f) {
+    parallel_for(int(kFeatures), [&](int f) {
         std::vector<float> values;
         for (const Features& features : some) values.push_back(features[std::size_t(f)]);
         result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
@@ -115,7 +116,7 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
     return result;
 }
 
-/// k ln k of whole numbers.
+/// Table of k ln k for integers.
 class Terms {
 public:
     explicit Terms(std::size_t most) : of_(most + 1, 0.0) {
@@ -127,7 +128,7 @@ private:
     std::vector<double> of_;
 };
 
-/// Returns counted by class.
+/// Number of returns in each class.
 struct Counts {
     std::array<std::uint32_t, kClasses> of{};
 
@@ -140,7 +141,7 @@ struct Counts {
         for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
         return rest;
     }
-    /// Sum of n_c ln(n_c / n).
+    /// Returns the sum of n_c ln(n_c / n).
     double order(const Terms& terms) const {
         double sum = -terms(n());
         for (const std::uint32_t k : of) sum += terms(k);
@@ -148,17 +149,17 @@ struct Counts {
     }
 };
 
-/// Where a node is parted: up to the end of a bin of a feature.
+/// Split of a node: a feature, and the bin up to which returns belong to the first child.
 struct Cut {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
 };
 
-constexpr std::size_t kTogether = 4;  // features whose counts stay in the first cache
+constexpr std::size_t kTogether = 4;  // number of features whose counts fit into the first-level cache
 using Bins = std::array<Counts, kBins>;
 
-/// The best cut of a feature, by the counts of its bins.
+/// Returns the best cut of one feature from the counts in its bins.
 Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
     Counts all, low;
@@ -168,7 +169,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
-        if (of_bin == 0) continue;  // as good as the cut before
+        if (of_bin == 0) continue;  // same gain as the previous cut
         low.add(counts[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
@@ -178,7 +179,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     return best;
 }
 
-/// The best cut of a few features from `first` on.
+/// Returns the best cut among a few features, beginning with `first`.
 Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first,
                      const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
@@ -193,8 +194,8 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
     return best;
 }
 
-/// The best cut of a node; of equal ones that of the first feature. @param each  runs a
-/// task for 0, 1, ... below a number
+/// Returns the best cut of a node. Of equal cuts, the first feature is used.
+/// @param each runs a task for 0, 1, ..., n - 1
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
     Cut best;
@@ -208,8 +209,8 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
     return best;
 }
 
-/// Cuts of the nodes from `first` on, at the same time; of a large node the features as
-/// well.
+/// Finds the cuts of several nodes in parallel. For a large node, the features are also
+/// processed in parallel.
 std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
@@ -217,22 +218,23 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     const auto part = [&](std::size_t k) {
         return std::span(returns.all).subspan(nodes[k].first, nodes[k].count);
     };
-    run_parallel(int(nodes.size()), [&](int k) {
+    parallel_for(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
         cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
-            if (is_large) return run_parallel(n, task);
+            if (is_large) return parallel_for(n, task);
             for (int i = 0; i < n; ++i) task(i);
         });
     });
     return cuts;
 }
 
-/// Parts the nodes from `first` on where it pays, and their returns with them.
+/// Splits the nodes from index `first` on if the gain suffices, and reorders their
+/// returns.
 void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
                 std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
-    run_parallel(int(cuts.size()), [&](int k) {
+    parallel_for(int(cuts.size()), [&](int k) {
         const Cut& cut = cuts[std::size_t(k)];
         if (cut.feature < 0) return;
         const IntensityScatter::Node& node = nodes[first + std::size_t(k)];
@@ -265,7 +267,8 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
     }
 }
 
-/// The common divisor of two numbers, but for what is less than `error`.
+/// Returns the greatest common divisor of two numbers, where remainders below `error`
+/// count as zero.
 double common_divisor(double a, double b, double error) {
     while (b > error) {
         const double rest = std::abs(std::remainder(a, b));
@@ -278,9 +281,9 @@ double common_divisor(double a, double b, double error) {
 }  // namespace
 
 double find_step(std::vector<float> values) {
-    constexpr double kError = 1e-6, kFinest = 1e-5;  // of the largest value
+    constexpr double kError = 1e-6, kFinest = 1e-5;  // relative to the largest value
     constexpr std::size_t kFewestLevels = 8;
-    sort_parallel(values, std::less<>());
+    parallel_sort(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
     if (values.size() < kFewestLevels || values.front() < 0.0f) return 0.0;
     const double largest = double(values.back());
@@ -288,7 +291,7 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // as exact as the largest value so far tells it
+        // refines the step with the largest value so far
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

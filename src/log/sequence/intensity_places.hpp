@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What several sweeps or beams have seen of the same small places, for comparing
-// intensities. Private to sequence.
+// Collects returns of several sweeps or beams from the same small places, to compare
+// their intensities. Private to sequence.
 #pragma once
 
 #include <cstdint>
@@ -10,17 +10,17 @@
 
 namespace relidar {
 
-/// One return: from which place, by which beam, how far, how squarely, how bright.
+/// One return: its place, beam, range, incidence and intensity.
 struct PlaceReturn {
     std::uint32_t place;
     std::uint32_t beam;
     float range_m;
-    float cosine;     ///< of the angle of incidence
-    float intensity;  ///< as measured
+    float cosine;     ///< cosine of the angle of incidence
+    float intensity;  ///< measured intensity
 };
 
-/// Returns of frames at some positions, of places on a surface that are hit twice or
-/// more; in the order of the places, which are numbered from 0.
+/// Returns at places on surfaces that were hit at least twice. They are sorted by place;
+/// places are numbered from 0.
 struct PlaceReturns {
     std::vector<PlaceReturn> seen;
     std::size_t n_places = 0;

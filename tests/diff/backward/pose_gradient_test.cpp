@@ -171,18 +171,24 @@ TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
     expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
 }
 
+/// A street of `n_background` surfels and an actor of `n_actor` surfels.
+Scene background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
+    Scene layout = make_background_scene(make_benchmark_street(n_background + n_actor));
+    layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
+    layout.instances.push_back({1, "actor"});
+    return layout;
+}
+
 /// Of a street and an actor in several blocks each, from record gradients at random: sums
 /// in double, and the same bits in every run.
 TEST_F(PoseGradient, ManyBlocksOfSurfels) {
-    const std::uint32_t n_background = 2500, n_actor = 1100, n = n_background + n_actor;
-    Scene layout = make_background_scene(make_benchmark_street(n));
-    layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
-    layout.instances.push_back({1, "actor"});
+    const Scene layout = background_and_actor(2500, 1100);
+    const std::size_t n = layout.surfels.size();
     const glm::dvec3 view_origin(1.0, -2.0, 0.5);
     const Pose pose{glm::angleAxis(0.7, glm::normalize(glm::dvec3(1.0, 2.0, 3.0))), {4.0, -1.0, 0.3}};
     std::mt19937_64 random(45);
     std::normal_distribution<float> normal;
-    std::vector<float> d_records(16 * std::size_t(n)), d_view(3 * std::size_t(n));
+    std::vector<float> d_records(16 * n), d_view(3 * n);
     for (std::size_t i = 0; i < n; i += 2) {  // the others have no gradient
         for (std::size_t k = 0; k < 16; ++k) d_records[16 * i + k] = normal(random);
         for (std::size_t k = 0; k < 3; ++k) d_view[3 * i + k] = normal(random);

@@ -102,6 +102,38 @@ std::vector<float> some_bounds(std::uint32_t n) {
     return bounds;
 }
 
+/// Calls expect(value before, value after, learning rate, gradient of a Surfels) for each
+/// parameter of surfel `i`.
+template <class Expect>
+void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32_t i, const ParameterSet& set,
+                        Expect&& expect) {
+    for (int k = 0; k < 3; ++k)
+        expect(start.mean[i][k], actual.mean[i][k], kRates.mean,
+               [&](const Surfels& s) { return s.mean[i][k]; });
+    for (int k = 0; k < 4; ++k)
+        expect(start.rotation[i][k], actual.rotation[i][k], kRates.rotation,
+               [&](const Surfels& s) { return s.rotation[i][k]; });
+    for (int k = 0; k < 2; ++k)
+        expect(start.log_scale[i][k], actual.log_scale[i][k], kRates.log_scale,
+               [&](const Surfels& s) { return s.log_scale[i][k]; });
+    for (int k = 0; k < 5 && set.bends; ++k)
+        expect((&start.gait[i].phase)[k], (&actual.gait[i].phase)[k], kRates.gait,
+               [&](const Surfels& s) { return (&s.gait[i].phase)[k]; });
+    if (kind_of(set.primitive).third_scale)
+        expect(start.log_scale_w[i], actual.log_scale_w[i], kRates.log_scale,
+               [&](const Surfels& s) { return s.log_scale_w[i]; });
+    expect(start.opacity_logit[i], actual.opacity_logit[i], kRates.opacity_logit,
+           [&](const Surfels& s) { return s.opacity_logit[i]; });
+    for (std::size_t k = 0; k < kShFloats; ++k) {
+        const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;
+        // degree 2: nine coefficients
+        const double factor = (within == 0 ? 1.0 : kRates.sh_rest_factor) *
+                              (k < kShCoefficients ? kRates.intensity_factor : 1.0);
+        const double rate = within >= 9 ? 0.0 : kRates.sh * factor;
+        expect(start.sh[slot], actual.sh[slot], rate, [&](const Surfels& s) { return s.sh[slot]; });
+    }
+}
+
 /// With one thread a row and one a float; where all rows have gradients, where those that
 /// are not touched (in some steps or in all) decay, and where these stay; in the latter
 /// two the first rows are fixed.
@@ -139,42 +171,17 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
             stream.finish();
         }
         const Surfels actual = parameters.download();
-        for (std::uint32_t i = 0; i < n; ++i) {
-            const auto gait = [&](const Surfels& s) { return &s.gait[i].phase; };
-            const auto expect = [&](double first, double result, double rate, auto&& gradient) {
-                Scalar s{first};
-                if (rate == kRates.log_scale) s.ceiling = double(bounds[i]);
-                for (int t = 1; t <= 3; ++t)
-                    if (i >= n_fixed && (is_touched(i, t) || !only_touched))
-                        s.step(is_touched(i, t) ? gradient(g[std::size_t(t - 1)]) : 0.0, rate, t);
-                EXPECT_NEAR(result, s.value, 2e-6 * (1.0 + std::abs(s.value)));
-            };
-            for (int k = 0; k < 3; ++k)
-                expect(start.mean[i][k], actual.mean[i][k], kRates.mean,
-                       [&](const Surfels& s) { return s.mean[i][k]; });
-            for (int k = 0; k < 4; ++k)
-                expect(start.rotation[i][k], actual.rotation[i][k], kRates.rotation,
-                       [&](const Surfels& s) { return s.rotation[i][k]; });
-            for (int k = 0; k < 2; ++k)
-                expect(start.log_scale[i][k], actual.log_scale[i][k], kRates.log_scale,
-                       [&](const Surfels& s) { return s.log_scale[i][k]; });
-            for (int k = 0; k < 5 && parameter_set.bends; ++k)
-                expect(gait(start)[k], gait(actual)[k], kRates.gait,
-                       [&](const Surfels& s) { return gait(s)[k]; });
-            if (kind_of(parameter_set.primitive).third_scale)
-                expect(start.log_scale_w[i], actual.log_scale_w[i], kRates.log_scale,
-                       [&](const Surfels& s) { return s.log_scale_w[i]; });
-            expect(start.opacity_logit[i], actual.opacity_logit[i], kRates.opacity_logit,
-                   [&](const Surfels& s) { return s.opacity_logit[i]; });
-            for (std::size_t k = 0; k < kShFloats; ++k) {
-                const std::size_t within = k % kShCoefficients, slot = i * kShFloats + k;
-                // degree 2: nine coefficients
-                const double factor = (within == 0 ? 1.0 : kRates.sh_rest_factor) *
-                                      (k < kShCoefficients ? kRates.intensity_factor : 1.0);
-                const double rate = within >= 9 ? 0.0 : kRates.sh * factor;
-                expect(start.sh[slot], actual.sh[slot], rate, [&](const Surfels& s) { return s.sh[slot]; });
-            }
-        }
+        for (std::uint32_t i = 0; i < n; ++i)
+            for_each_parameter(start, actual, i, parameter_set,
+                               [&](double first, double result, double rate, auto&& gradient) {
+                                   Scalar s{first};
+                                   if (rate == kRates.log_scale) s.ceiling = double(bounds[i]);
+                                   for (int t = 1; t <= 3; ++t)
+                                       if (i >= n_fixed && (is_touched(i, t) || !only_touched))
+                                           s.step(is_touched(i, t) ? gradient(g[std::size_t(t - 1)]) : 0.0,
+                                                  rate, t);
+                                   EXPECT_NEAR(result, s.value, 2e-6 * (1.0 + std::abs(s.value)));
+                               });
     }
 }
 

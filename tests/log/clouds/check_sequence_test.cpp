@@ -50,8 +50,18 @@ TEST(CheckSequence, GoodLogsPass) {
               "none");
 }
 
-TEST(CheckSequence, NamesFrameAndField) {
-    const std::vector<std::pair<std::function<void(Sequence&)>, std::string>> cases = {
+/// Expects that each damage to a sequence is reported in one line with its expected text.
+void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, std::string>>& cases) {
+    for (const auto& [damage, expected] : cases) {
+        const std::string found = error_after(damage);
+        EXPECT_NE(found.find(expected), std::string::npos) << "found " << found << "\nexpected " << expected;
+        EXPECT_EQ(found.find('\n'), std::string::npos);
+        EXPECT_NE(found.find(", expected "), std::string::npos) << found;
+    }
+}
+
+TEST(CheckSequence, NamesLidarFramePoseOrBox) {
+    expect_errors({
         {[](Sequence& s) { s.frames.clear(); }, "no frame"},
         {[](Sequence& s) { s.lidars.clear(); }, "no LiDAR"},
         {[](Sequence& s) { s.lidars.push_back(s.lidars[0]); }, "LiDAR '': a second one of this name"},
@@ -72,6 +82,16 @@ TEST(CheckSequence, NamesFrameAndField) {
          "expected metres within 1000000 of the recentred"},
         {[](Sequence& s) { std::swap(s.world_from_vehicle.time_s[0], s.world_from_vehicle.time_s[1]); },
          "expected finite times that rise"},
+        {[](Sequence& s) { s.boxes[1].id = s.boxes[0].id; },
+         "box '0': an empty id or one that was there before"},
+        {[](Sequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1': a size of"},
+        {[](Sequence& s) { s.boxes[1].world_from_box = {}; }, "box '1': 0 poses at 0 times"},
+        {[](Sequence& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; }, "box '1', pose 2: "},
+    });
+}
+
+TEST(CheckSequence, NamesFrameRayAndField) {
+    expect_errors({
         {[](Sequence& s) { s.frames[1].scan.range_m.pop_back(); },
          "frame 1, range_m: 127 entries, expected 4 x 32"},
         {[](Sequence& s) { s.frames[1].scan.rays.channel.clear(); }, "frame 1, rays.channel: 0 entries"},
@@ -107,18 +127,7 @@ TEST(CheckSequence, NamesFrameAndField) {
              scan.second_returns[0].range_m[3] = 9.0f;
          },
          "frame 2, ray 3, second return: range 9 m, intensity 0 behind a return at 0 m"},
-        {[](Sequence& s) { s.boxes[1].id = s.boxes[0].id; },
-         "box '0': an empty id or one that was there before"},
-        {[](Sequence& s) { s.boxes[1].size_m.y = 0.0; }, "box '1': a size of"},
-        {[](Sequence& s) { s.boxes[1].world_from_box = {}; }, "box '1': 0 poses at 0 times"},
-        {[](Sequence& s) { s.boxes[1].world_from_box.pose[2].translation.y += 4e5; }, "box '1', pose 2: "},
-    };
-    for (const auto& [damage, expected] : cases) {
-        const std::string found = error_after(damage);
-        EXPECT_NE(found.find(expected), std::string::npos) << "found " << found << "\nexpected " << expected;
-        EXPECT_EQ(found.find('\n'), std::string::npos);
-        EXPECT_NE(found.find(", expected "), std::string::npos) << found;
-    }
+    });
 }
 
 /// Ten frames, one of which begins later than it should by some seconds.

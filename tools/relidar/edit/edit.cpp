@@ -98,6 +98,32 @@ void run_edit(const EditOptions& options) {
                                  run.scene.models.size(), count_surfels(run.scene), options.out));
 }
 
+constexpr const char* kEditHelp =
+    R"(Edits can be repeated. They are applied in the order given. `relidar info RUN` lists the tracks
+with their start, in the form that --copy takes. DIR becomes a complete run: it has its own
+surfels, it does not need RUN, and its scene.json lists the edits.
+Positions are box centres in metres in the dataset's world. Copies and inserted actors are there
+at the log's first frame. They are called TRACK-copy-1, and so on.
+If z is `ground`, the surface below the box decides height and tilt. Without yaw_deg the actor
+then faces as the log's vehicle did at its nearest point. A driving actor keeps the slope of its
+start.
+A trajectory has the times of the log. Between its lines, positions are interpolated linearly and
+rotations by slerp. Outside its times the actor is absent. Actors may overlap: a ray meets the
+nearest surface.
+An OpenSCENARIO file (XML 1.x) may have FollowTrajectoryActions in Init and in the events of a
+Story: polylines of vertices with time and WorldPosition (x, y, z, h, p, r), Timing (absolute or
+relative, scale, offset), SimulationTimeConditions that start acts and events, $parameters, and
+BoundingBoxes. A trajectory with anything else is an error. Other actions are skipped, each with
+a note. Its world is the dataset's, its time 0 is the log's first frame. An actor is placed where
+the box of its entity is, on the same ground.
+Examples:
+  relidar edit run --out empty --remove 0
+  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5
+  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10
+  relidar edit run --out parked --copy 0@12,3.5,ground
+  relidar edit run --out cleaned --from-ply scene.ply
+  relidar edit run --out cut_in --scenario cut_in.xosc@Ego=-,Car1=0,Van=assets/van-0)";
+
 }  // namespace
 
 void add_edit(CLI::App& app, Call& call) {
@@ -123,42 +149,7 @@ void add_edit(CLI::App& app, Call& call) {
         ->type_name("FILE.ply");
     command->add_flag("--force", options->force, "overwrite the run in DIR");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "Edits are repeatable and applied in the order given; `relidar info RUN` lists tracks, with their "
-        "start as --copy takes it. DIR is "
-        "a run like\n"
-        "any other: it holds its own surfels (a model once, however often it is placed), moves without RUN, "
-        "and scene.json tells its "
-        "edits.\n"
-        "Places are box centres in the dataset's world, metres; copies and inserted actors start there at "
-        "the log's first frame and become "
-        "TRACK-copy-1, ...\n"
-        "With `ground` for z, x and y are of that world too; height and tilt come from the surface of the "
-        "background below the box, and "
-        "without yaw_deg\n"
-        "the actor faces as the log's vehicle did where it came nearest. It drives on along the slope on "
-        "which it starts.\n"
-        "A trajectory's times are those of the log; poses between its lines are interpolated, position "
-        "linearly, rotation by slerp; actors "
-        "are absent\n"
-        "outside their interval. Actors may overlap: rays meet whichever surface comes first.\n"
-        "Of an OpenSCENARIO (XML 1.x) are read: FollowTrajectoryActions of Init and of a Story's events, "
-        "their Polyline of vertices with "
-        "time and\n"
-        "WorldPosition (x, y, z, h, p, r), Timing absolute or relative (scale, offset), "
-        "SimulationTimeConditions that start acts and "
-        "events, $parameters\n"
-        "and BoundingBoxes; a trajectory with anything else is refused, all other actions are named and left "
-        "out. Its world is the "
-        "dataset's, its time 0\n"
-        "the log's first frame; an actor stands where the entity's box does, on the same ground.\n"
-        "Examples:\n"
-        "  relidar edit run --out empty --remove 0\n"
-        "  relidar edit run --out lane --move 0:0,3.5,0 --retime 1:-0.5\n"
-        "  relidar edit run --out more --copy 0@12,3.5,0.9,180:8 --insert other#3@30,0,0.8,0:10\n"
-        "  relidar edit run --out parked --copy 0@12,3.5,ground\n"
-        "  relidar edit run --out cleaned --from-ply scene.ply\n"
-        "  relidar edit run --out cut_in --scenario cut_in.xosc@Ego=-,Car1=0,Van=assets/van-0");
+    command->footer(kEditHelp);
     command->callback([&call, options] { call.run = [options] { run_edit(*options); }; });
 }
 

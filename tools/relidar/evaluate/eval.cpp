@@ -252,6 +252,24 @@ void check_table_options(const CLI::App& command) {
     }
 }
 
+constexpr const char* kEvalHelp =
+    R"(The log is read from the path that the run was trained from. If the log has moved, use
+--set dataset.path=PATH.
+RELIDAR_LPIPS_WEIGHTS is the file with the weights of LPIPS, made by tools/lpips_weights. LPIPS is
+left out if the variable is not set.
+Metrics: peer/* follow published tables, strict/* use pixels that return in both scans,
+moving_boxes/* and others are of a region. Each name ends with its unit.
+An edited run of a synthetic street is compared with the street rendered with the same edits
+(edited/*: pixels that the edits change). An edited run of a real log is compared with the log,
+which does not have the edits.
+Examples:
+  relidar eval run --open
+  relidar eval run --out median.json --set render.range=median
+  mpirun -n 8 relidar eval run
+  relidar eval run --baseline nearest --pictures pictures
+  relidar eval runs/*/ --table scores.md --table scores.html
+  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360)";
+
 }  // namespace
 
 void add_eval(CLI::App& app, Call& call) {
@@ -291,26 +309,7 @@ void add_eval(CLI::App& app, Call& call) {
         ->type_name("FILE")
         ->type_size(1)
         ->allow_extra_args(false);
-    command->footer(
-        "The log is read from where it was when the run was trained; --set dataset.path=... names another "
-        "place.\n"
-        "The variable RELIDAR_LPIPS_WEIGHTS names a file with the weights of LPIPS (tools/lpips_weights "
-        "makes it); without it there is no "
-        "LPIPS.\n"
-        "Metrics: peer/* as published tables do it, strict/* over pixels returned in both, moving_boxes/* "
-        "and so on by region; units in "
-        "the names.\n"
-        "An edited run of a synthetic street is scored against the street cast again with the same edits "
-        "(edited/*: the pixels they "
-        "change);\n"
-        "one of a real log against the log's scans, which show what was there before.\n"
-        "Examples:\n"
-        "  relidar eval run --open\n"
-        "  relidar eval run --out median.json --set render.range=median\n"
-        "  mpirun -n 8 relidar eval run\n"
-        "  relidar eval run --baseline nearest --pictures pictures\n"
-        "  relidar eval runs/*/ --table scores.md --table scores.html\n"
-        "  relidar eval LOG --baseline nearest --frames 0:50 --set sensor.grid=kitti360");
+    command->footer(kEvalHelp);
     command->callback([&call, options, command] {
         if (!options->tables.empty()) check_table_options(*command);
         call.run = [&call, options] { run_eval(*options, call.command_line); };

@@ -17,7 +17,10 @@ class Ranks;
 /// of exit code 130.
 relidar::Progress shown_until_interrupted(Progress& progress);
 
-/// Metric tables for the terminal: mean, lowest and highest of the frames, the mean of
+/// Returns the five most important scores for the terminal, one per line. Skips scores that
+/// the evaluation does not have.
+std::string score_summary(const Evaluation& evaluation);
+/// Returns the tables of all metrics for the terminal: mean, lowest and highest of the frames, the mean of
 /// the baseline where there is one, errors by region, and what the names mean.
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline = nullptr);
 

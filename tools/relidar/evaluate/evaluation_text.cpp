@@ -130,6 +130,27 @@ relidar::Progress shown_until_interrupted(Progress& progress) {
     };
 }
 
+std::string score_summary(const Evaluation& evaluation) {
+    struct Score {
+        const char* name;
+        const char* label;
+        const char* unit;
+    };
+    constexpr Score kScores[] = {
+        {"points/depth_medae_m", "range error of points, median", " m"},
+        {"points/cd_mean_m", "distance between point clouds (Chamfer)", " m"},
+        {"moving_boxes/depth_medae_m", "range error on moving boxes, median", " m"},
+        {"strict/intensity_rmse", "intensity error, RMSE", ""},
+        {"strict/drop_f1", "dropped rays, F1", ""},
+    };
+    std::string text = fmt::format("held-out scans: {}\n", evaluation.frames.size());
+    for (const Score& score : kScores)
+        if (evaluation.mean.contains(score.name))
+            text +=
+                fmt::format("  {:<40} {:.3f}{}\n", score.label, evaluation.mean.at(score.name), score.unit);
+    return text;
+}
+
 std::string metric_table(const Evaluation& evaluation, const Evaluation* baseline) {
     Rows rows = protocol_rows(evaluation, baseline);
     const bool lpips = std::any_of(evaluation.mean.begin(), evaluation.mean.end(),
@@ -139,7 +160,7 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
             rows.push_back({name, "no weights"});
             rows.back().resize(rows.front().size());
         }
-    std::string text = table(rows) + "\n" + table(region_rows(evaluation));
+    std::string text = score_summary(evaluation) + "\n" + table(rows) + "\n" + table(region_rows(evaluation));
     if (baseline) text += "\n" + table(region_rows(*baseline));
     return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer,
                               kStrict, kPoints, kRegions, kActors);

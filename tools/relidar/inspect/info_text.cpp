@@ -53,7 +53,7 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
     if (!guesses.empty())
         text += fmt::format("size is a guess, only a side was seen: {}\n", fmt::join(guesses, ", "));
     if (!continued.empty())
-        text += fmt::format("found beside their labels too: {}\n", fmt::join(continued, ", "));
+        text += fmt::format("tracks extended beyond their labels: {}\n", fmt::join(continued, ", "));
     return text;
 }
 

@@ -309,7 +309,8 @@ public:
             "Mrays/s{}\n",
             n_all, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
-            knows_seen_ ? fmt::format(", {:.1f} % look where the log did not", 100.0 * n_unseen_ / n_rays_)
+            knows_seen_ ? fmt::format(", {:.1f} % go through space that the log did not see",
+                                      100.0 * n_unseen_ / n_rays_)
                         : "",
             trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
             n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
@@ -507,7 +508,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_flag("--no-refine", options->no_refine,
                       "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(std::string(kFilesHelp) + channels_help() + kSensorFileHelp +
+    command->footer(std::string(kFilesHelp) + channels_help() + sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"

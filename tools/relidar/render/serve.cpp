@@ -74,8 +74,7 @@ serve::ServerOptions server_options(const ServeOptions& options) {
 
 /// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own:
 /// scans and sensors that are made on one thread and let go on another leave gaps in
-/// each, so that the process grows for hours although what it uses does not
-/// (docs/reliability.md).
+/// each, so that the process grows for hours although what it uses does not.
 void share_one_heap() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
@@ -110,6 +109,16 @@ void run_serve(const ServeOptions& options) {
     if (!options.quiet) note("interrupted: calls in work are finished, a second Ctrl-C ends at once");
     server.stop(kPatience);
 }
+
+constexpr const char* kServeHelp =
+    R"(tools/serve/relidar/v1/render.proto defines the calls, docs/service.md describes them. gRPC's
+health service and reflection are included. For CARLA, ROS 2 and other simulators see
+docs/simulators.md. Ctrl-C finishes the calls in progress. A second Ctrl-C ends immediately.
+Examples:
+  relidar serve run
+  relidar serve run --assets assets
+  relidar serve run --api sensorsim
+  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key key.pem)";
 
 }  // namespace
 
@@ -162,18 +171,7 @@ void add_serve(CLI::App& app, Call& call) {
     command->add_option("--tls-key", options->server.tls_key, "its key in PEM")->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors and warnings only");
-    command->footer(
-        "The calls are in tools/serve/relidar/v1/render.proto, described in docs/service.md; gRPC's health "
-        "service and reflection are\n"
-        "there too; what other simulators call, CARLA and ROS 2 are in docs/simulators.md. Ctrl-C finishes "
-        "calls in work, a second one\n"
-        "ends at once.\n"
-        "Examples:\n"
-        "  relidar serve run\n"
-        "  relidar serve run --assets assets\n"
-        "  relidar serve run --api sensorsim\n"
-        "  relidar serve town=runs/17 motorway=runs/18 --listen 0.0.0.0:50051 --tls-cert cert.pem --tls-key "
-        "key.pem");
+    command->footer(kServeHelp);
     command->callback([&call, options] { call.run = [options] { run_serve(*options); }; });
 }
 

@@ -247,7 +247,9 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
     stages.end();
     log_stages(run.folder, stages);
     if (options.quiet) return;
-    if (!evaluation.frames.empty()) print("\n" + metric_table(evaluation) + "\n");
+    if (!evaluation.frames.empty())
+        print(fmt::format("\n{}all scores: {}\n\n", score_summary(evaluation),
+                          absolute_path((run.folder / "metrics.json").string())));
     print(fmt::format("{} surfels in {} of training, {} of device memory\nstages  {}\nreport  {}\n",
                       count_surfels(run.scene), duration(result.train_s), byte_size(result.peak_device_bytes),
                       stages_text(stages), absolute_path((run.folder / "report.html").string())));
