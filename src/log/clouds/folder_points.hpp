@@ -15,8 +15,7 @@ namespace relidar::folder {
 /// Nebula returns of one ring, time and direction become returns of one ray. A point whose x is no number, or which lies at the origin, is a ray
 /// without a return.
 /// @param time_s  what is taken off absolute times @throws DataError naming the point
-ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
-                     const std::string& where);
+Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where);
 
 /// Where the scans of a log's frames come from: files of a folder, or messages of a
 /// recording. All from any thread.
@@ -25,7 +24,7 @@ public:
     virtual ~ScanSource() = default;
     virtual std::string name(std::size_t frame) const = 0;  ///< for messages
     virtual bool has_points(std::size_t frame) const = 0;   ///< else it has rays
-    virtual ScanPoints points(std::size_t frame) const = 0;
+    virtual Points points(std::size_t frame) const = 0;
     virtual Scan rays(std::size_t frame) const = 0;
 };
 

@@ -15,6 +15,6 @@ namespace relidar {
 /// of a turn for a turn all the same.
 /// @param scans  a few, with rings @param fitted  to them @param step_s  from scan to
 /// scan
-std::string why_no_head(const std::vector<ScanPoints>& scans, const SpinningSensor& fitted, double step_s);
+std::string why_no_head(const std::vector<Points>& scans, const SpinningSensor& fitted, double step_s);
 
 }  // namespace relidar

@@ -130,7 +130,7 @@ LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const 
     for (std::size_t i = 0; i < raw.point_m.size(); ++i) {
         if (raw.laser[i] / kLasers != half) continue;
         const LaserPlace& laser = places[std::size_t(raw.laser[i] % kLasers)];
-        found.points.point_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
+        found.points.position_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
         found.points.intensity.push_back(float(raw.intensity[i] / 255.0));
         found.points.ring.push_back(laser.row);
         found.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));

@@ -32,7 +32,7 @@ std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>&
 
 /// What one LiDAR measured.
 struct LidarSweep {
-    ScanPoints points;  ///< in the LiDAR's frame at the moment of each, with rings, times and firings
+    Points points;  ///< in the LiDAR's frame at the moment of each, with rings, times and firings
     Sweep sweep;
 };
 /// Points of a half of the laser numbers. Lasers fire in 16 pairs, so that time and laser
