@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar on the command line.
+// Entry point of the command line program relidar.
 #include "program.hpp"
 
 int main(int argc, char** argv) {

@@ -141,7 +141,7 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
                 const std::string& command) {
     Config scratch;
     for (const std::string& set : sets) {
-        apply_sets(scratch, {set});  // a wrong key or value has its own message
+        apply_sets(scratch, {set});  // Throws its own error for a wrong key or value.
         const std::string key = set.substr(0, set.find('='));
         const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {
             return name.ends_with('.') ? key.starts_with(name) : key == name;

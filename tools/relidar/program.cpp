@@ -27,7 +27,8 @@ void flush_output() {
         throw DataError("writing to standard output: it cannot take all of the text");
 }
 
-/// The help of the program: a line for each command, so that it fits on one screen.
+/// Returns the help of the program, with one line for each command so that it fits on one
+/// screen.
 std::string program_help(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
@@ -48,7 +49,7 @@ void run(const Program& program, int argc, char** argv) {
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
-        app.exit(help);  // prints it
+        app.exit(help);  // Prints the help text.
         return flush_output();
     } catch (const CLI::ParseError& error) {
         throw UsageError(usage_message(app, error.what()));
@@ -78,7 +79,7 @@ int run_program(const Program& program, int argc, char** argv) {
                       "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames "
                       "a:b) or larger voxels (--set "
                       "init.voxel_m=...)");
-        // what the system refuses is no fault of ours
+        // A file system error comes from the system. It is not a bug of relidar.
     } catch (const std::filesystem::filesystem_error& error) {
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {

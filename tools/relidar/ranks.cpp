@@ -19,14 +19,14 @@
 namespace relidar::cli {
 namespace {
 
-/// MPI_Wait would spin.
+/// Polls with pauses, because MPI_Wait would spin.
 void sleep_until(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// FNV-1a of the program's own file: what tells one build from another. 0 where it cannot
-/// be read.
+/// Returns the FNV-1a hash of the program file, which identifies the build. Returns 0 if
+/// the file cannot be read.
 unsigned long long build_number() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
@@ -37,8 +37,10 @@ unsigned long long build_number() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Two builds may number settings and arrays otherwise. @throws UsageError in a process
-/// that is not the build of the first
+/// Checks that all processes run the same build, because two builds may number settings
+/// and arrays differently.
+/// @throws UsageError in a process whose build differs from the build of the first
+/// process
 void check_build(int rank) {
     const unsigned long long own = build_number();
     unsigned long long first = own;
@@ -50,7 +52,7 @@ void check_build(int rank) {
                         rank));
 }
 
-/// Texts of all processes one after the other, in all of them.
+/// Concatenates the texts of all processes and returns the result in every process.
 std::string gather_in_all(const std::string& own, int size) {
     const auto n = static_cast<unsigned long long>(own.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
@@ -59,7 +61,7 @@ std::string gather_in_all(const std::string& own, int size) {
                    &request);
     sleep_until(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int
+    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int.
         throw Error(ExitCode::bug,
                     "collecting results of several processes: found more than 2 GiB of them, expected less");
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// In the place of ranks.cpp where MPI was not there to build with: one process, and
-// mpirun is told what is missing.
+// Replaces ranks.cpp in builds without MPI. Supports a single process only. Under mpirun,
+// the program stops with an error that names the missing package.
 #include "ranks.hpp"
 
 #include <relidar/base/error.hpp>
