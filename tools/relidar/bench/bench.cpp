@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar bench: a short report of a device's speed, on a street that is the same
-// everywhere or on a run. relidar-dev bench times every kernel.
+// relidar bench: prints a short report of a device's speed on a fixed street or on a run.
+// relidar-dev bench times every kernel.
 #include <algorithm>
 #include <chrono>
 #include <memory>
@@ -28,7 +28,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr int kLeast = 3, kMost = 10, kScans = 30;  // repetitions
+// Minimum and maximum number of repetitions, and number of rendered scans.
+constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 
 struct BenchOptions {
@@ -36,13 +37,13 @@ struct BenchOptions {
     DeviceChoice device;
 };
 
-/// Wall times until the device is done. Medians.
+/// Medians of the wall times until the device is done.
 struct BenchTimes {
-    double build_ms = 0.0, refit_ms = 0.0;  ///< of the tree
+    double build_ms = 0.0, refit_ms = 0.0;  ///< Times to build and to refit the acceleration structure.
     double forward_ms = 0.0, backward_ms = 0.0;
-    double iteration_ms = 0.0;  ///< refit, forward, losses, backward and Adam, without a pause
+    double iteration_ms = 0.0;  ///< Refit, forward, losses, backward and Adam, submitted without a pause.
     std::size_t repetitions = 0;
-    std::optional<double> scans_per_s;  ///< of a run
+    std::optional<double> scans_per_s;  ///< Empty unless a run is timed.
 };
 
 double ms_since(Clock::time_point start) {
@@ -93,7 +94,7 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         stream.finish();
         time(backward, [&] { renderer.record_backward(); });
     };
-    // the first launches compile kernels, and a GPU raises its clocks
+    // The first launches compile kernels, and a GPU raises its clocks only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
@@ -105,8 +106,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Renders scans of the log's own sensor, evenly spaced on its own path. Two are pending
-/// at any time.
+/// Renders scans of the log's sensor, evenly spaced along the sensor's recorded path. Two
+/// scans are pending at any time.
 double scans_per_second(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
@@ -117,7 +118,7 @@ double scans_per_second(Device& device, const Run& run) {
         renderer.ask_points(sensor, {time_s, path}, time_s);
     };
     request(0);
-    renderer.take_points();  // allocates memory
+    renderer.take_points();  // The first scan allocates memory, so that it is not timed.
     const Clock::time_point start = Clock::now();
     request(0);
     for (int scan = 1; scan <= kScans; ++scan) {

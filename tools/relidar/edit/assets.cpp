@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar assets: the actors of a run as a folder of assets, to be placed in other runs
-// and by clients of the service.
+// relidar assets: saves the actors of a run as a folder of assets, which can be inserted
+// into other runs and spawned by clients of the service.
 #include <filesystem>
 #include <memory>
 #include <set>
@@ -30,7 +30,7 @@ struct AssetOptions {
     bool quiet = false;
 };
 
-/// @throws UsageError for a folder that is not new
+/// @throws UsageError if the folder exists and is not empty
 void check_new(const std::string& out) {
     std::error_code failed;
     if (fs::exists(out, failed) && !fs::is_empty(out, failed))
@@ -45,7 +45,7 @@ std::string sides_text(const AssetFacts& facts) {
     return text;
 }
 
-/// Why an actor is not kept; empty for one that is.
+/// Returns the reason why an actor is skipped, or an empty text if it is kept.
 std::string reason_against(const AssetFacts& facts, const ActorSightings& sightings, double least) {
     if (sightings.points_m.empty()) return "no ray of the training frames meets it";
     if (facts.score() >= least) return "";
@@ -57,7 +57,8 @@ std::string reason_against(const AssetFacts& facts, const ActorSightings& sighti
 
 std::vector<std::string> actors_of(const Run& run) {
     std::vector<std::string> tracks;
-    std::set<std::uint32_t> models;  // a copy is the same asset
+    // Models that are already listed, because copies of an actor give the same asset.
+    std::set<std::uint32_t> models;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
     if (tracks.empty())
@@ -65,8 +66,8 @@ std::vector<std::string> actors_of(const Run& run) {
     return tracks;
 }
 
-/// A name that no other asset has: classes and tracks may differ in characters that no
-/// folder's name has.
+/// Gives an asset a name that no other asset has. Names can collide because characters
+/// that are not allowed in folder names are replaced.
 void make_unique(Asset& asset, std::set<std::string>& taken) {
     const std::string stem = asset.facts.name;
     std::string name = stem;

@@ -22,8 +22,8 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
-    std::string ply;               ///< surfels that replace those of the run; empty: none
-    std::vector<TypedEdit> edits;  ///< in the order typed
+    std::string ply;               ///< Surfels that replace the surfels of the run. Empty: none.
+    std::vector<TypedEdit> edits;  ///< In the order typed.
     bool force = false;
     bool quiet = false;
 };
@@ -42,7 +42,7 @@ bool is_same(const PoseTrack& a, const PoseTrack& b) {
     return a.time_s == b.time_s && std::ranges::equal(a.pose, b.pose, same);
 }
 
-/// Tracks of actors that were not there before, or elsewhere.
+/// Returns the tracks of actors that are new or whose poses have changed.
 std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequence& before) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
@@ -54,7 +54,8 @@ std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequen
     return placed;
 }
 
-/// Which of the actors that were placed are too coarse for where they stand, a line each.
+/// Returns one warning line for each placed actor that has too few surfels for its
+/// distance from the sensor.
 std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
     std::string text;
     for (const std::string& track : placed_tracks(driving, before)) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar eval: renders the held-out frames of a run and scores them against the log.
-// Scores the baseline, which needs a log only. Puts the scores of several runs into a
-// table.
+// relidar eval: renders the held-out frames of a run and scores them against the log. Can
+// also score a baseline, which needs only a log, and write the scores of several runs
+// into a table.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -32,8 +32,8 @@ namespace relidar::cli {
 namespace {
 
 struct EvalOptions {
-    std::vector<std::string> targets;  ///< what the user typed
-    std::string target;                ///< the run or log to score
+    std::vector<std::string> targets;  ///< Runs or log that the user typed.
+    std::string target;                ///< The run or log to score.
     std::vector<std::string> tables;
     std::string out;
     LogPart part;
@@ -53,10 +53,10 @@ void check_held_out(const Split& split, const std::string& where) {
         throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
 }
 
-/// Where results go, proved writable before the work begins: by the first process, before
-/// another goes on.
+/// Output files and folders. The first process checks that they are writable before any
+/// process starts its work.
 struct Output {
-    std::filesystem::path file, pictures;  ///< empty: none
+    std::filesystem::path file, pictures;  ///< Empty: not written.
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
 
@@ -91,14 +91,14 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// The scores as a page beside the numbers, shown to the user.
+/// Writes the scores as a web page next to the JSON file and opens it in a browser.
 void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
     write_report(page, report);
     if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
     open_in_browser(absolute_path(page.string()));
 }
 
-/// What the scans of an edited run are worth.
+/// Returns a note on how to read the scores of an edited run.
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
@@ -109,13 +109,14 @@ std::string edit_note(const Run& run) {
            "the edit is\n";
 }
 
-/// Scores of the pixels an edit changes. @param before  the street without the edit
+/// Adds the scores of the pixels that an edit changes.
+/// @param before scan of the street without the edit
 void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
     frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
                                          {edited_region(frame.real, real_image(config, before))}));
 }
 
-/// Leaves the frames that this process scores.
+/// Keeps only the frames that this process scores.
 void keep_share(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin),
@@ -123,7 +124,7 @@ void keep_share(std::vector<int>& positions, const Ranks& ranks) {
 }
 
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
-    std::optional<FolderLock> lock;  // its metrics.json belongs to what is scored
+    std::optional<FolderLock> lock;  // Locks the scored run, because metrics.json is written into it.
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = rendering_settings();
     used.insert(used.end(), {"dataset."});
@@ -179,7 +180,7 @@ const std::vector<std::string> kBaselineSettings = {
     "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
-/// The baseline alone: a log, no run, no device.
+/// Scores a baseline on a log. Needs neither run nor device.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
     check_sets(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
@@ -225,7 +226,7 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     if (options.open && ranks.size() > 1)
         throw UsageError(fmt::format(
             "--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
-    // a wrong name is found before the log is read
+    // Rejects an unknown baseline before the log is read.
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open)
@@ -240,7 +241,7 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     score_run(options, ranks, command_line);
 }
 
-/// @throws UsageError if --table was given with an option for scoring
+/// @throws UsageError if --table is combined with an option for scoring
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||

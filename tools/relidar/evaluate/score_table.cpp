@@ -25,11 +25,11 @@ namespace fs = std::filesystem;
 using Cells = std::vector<std::string>;
 
 struct ScoredRun {
-    std::string name;  ///< path of the run, as the user typed it
+    std::string name;  ///< Path of the run as the user typed it.
     std::string log;
-    std::size_t n_frames = 0;  ///< held-out frames that were scored
+    std::size_t n_frames = 0;  ///< Number of scored held-out frames.
     double training_s = 0.0;
-    MetricRow mean;  ///< over those frames; empty if the run has no scores
+    MetricRow mean;  ///< Mean over these frames. Empty if the run has no scores.
     nlohmann::json protocol;
 };
 
@@ -59,8 +59,8 @@ std::vector<MetricRow> scored_rows(const std::vector<ScoredRun>& runs) {
     return rows;
 }
 
-/// Keys of the protocol that differ between runs: "grid, range". Scores of different
-/// protocols are not comparable.
+/// Returns the protocol keys whose values differ between runs, such as "grid, range".
+/// Scores of different protocols are not comparable.
 std::string protocol_differences(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
@@ -78,7 +78,7 @@ std::string protocol_note(const std::vector<ScoredRun>& runs) {
     return keys.empty() ? "" : fmt::format("Compare the runs with care: their protocols differ in {}.", keys);
 }
 
-/// The key metrics that at least one run has.
+/// Returns the key metrics that at least one run has.
 std::vector<std::string> table_metrics(const MetricRow& mean) {
     std::vector<std::string> names;
     for (const ReportKeyMetric& key : key_metrics())
@@ -162,7 +162,7 @@ void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
     write_report(file, report);
 }
 
-/// Fails if the runs that have no scores are not empty.
+/// @throws DataError if a run has no scores
 void check_scored(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list devices: every Vulkan device of the machine, what it has, which traversal
-// relidar would use and why not ray query.
+// relidar list devices: lists every Vulkan device of the machine, its features, the
+// traversal that relidar would use, and why ray query is not available.
 #include <memory>
 
 #include <fmt/format.h>
@@ -14,7 +14,7 @@
 namespace relidar::cli {
 namespace {
 
-/// What --traversal auto picks on a device.
+/// Returns the name of the traversal that --traversal auto selects on a device.
 std::string traversal_of(const DeviceInfo& info) {
     switch (best_traversal(info)) {
         case Traversal::ray_query:

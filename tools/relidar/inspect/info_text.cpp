@@ -36,13 +36,13 @@ std::string line(const std::string& name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
 }
 
-/// Class, and what its size is a guess for.
+/// Returns the class of a box, followed by the class that its size was guessed for.
 std::string class_text(const BoxSummary& b) {
     return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
 }
 
-/// Which actors go on without their labels, and which sizes are guesses; a line each,
-/// where there are any.
+/// Returns one line for each kind of remark: actors whose tracks extend beyond their
+/// labels, and actors with guessed sizes. Returns an empty text if there are none.
 std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
@@ -173,7 +173,7 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
     if (low != sensor.beams.end())
         l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
-    if (lidar.pattern) {  // what is nominal of one that does not spin
+    if (lidar.pattern) {  // Nominal rays of a sensor that does not spin.
         const RayTable rays = nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
@@ -252,7 +252,7 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
 RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
-    // what an edit removed is told by it
+    // The list of edits already names the removed actors.
     summary.log.masked =
         run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;

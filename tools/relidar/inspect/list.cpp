@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list: the devices, sensors and settings that other commands take by name.
+// relidar list: lists the devices, sensors and settings that other commands accept by
+// name.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list settings: settings with their values and meanings, as the TOML that
+// relidar list settings: prints settings with their values and descriptions, as TOML that
 // --config reads.
 #include <memory>
 
