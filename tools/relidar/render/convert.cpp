@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar convert: any log as a plain folder.
+// relidar convert: writes any log as a plain folder.
 #include <memory>
 
 #include <fmt/format.h>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar export: writes the surfels of a run as a PLY file that tools for 3D Gaussian
-// splatting open, or one file for each frame, or the path of the sensor. relidar edit
-// --from-ply reads the file back.
+// splatting can open, or one such file per frame, or the path of the sensor. relidar edit
+// --from-ply reads the file again.
 #include <memory>
 #include <optional>
 
@@ -33,13 +33,13 @@ std::string sizes(const Scene& scene) {
                        scene.models.size() == 1 ? "" : "s");
 }
 
-/// Where the log's first sensor was, in the dataset's world.
+/// Returns the path of the log's first sensor in the dataset's world frame.
 PoseTrack sensor_path(const Sequence& sequence) {
     return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
-/// The scene as it is when the head faces forward in each frame, in relidar's world:
-/// FOLDER/000010.ply.
+/// Writes the scene of each frame to FOLDER/000010.ply, in relidar's world frame. The
+/// time is when the sensor head faces forward.
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar render: scans of a run, from where the sensor was, beside it, or along a path
-// of one's own, by its own sensor or another, as files.
+// relidar render: renders scans of a run to files. The sensor is at its recorded poses,
+// shifted from them, or on a user's path. It may be the log's sensor or another one.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -53,10 +53,11 @@ struct RenderOptions {
     bool quiet = false;
 };
 
-// beyond it a number is a slip, and float positions lose millimetres
+// Larger offsets are rejected as typing errors. Beyond this distance float positions lose
+// millimetres.
 constexpr double kFarthestOffset_m = 10'000.0;
 
-/// "x,y,z,yaw_deg" in the sensor's frame.
+/// Parses "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);
@@ -76,7 +77,7 @@ Pose parse_offset(const std::string& text) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
-/// "npz,ply" as names, in any case, with or without spaces.
+/// Parses a list such as "npz,ply", in upper or lower case, with or without spaces.
 std::vector<std::string> parse_formats(const std::string& list) {
     const std::vector<std::string> known = scan_formats();
     std::vector<std::string> wanted;
@@ -98,7 +99,8 @@ PointFrame parse_point_frame(const std::string& name) {
         "--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
 }
 
-/// Actors that are not rendered have no boxes in recordings.
+/// Removes the boxes of actors that are not rendered, so that recordings do not contain
+/// them.
 void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
     if (only.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, only);
@@ -109,9 +111,10 @@ void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std:
     });
 }
 
-/// What the files hold. @param name  of the sensor in a rig; empty: it stands alone
-ScanFormat wanted_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
-                         const Pose& offset, const std::string& name) {
+/// Returns the format of the output files.
+/// @param name name of the sensor in a rig; empty for a single sensor
+ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
+                            const Pose& offset, const std::string& name) {
     ScanFormat format = scan_format(run, sensor);
     format.offset = offset;
     name_in_recordings(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name,
@@ -127,8 +130,8 @@ ScanFormat wanted_format(const RenderOptions& options, const Run& run, const Sen
     return format;
 }
 
-/// @throws UsageError where an earlier rendering would be overwritten unasked, or a run
-/// would get files that are not its own
+/// @throws UsageError if an earlier rendering would be overwritten without --force, or
+/// the folder is a run
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
     if (holds_run(folder))
         throw UsageError(
@@ -143,7 +146,7 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
     }
 }
 
-/// @throws UsageError for what can be refused before the run is loaded
+/// @throws UsageError for invalid options that can be detected before the run is loaded
 void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
@@ -166,8 +169,8 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
 }
 
-/// A scan that is wanted: its number in file names, and the moment at which the head
-/// faces forward.
+/// A scan to render: its number in file names, and the time when the sensor head faces
+/// forward.
 struct Sweep {
     int number;
     double time_s;
@@ -195,10 +198,10 @@ std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, co
     return sweeps;
 }
 
-/// A sensor that is simulated, and where it is in the place of the log's, or on its own
+/// A simulated sensor and its mounting, which replaces the log's sensor or follows a
 /// path.
 struct Wanted {
-    std::string folder;  ///< of its files, in that of the rendering; empty: that itself
+    std::string folder;  ///< Subfolder for its files. Empty: the output folder itself.
     SensorChoice sensor;
     Pose mounting;
 };
@@ -214,7 +217,7 @@ std::vector<Wanted> wanted_sensors(const RenderOptions& options, const Rig& rig,
     return wanted;
 }
 
-/// Format of the files that a rig's sensors share.
+/// Returns the format for the merged files of all sensors of a rig.
 ScanFormat merged_format(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
                          const Pose& offset) {
     SensorChoice rig = wanted.front().sensor;
@@ -223,17 +226,18 @@ ScanFormat merged_format(const RenderOptions& options, const Run& run, const std
     for (const Wanted& w : wanted)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
                       std::max(rig.limits.max_m, w.sensor.limits.max_m)};
-    return wanted_format(options, run, rig, offset, "");
+    return scan_file_format(options, run, rig, offset, "");
 }
 
-/// Where scans go: a folder for each sensor, or one for all that are merged; and of a
-/// rig, whose sensors go to folders of their own, the recordings of all of them.
+/// Output folders: one per sensor, or one for merged scans. For a rig with a folder per
+/// sensor, also the recordings of all sensors.
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
 };
 
-/// The first process makes the folders before the others join.
+/// Creates the output folders. The first process creates them before the other processes
+/// open them.
 Output make_output(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
                    const Pose& offset, const Ranks& ranks) {
     Output output;
@@ -247,7 +251,7 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
     if (options.merge) sensors = {merged_format(options, run, wanted, offset)};
     else
         for (const Wanted& w : wanted)
-            sensors.push_back(wanted_format(options, run, w.sensor, offset * w.mounting, w.folder));
+            sensors.push_back(scan_file_format(options, run, w.sensor, offset * w.mounting, w.folder));
     const bool is_rig = !options.merge && !wanted.front().folder.empty();
     if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
@@ -260,7 +264,7 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
     return output;
 }
 
-/// Writes what says which scans there are, of all processes.
+/// Writes the indices of all scans of all processes, and finishes the recordings.
 void finish(Output& output, const Ranks& ranks, bool quiet) {
     if (output.recordings) output.recordings->finish();
     for (ScanFolder& folder : output.folders) {
@@ -300,8 +304,9 @@ public:
         if (output.recordings) output.recordings->write(scans);
     }
     bool drives() const { return !options_.trajectory.file.empty(); }
-    /// What was rendered, in a line. @param n_sweeps  by this process @param n_all  by
-    /// all
+    /// Returns a one-line summary of the rendering.
+    /// @param n_sweeps number of sweeps of this process
+    /// @param n_all number of sweeps of all processes
     std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
         const double n = double(n_sweeps);
         return fmt::format(
@@ -347,7 +352,7 @@ void run_render(const RenderOptions& given) {
     const PoseTrack track =
         drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // which goes again where nothing was written: not for each process to decide
+    // Removes the folder if nothing was written. Only the first process may do this.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
@@ -405,7 +410,7 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
         ->type_name("FIRST:LAST:STEP");
 }
 
-/// What is written, in which frame of reference.
+/// Adds the options for content and reference frame of the files.
 void add_file_options(CLI::App& command, RenderOptions& options) {
     command
         .add_option("--format", options.formats,
@@ -450,7 +455,7 @@ constexpr const char* kFilesHelp =
     "the first ray's time.\n"
     "scans.json has the share of rays of whose way less than half was seen by the log: unseen.\n";
 
-/// What --channels takes.
+/// Returns the help text for --channels.
 std::string channels_help() {
     std::string text =
         "Channels of --channels, an entry a ray in npz and exr, a point in ply, pcd, mcap and rosbag:\n";

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar serve: scans of runs for simulators, by gRPC, until Ctrl-C.
+// relidar serve: renders scans of runs for simulators through gRPC, until Ctrl-C.
 #include <chrono>
 #include <memory>
 #include <optional>
@@ -36,11 +36,13 @@ struct ServeOptions {
 };
 
 constexpr int kLongestQueue = 10'000;
-constexpr std::chrono::seconds kPatience{30};  // for calls in work when Ctrl-C comes
+constexpr std::chrono::seconds kPatience{30};  // Maximum time for pending calls to finish after Ctrl-C.
 constexpr std::chrono::milliseconds kLook{100};
-constexpr std::chrono::seconds kFarewell{2};  // for clients to hear of a lost device
+// Time for clients to receive the error when the device is lost.
+constexpr std::chrono::seconds kFarewell{2};
 
-/// Of the interface beside ours, where one is wanted.
+/// Returns the pose order of the sensorsim interface, or no value if that interface is
+/// not offered.
 std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
@@ -72,10 +74,9 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     return server;
 }
 
-/// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own:
-/// scans and sensors that are made on one thread and let go on another leave gaps in
-/// each, so that the process grows for hours although what it uses does not
-/// (docs/reliability.md).
+/// Makes all threads share one heap. gRPC starts and ends threads, and glibc gives each
+/// thread a heap. Scans allocated on one thread and freed on another leave gaps in each
+/// heap, so that the process would grow for hours (docs/reliability.md).
 void share_one_heap() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
@@ -98,7 +99,7 @@ void run_serve(const ServeOptions& options) {
     if (!options.quiet) {
         print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host,
                           server.port(), server.device_name()));
-        std::fflush(stdout);  // for who waits for the line through a pipe
+        std::fflush(stdout);  // For programs that wait for this line through a pipe.
     }
     while (!interrupted()) {
         if (const std::optional<std::string> loss = server.device_loss()) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces serve.cpp in a build without gRPC: says how to get it.
+// Replaces serve.cpp in a build without gRPC. Its error message names the missing
+// package.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"

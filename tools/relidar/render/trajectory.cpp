@@ -15,8 +15,9 @@ namespace relidar::cli {
 namespace {
 
 constexpr double kMostScans = 1e6;
-constexpr double kFar_m = 50.0;  // from everything the log has driven by: little is to be seen from there
-constexpr double kSlack = 1e-6;  // of a step: the last moment of 0:1:0.1 is 1
+constexpr double kFar_m = 50.0;  // Distance from the log's path beyond which most of the scene is unseen.
+// Tolerance as a fraction of a step, so that the last time of 0:1:0.1 is 1.
+constexpr double kSlack = 1e-6;
 
 struct Steps {
     double first, last, step;

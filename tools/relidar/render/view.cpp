@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar view: a page in the browser that re-simulates a run live.
+// relidar view: shows a run in the browser and re-simulates it live.
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
@@ -28,7 +28,7 @@ namespace {
 
 struct ViewOptions {
     std::string run;
-    std::vector<std::string> inserts;  ///< other runs, whose actors the page can insert
+    std::vector<std::string> inserts;  ///< Other runs whose actors can be inserted from the page.
     std::string save_to;
     std::string address = "127.0.0.1";
     int port = 8080;
@@ -40,18 +40,19 @@ struct ViewOptions {
     bool quiet = false;
 };
 
-// between looks at whether the user has pressed Ctrl-C
+// Interval at which Ctrl-C is checked.
 constexpr std::chrono::milliseconds kViewPatience{50};
-constexpr std::chrono::seconds kGoodbye{5};  // for tabs that read slowly what is on its way to them
+// Maximum time for slow browser tabs to receive pending data at exit.
+constexpr std::chrono::seconds kGoodbye{5};
 
-/// Where edited runs go.
+/// Returns the folder in which edited runs are saved.
 std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
     const std::filesystem::path folder =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     return std::filesystem::absolute(folder).lexically_normal();
 }
 
-/// By the names that were typed.
+/// Loads the other runs, with the names that the user typed.
 view::OtherRuns other_runs(const std::vector<std::string>& folders) {
     view::OtherRuns runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
@@ -73,7 +74,7 @@ view::ServerOptions server_options(const ViewOptions& options) {
 
 void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
-    // a wrong address is found before the run is read
+    // Rejects a wrong address before the run is read.
     const view::ServerOptions wanted = server_options(options);
     check_sets(options.sets, rendering_settings(), "view");
     Run run = load_run(options.run);
@@ -81,11 +82,12 @@ void run_view(const ViewOptions& options) {
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    std::optional<OutputFolder> made;  // removed if no run was saved
+    std::optional<OutputFolder> made;  // Removed at exit if no run was saved.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
-    // the server calls the session, and has to be gone before it: it is made after it
+    // The server calls the session. It is created after the session, so that it is
+    // destroyed before it.
     view::Server* out = nullptr;
     view::Session session(
         std::move(run), other_runs(options.inserts), device, folder,
@@ -94,7 +96,7 @@ void run_view(const ViewOptions& options) {
     view::Server server(wanted, {[&](view::ClientId tab) { session.open(tab); },
                                  [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
                                  [&](view::ClientId tab) { session.close(tab); }});
-    out = &server;  // before work(), which alone answers
+    out = &server;  // Set before work() is called, because only work() sends answers.
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar view, where it was built without: says so.
+// Replaces view.cpp in a build without the viewer. Its error message names the missing
+// package.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar refine: the ray-drop network of a run, trained alone, and what it is worth on
-// the held-out frames.
+// relidar refine: trains only the ray-drop network of a run and scores its effect on the
+// held-out frames.
 #include <memory>
 #include <optional>
 
@@ -30,8 +30,8 @@ struct RefineOptions {
     bool quiet = false;
 };
 
-/// The checkpoint to continue from. @return nothing where training starts from the
-/// beginning
+/// Loads the checkpoint to resume from.
+/// @return no value if training starts from the beginning
 std::optional<Checkpoint> find_start(const RefineOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
@@ -49,14 +49,15 @@ std::optional<Checkpoint> find_start(const RefineOptions& options) {
     return start;
 }
 
-/// What continues this training, as typed on the command line.
+/// Returns the command line that resumes this training.
 std::string resume_command(const RefineOptions& options) {
     std::string command = "relidar refine --resume " + shell_word(options.run);
     for (const std::string& word : device_words(options.device)) command += " " + word;
     return command;
 }
 
-/// Trains the network and saves it; interrupted, it says how to go on.
+/// Trains the network and saves it. After an interruption, the error message contains the
+/// command that resumes the training.
 void train_network(Device& device, Run& run, const RefineOptions& options, const Checkpoint* start) {
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
@@ -70,7 +71,7 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     save_run(run);
 }
 
-/// Scores the held-out frames with the network or without.
+/// Scores the held-out frames with or without the network.
 Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
@@ -79,7 +80,7 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
                            shown_until_interrupted(progress));
 }
 
-/// What the network is worth, told and written.
+/// Scores the run without and with the network, prints both and writes metrics.json.
 void score_both(Device& device, const Run& run, const RefineOptions& options) {
     const Evaluation before = score(device, run, false, options.quiet),
                      after = score(device, run, true, options.quiet);
@@ -112,7 +113,8 @@ void run_refine(const RefineOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_both(device, run, options);
-    // last: until then --resume has no step to do again, whenever this process is killed
+    // Removed last, so that --resume does not repeat finished steps if this process is
+    // killed earlier.
     remove_network_checkpoints(run.folder);
 }
 

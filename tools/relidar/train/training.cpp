@@ -40,8 +40,8 @@ std::string log_text(const std::vector<TrainProgress>& lines) {
     return text;
 }
 
-/// log.jsonl, line by line as it grows. A full disk is told once; finish() then tries to
-/// write the whole file.
+/// Writes log.jsonl line by line during training. A full disk is reported once. finish()
+/// then tries to write the complete file.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
@@ -69,8 +69,8 @@ private:
     bool lost_ = false;
 };
 
-/// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them
-/// where they are.
+/// Calls place_held_out() with a progress line and prints how far the scans moved. After
+/// Ctrl-C the scans keep their poses.
 void place_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
@@ -123,7 +123,7 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 
 namespace {
 
-/// learn_scatter() with a progress line. Ctrl-C ends it with nothing known.
+/// Calls learn_scatter() with a progress line. After Ctrl-C the scatter is unknown.
 void learn_scatter_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});
