@@ -352,7 +352,8 @@ void run_render(const RenderOptions& given) {
     const PoseTrack track =
         drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // Removes the folder if nothing was written. Only the first process may do this.
+    // The destructor removes the folder if nothing was written. Only the first process may do
+    // so.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
