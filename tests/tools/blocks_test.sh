@@ -167,7 +167,7 @@ ranks() {
     same two
     mpi 2 "$relidar" train street --out piece "${settings[@]}" >out 2>err
     check "a log in one piece by two processes: exit code 0" test $? != 0
-    check "the message lacks --blocks" grep -Eq "training by 2 processes: .*expected --blocks" err
+    check "the message lacks --blocks" grep -Eq "training with 2 processes: .*expected --blocks" err
 
     mpi 2 "$relidar" train street --out endless --blocks 30m "${settings[@]}" --set train.iterations=100000 >out 2>err &
     local pid=$!

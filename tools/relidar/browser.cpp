@@ -25,7 +25,7 @@ void open_in_browser(const std::string& address) {
     const int failed = posix_spawnp(&process, program.c_str(), &quiet, nullptr, arguments, environ);
     posix_spawn_file_actions_destroy(&quiet);
     if (failed != 0)
-        note(fmt::format("no browser could be opened: xdg-open is missing; {} is the address", address));
+        note(fmt::format("cannot open a browser: xdg-open is missing; open {} yourself", address));
 }
 
 }  // namespace relidar::cli

@@ -119,10 +119,9 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
     report.same_scans = false;
     add_evaluation(report, held_out, run, {"held out", "real"});
     report.summary +=
-        " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes "
-        "from casting rays into the street "
-        "itself, without noise. "
-        "Moving cars are actors: surfel sets of their own, placed by their tracked boxes.";
+        " The shifted sensor is 2 m to the left of the real one and 1 m higher. Its exact scan is made by "
+        "casting rays into the street, without noise. Moving cars are actors: each has its own surfels, "
+        "placed by its tracked box.";
     add_evaluation(report, shifted, run, {"shifted sensor", "exact"});
     write_report(run.folder / "report.html", report);
     write_report(out / "report.html", report);
@@ -168,22 +167,23 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);
 }
 
+constexpr const char* kDemoHelp =
+    R"(DIR receives report.html, street/ (the log), run/ (the scene), held_out/ and shifted/ (scans as
+npz, png, ply and exr). Training has 250 iterations; --set train.iterations=N changes the number.
+Example: relidar demo --out demo)";
+
 }  // namespace
 
 void add_demo(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
-    command->add_option("--out", options->out, "folder for everything (default: demo)")->type_name("DIR");
+    command->add_option("--out", options->out, "folder for all results (default: demo)")->type_name("DIR");
     command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")
         ->type_name("S");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "DIR gets report.html, street/ (the log), run/ (the scene), held_out/ and shifted/ (scans as npz, "
-        "png, ply, exr).\n"
-        "Training has 250 steps: --set train.iterations=N changes that.\n"
-        "Example: relidar demo --out demo");
+    command->footer(kDemoHelp);
     command->callback(
         [&call, options] { call.run = [&call, options] { run_demo(*options, call.command_line); }; });
 }

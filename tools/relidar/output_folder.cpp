@@ -58,15 +58,17 @@ bool holds_nothing(const fs::path& folder) {
 void check_content(const fs::path& folder, Existing existing) {
     if (holds_nothing(folder)) return;
     if (is_dataset(folder))
-        throw UsageError(fmt::format("--out {}: the folder holds a log, expected another one for the run",
-                                     folder.string()));
-    if (!holds_run(folder))
-        throw UsageError(fmt::format("--out {}: the folder is not empty and holds no run, expected a new one",
-                                     folder.string()));
-    if (existing == Existing::refuse)
         throw UsageError(fmt::format(
-            "--out {}: the folder is not empty, expected a new one; --force overwrites the run in it",
-            folder.string()));
+            "--out {}: the folder holds a log, expected a different folder for the run", folder.string()));
+    if (!holds_run(folder))
+        throw UsageError(
+            fmt::format("--out {}: the folder is not empty and holds no run, expected a new or empty folder",
+                        folder.string()));
+    if (existing == Existing::refuse)
+        throw UsageError(
+            fmt::format("--out {}: the folder is not empty, expected a new or empty folder; --force "
+                        "overwrites the run in it",
+                        folder.string()));
 }
 
 /// Removes half-written files of a killed process from a locked folder and from its
@@ -128,8 +130,9 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
     for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_))
         std::this_thread::sleep_for(kLockLook);
     if (!lock)
-        throw DataError(fmt::format("{}: another relidar is writing this {}, expected one at a time",
-                                    folder.string(), holds_run(folder) ? "run" : "folder"));
+        throw DataError(
+            fmt::format("{}: another relidar is writing this {}, expected only one process at a time",
+                        folder.string(), holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
     if (lock->exclusive) remove_half_written(folder);
 }

@@ -24,7 +24,8 @@ std::string command_line_text(const std::string& name, int argc, char** argv) {
 
 void flush_output() {
     if (std::fflush(stdout) != 0 || std::ferror(stdout))
-        throw DataError("writing to standard output: it cannot take all of the text");
+        throw DataError(
+            "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
 }
 
 /// Returns the help of the program, with one line for each command so that it fits on one
@@ -76,16 +77,15 @@ int run_program(const Program& program, int argc, char** argv) {
         return report(error.code(), error.what());
     } catch (const std::bad_alloc&) {
         return report(ExitCode::data,
-                      "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames "
-                      "a:b) or larger voxels (--set "
-                      "init.voxel_m=...)");
+                      "out of memory: the memory is too small for this log or scene; use fewer frames "
+                      "(--frames a:b) or larger voxels (--set init.voxel_m=...)");
         // A file system error comes from the system. It is not a bug of relidar.
     } catch (const std::filesystem::filesystem_error& error) {
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
-        return report(ExitCode::bug, std::string("a fault of relidar itself: ") + error.what());
+        return report(ExitCode::bug, std::string("internal error of relidar: ") + error.what());
     } catch (...) {
-        return report(ExitCode::bug, "a fault of relidar itself: an unknown exception");
+        return report(ExitCode::bug, "internal error of relidar: unknown exception");
     }
 }
 

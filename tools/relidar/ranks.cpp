@@ -47,8 +47,8 @@ void check_build(int rank) {
     MPI_Bcast(&first, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (own != first)
         throw UsageError(
-            fmt::format("started by mpirun: process {} is another build of relidar than the first one, "
-                        "expected the same program",
+            fmt::format("started by mpirun: process {} is another build of relidar than the first process, "
+                        "expected the same build",
                         rank));
 }
 
@@ -63,7 +63,7 @@ std::string gather_in_all(const std::string& own, int size) {
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int.
         throw Error(ExitCode::bug,
-                    "collecting results of several processes: found more than 2 GiB of them, expected less");
+                    "collecting results of several processes: found more than 2 GiB, expected at most 2 GiB");
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
     std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
     std::string all(total, '\0');

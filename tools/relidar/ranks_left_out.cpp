@@ -11,9 +11,8 @@ namespace relidar::cli {
 Ranks::Ranks() {
     if (launched_by_mpi())
         throw UsageError(
-            "started by mpirun: this program was built without MPI, expected one with it: install "
-            "libopenmpi-dev, then build "
-            "again");
+            "started by mpirun: this program was built without MPI, expected a build with MPI; install "
+            "libopenmpi-dev and build again");
 }
 Ranks::~Ranks() = default;
 std::vector<std::string> Ranks::gather(const std::string& text) const { return {text}; }

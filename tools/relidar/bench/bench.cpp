@@ -174,7 +174,7 @@ std::string report_json(const BenchCase& bench, const BenchTimes& t, const Devic
 void run_bench(const BenchOptions& options) {
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
-        throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
+        throw DataError(fmt::format("--json {}: found a folder, expected a file name", options.json));
     std::optional<Run> run;
     if (!options.run.empty()) run = load_run(options.run);
     std::optional<OutputFolder> folder;
@@ -189,20 +189,26 @@ void run_bench(const BenchOptions& options) {
     print(report_text(bench, times, device));
 }
 
+constexpr const char* kBenchHelp =
+    R"(The street has 100000 surfels and 64 x 1024 rays. Times are wall times until the device has
+finished.
+Examples:
+  relidar bench
+  relidar bench --run run --json bench.json)";
+
 }  // namespace
 
 void add_bench(CLI::App& app, Call& call) {
     CLI::App* command =
-        app.add_subcommand("bench", "report how fast a device is, on a fixed street or on a run");
+        app.add_subcommand("bench", "measure the speed of a device on a fixed street or on a run");
     const auto options = std::make_shared<BenchOptions>();
-    command->add_option("--run", options->run, "time a run instead of the street: its scene and its sensor")
+    command
+        ->add_option("--run", options->run,
+                     "measure on the scene and sensor of this run instead of the street")
         ->type_name("RUN");
-    command->add_option("--json", options->json, "write the report to this file too")->type_name("FILE");
+    command->add_option("--json", options->json, "also write the report to this file")->type_name("FILE");
     add_device_options(*command, options->device);
-    command->footer(
-        "The street has 100000 surfels; its image has 64 x 1024 rays. Times are wall times until the device "
-        "is done.\n"
-        "Examples:\n  relidar bench\n  relidar bench --run run --json bench.json");
+    command->footer(kBenchHelp);
     command->callback([&call, options] { call.run = [options] { run_bench(*options); }; });
 }
 

@@ -28,7 +28,7 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
 
 BenchCase make_run_case(const Run& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
-        throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each",
+        throw DataError(fmt::format("{}: the run has no frames or no surfels, expected at least one of each",
                                     run.folder.string()));
     const Frame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];

@@ -35,7 +35,7 @@ void check_new(const std::string& out) {
     std::error_code failed;
     if (fs::exists(out, failed) && !fs::is_empty(out, failed))
         throw UsageError(
-            fmt::format("--out {}: there is something of that name, expected a new folder", out));
+            fmt::format("--out {}: the folder is not empty, expected a new or empty folder", out));
 }
 
 std::string sides_text(const AssetFacts& facts) {
@@ -47,12 +47,13 @@ std::string sides_text(const AssetFacts& facts) {
 
 /// Returns the reason why an actor is skipped, or an empty text if it is kept.
 std::string reason_against(const AssetFacts& facts, const ActorSightings& sightings, double least) {
-    if (sightings.points_m.empty()) return "no ray of the training frames meets it";
+    if (sightings.points_m.empty()) return "no ray of the training frames hits it";
     if (facts.score() >= least) return "";
     return fmt::format(
         "score {:.2f}, expected {:.2f} (--least): seen {}{}", facts.score(), least, sides_text(facts),
-        facts.completed > 0.0 ? fmt::format("; completed by its mirror image {:.2f} of all", facts.completed)
-                              : "");
+        facts.completed > 0.0
+            ? fmt::format("; {:.2f} of the surface completed by its mirror image", facts.completed)
+            : "");
 }
 
 std::vector<std::string> actors_of(const Run& run) {
@@ -62,7 +63,7 @@ std::vector<std::string> actors_of(const Run& run) {
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
     if (tracks.empty())
-        throw UsageError(fmt::format("{}: found no actor in it, expected one at least", run.folder.string()));
+        throw UsageError(fmt::format("{}: found no actor, expected at least one", run.folder.string()));
     return tracks;
 }
 
@@ -116,39 +117,38 @@ void run_assets(const AssetOptions& options) {
     end_progress_line();
     if (rows.size() == 1)
         throw DataError(
-            fmt::format("{}: found no actor that is seen well enough: {}", options.run, one_line(skipped)));
+            fmt::format("{}: found no actor with a sufficient score: {}", options.run, one_line(skipped)));
     folder.finish();
     if (options.quiet) return;
     print(table(rows) + skipped +
           fmt::format("{} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
 }
 
+constexpr const char* kAssetsHelp =
+    R"(The score of an actor is the share of its surface (sides and top of its box) that rays of the
+training frames hit. For vehicles the score includes parts completed by the mirror image of the
+other side. Each asset is a complete run with asset.json (class, size, score) and views.png. The
+picture shows the asset from left, right, above, behind and ahead; mirrored parts are bluish.
+Examples:
+  relidar assets run --out assets
+  relidar edit other --out busy --insert assets/car-3@12,3.5,0.9,180
+  relidar serve other --assets assets)";
+
 }  // namespace
 
 void add_assets(CLI::App& app, Call& call) {
     CLI::App* command =
-        app.add_subcommand("assets", "keep actors of a run that were seen well, to be placed elsewhere");
+        app.add_subcommand("assets", "save well-observed actors of a run for use in other runs");
     const auto options = std::make_shared<AssetOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--out", options->out, "new folder, with a folder for each asset in it")
+    command->add_option("--out", options->out, "new folder; each asset becomes a subfolder")
         ->required()
         ->type_name("FOLDER");
-    command
-        ->add_option("--least", options->least,
-                     "score, 0 to 1, below which an actor is left out (default: 0.5)")
+    command->add_option("--least", options->least, "minimum score of an actor, 0 to 1 (default: 0.5)")
         ->type_name("SCORE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "A score is the share of an actor's surface (sides and top of its box) that rays of the training "
-        "frames meet; of a vehicle also\n"
-        "what the mirror image of its other side stands in for. Each asset is a run of its own, with "
-        "asset.json (class, size, score)\n"
-        "and views.png (left, right, above; behind, ahead; bluish what was mirrored).\n"
-        "Examples:\n"
-        "  relidar assets run --out assets\n"
-        "  relidar edit other --out busy --insert assets/car-3@12,3.5,0.9,180\n"
-        "  relidar serve other --assets assets");
+    command->footer(kAssetsHelp);
     command->callback([&call, options] { call.run = [options] { run_assets(*options); }; });
 }
 

@@ -129,7 +129,8 @@ bool is_ever_present(const DrivingScene& driving, const std::string& track) {
 /// @param before track before the edit; null for a new actor
 std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
     if (!is_ever_present(driving, track))
-        return fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
+        return fmt::format("track {} is present at no frame of the log: its times are outside the log",
+                           track);
     return before ? lost_frames_note(*before, driving.sequence) : "";
 }
 
@@ -187,9 +188,8 @@ std::string sensor_note(const ExternalActor& actor, const DrivingScene& driving)
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
-        "{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are "
-        "right, its "
-        "intensities and ray-drop are those of that sensor",
+        "{} was recorded by another sensor ({}, {} beams; this run: {}, {} beams): the shape and motion of "
+        "{} are right, but its intensities and ray-drop follow the other sensor",
         actor.folder, actor_sensor.name, actor_sensor.beams.size(), run_sensor.name, run_sensor.beams.size(),
         actor.track);
 }
@@ -272,27 +272,26 @@ AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
                                  : has_track(applied.driving, entity.name) ? entity.name
                                                                            : "";
         if (role && what != "-" && !follows)
-            refuse(edit, fmt::format("an entity that follows a trajectory, which {} does not", entity.name));
+            refuse(edit, fmt::format("an entity that follows a trajectory; {} follows none", entity.name));
         if (what.empty() && follows)
-            refuse(edit,
-                   fmt::format(
-                       "{0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- too: the run has no actor of that name",
-                       entity.name));
+            refuse(edit, fmt::format("also {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=-, because the run has "
+                                     "no actor of that name",
+                                     entity.name));
         if (follows && what != "-") follow(edit, entity, what, applied);
         else
             join_note(applied.note,
-                      fmt::format("{} {}", entity.name, follows ? "is left out" : "follows no trajectory"));
+                      fmt::format("{} {}", entity.name, follows ? "is ignored" : "follows no trajectory"));
     }
     if (!roles.empty())
-        refuse(edit, fmt::format("entities of the file, which {} is not", roles.begin()->first));
-    if (applied.said.empty()) refuse(edit, "a scenario in which somebody follows a trajectory");
+        refuse(edit, fmt::format("entities of the file; {} is not in the file", roles.begin()->first));
+    if (applied.said.empty()) refuse(edit, "a scenario with at least one entity that follows a trajectory");
     return applied;
 }
 
 AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
     if (edit.value == "background")
-        return {keep_background(std::move(driving)), "kept the background alone", ""};
-    if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept the actors alone", ""};
+        return {keep_background(std::move(driving)), "kept only the background", ""};
+    if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept only the actors", ""};
     refuse(edit, "background or actors");
 }
 
@@ -300,23 +299,23 @@ AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
 
 const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
-        {"--remove", "TRACK", "take an actor out; rays continue to what is behind it"},
+        {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
-         "shift an actor in its own frame (forward, left, up) and turn it left, on all its path"},
-        {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
+         "shift an actor along its whole path, in its own frame (forward, left, up), and turn it left"},
+        {"--retime", "TRACK:seconds", "delay all motion of an actor by this time"},
         {"--trajectory", "TRACK:FILE.csv",
-         "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg], or a "
-         "header with these names in any order, _rad for radians"},
+         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; a header may "
+         "give these names in any order, with _rad for radians"},
         {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
-         "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the "
-         "surface below"},
+         "add a copy of an actor that drives straight ahead at speed m/s; ground: take height and tilt from "
+         "the surface below"},
         {"--insert", "RUN#TRACK@PLACE|ASSET@PLACE",
-         "the same with an actor of another run, or an asset of `relidar assets`; PLACE as of --copy"},
+         "add an actor of another run, or an asset of `relidar assets`; PLACE has the same form as in "
+         "--copy"},
         {"--scenario", "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
-         "let actors follow the timed polylines of an OpenSCENARIO's entities: those of the same name, those "
-         "that are named here, or "
-         "inserted ones; -: leave it out"},
-        {"--keep", "background|actors", "drop the other"}};
+         "move actors along the timed polylines of the entities of an OpenSCENARIO file. An entity moves the "
+         "actor of the same name, the actor given here, or an inserted actor; -: ignore the entity"},
+        {"--keep", "background|actors", "keep only the background or only the actors"}};
     return options;
 }
 

@@ -50,7 +50,8 @@ void apply_options(Config& config, const EvalOptions& options) { apply_sets(conf
 
 void check_held_out(const Split& split, const std::string& where) {
     if (split.test.empty())
-        throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
+        throw DataError(
+            fmt::format("{}: no frame was held out, expected at least one held-out frame", where));
 }
 
 /// Output files and folders. The first process checks that they are writable before any
@@ -102,11 +103,10 @@ void open_page(const std::filesystem::path& page, const Report& report, bool qui
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
-        return "note: the street was cast again with the run's edits, without noise; edited/* is over the "
-               "pixels they change\n";
-    return "note: the run is edited, but the log's scans show what was there before: where they differ, the "
-           "numbers do not say how good "
-           "the edit is\n";
+        return "note: the street was rendered again with the run's edits, without noise; edited/* are scores "
+               "of the pixels that the edits change\n";
+    return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
+           "pixels do not measure the quality of the edit\n";
 }
 
 /// Adds the scores of the pixels that an edit changes.
@@ -225,17 +225,19 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     options.device = ranks.device(options.device);
     if (options.open && ranks.size() > 1)
         throw UsageError(fmt::format(
-            "--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
+            "--open: found {} processes, expected one, because the page has pictures of all frames",
+            ranks.size()));
     // Rejects an unknown baseline before the log is read.
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open)
-            throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
+            throw UsageError(
+                "--open: found a log, expected a run, because a baseline without a run has no page");
         return score_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
         throw UsageError(
-            fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with "
+            fmt::format("{}: found it with a run, which already has held-out frames; expected it only with "
                         "--baseline and a log",
                         options.part.frames.empty() ? "--sequence" : "--frames"));
     score_run(options, ranks, command_line);
@@ -248,7 +250,7 @@ void check_table_options(const CLI::App& command) {
             option->check_lname("quiet"))
             continue;
         throw UsageError(fmt::format(
-            "{}: found it with --table, which only reads scores; expected it in `relidar eval RUN`",
+            "{}: found it with --table, which only reads existing scores; expected it in `relidar eval RUN`",
             option->get_name()));
     }
 }

@@ -90,8 +90,8 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
     if (const std::string good = how_good(evaluation.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
-        report.summary +=
-            fmt::format("; on {} it never saw, {}.", frame_count(evaluation.frames.size()), good);
+        report.summary += fmt::format("; on {} that were not used for training, {}.",
+                                      frame_count(evaluation.frames.size()), good);
     }
     report.key_metrics = key_metrics();
     report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())),

@@ -36,7 +36,7 @@ struct ScoredRun {
 ScoredRun read_scores(const std::string& path) {
     const fs::path folder = path;
     if (!holds_run(folder))
-        throw DataError(fmt::format("{}: not a run folder, expected one of `relidar train`", path));
+        throw DataError(fmt::format("{}: not a run folder, expected a folder made by `relidar train`", path));
     ScoredRun run;
     run.name = path.substr(0, path.find_last_not_of('/') + 1);
     if (const std::vector<TrainProgress> log = read_log(folder); !log.empty())
@@ -75,7 +75,9 @@ std::string protocol_differences(const std::vector<ScoredRun>& runs) {
 
 std::string protocol_note(const std::vector<ScoredRun>& runs) {
     const std::string keys = protocol_differences(runs);
-    return keys.empty() ? "" : fmt::format("Compare the runs with care: their protocols differ in {}.", keys);
+    return keys.empty()
+               ? ""
+               : fmt::format("Compare the runs with care, because their protocols differ in {}.", keys);
 }
 
 /// Returns the key metrics that at least one run has.
@@ -168,7 +170,7 @@ void check_scored(const std::vector<ScoredRun>& runs) {
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });
     if (missing == runs.end()) return;
     throw DataError(fmt::format(
-        "{} of {} runs have no scores in their metrics.json, the first is {}; `relidar eval {}` scores it",
+        "{} of {} runs have no scores in their metrics.json, for example {}; `relidar eval {}` computes them",
         runs.size() - scored_rows(runs).size(), runs.size(), missing->name, shell_word(missing->name)));
 }
 

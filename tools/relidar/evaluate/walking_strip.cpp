@@ -126,8 +126,8 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
     }
     if (n < kFrames * kFewestPoints) return std::nullopt;
     return ReportFigure{
-        fmt::format("{} {} {}, {:.0f} m away: successive frames, of training too, from the right, coloured "
-                    "from right to left",
+        fmt::format("{} {} {}, {:.0f} m away: successive frames, including training frames, seen from the "
+                    "right, coloured from right to left",
                     walk.box->category, walk.box->id,
                     object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walk.distance_m),

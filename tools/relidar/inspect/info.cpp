@@ -57,14 +57,15 @@ void show_log(const InfoOptions& options) {
 }  // namespace
 
 void add_info(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("info", "say what a log or a run holds");
+    CLI::App* command = app.add_subcommand("info", "print a summary of a log or a run");
     const auto options = std::make_shared<InfoOptions>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
     add_log_part_options(*command, options->part);
     add_set_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
-    command->add_flag("--all", options->all,
-                      "read every scan of a log, to see whether all can be read; else 64 spread over it");
+    command->add_flag(
+        "--all", options->all,
+        "read every scan of a log to check that all are readable (default: 64 scans spread over the log)");
     command->footer(
         "Examples:\n"
         "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"

@@ -51,7 +51,8 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
     }
     std::string text;
     if (!guesses.empty())
-        text += fmt::format("size is a guess, only a side was seen: {}\n", fmt::join(guesses, ", "));
+        text += fmt::format("size estimated from the class, because only one side was seen: {}\n",
+                            fmt::join(guesses, ", "));
     if (!continued.empty())
         text += fmt::format("tracks extended beyond their labels: {}\n", fmt::join(continued, ", "));
     return text;
@@ -291,14 +292,14 @@ std::string to_text(const RunSummary& run) {
         run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
     std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
-        text += line("blocks", fmt::format("{} of the background, read as scans need them", run.n_blocks));
+        text +=
+            line("blocks", fmt::format("{} of the background, loaded when scans need them", run.n_blocks));
     for (const auto& [name, count] : run.models)
         text += line("  model", fmt::format("{}: {} surfels", name, count));
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
     if (run.n_drop_parameters > 0)
-        text +=
-            line("ray drop", fmt::format("corrected by a network of {} parameters that looks at {} images",
-                                         run.n_drop_parameters, run.drop_image));
+        text += line("ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",
+                                             run.n_drop_parameters, run.drop_image));
     for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
     text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
     text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,

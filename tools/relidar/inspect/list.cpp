@@ -9,8 +9,7 @@
 namespace relidar::cli {
 
 void add_list(CLI::App& app, Call& call) {
-    CLI::App* command =
-        app.add_subcommand("list", "list devices, sensors or settings, with their properties");
+    CLI::App* command = app.add_subcommand("list", "list devices, sensors or settings and their properties");
     command->require_subcommand(1);
     add_device_list(*command, call);
     add_sensor_list(*command, call);

@@ -30,8 +30,8 @@ std::size_t car_of(const Model& model, const std::string& track) {
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
         throw DataError(
-            fmt::format("casting the edited street: track {} has the model \"{}\", expected the number of a "
-                        "car of the street",
+            fmt::format("rendering the edited street: track {} has the model \"{}\", expected the number of "
+                        "a car of the street",
                         track, model.name));
     return car;
 }

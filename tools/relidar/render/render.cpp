@@ -150,18 +150,18 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
 void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
-            throw UsageError(
-                fmt::format("--format {}: found {} processes, expected one: it is one file of all scans",
-                            format, ranks.size()));
+            throw UsageError(fmt::format(
+                "--format {}: found {} processes, expected one, because all scans are written to one file",
+                format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
-        throw UsageError("--merge: found no rig as --sensor, expected one: there is nothing to merge");
+        throw UsageError("--merge: found a single sensor, expected a rig as --sensor");
     const TrajectoryChoice& t = options.trajectory;
     if (t.file.empty() && (t.rate_hz || !t.times.empty()))
         throw UsageError(
-            "--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
+            "--rate and --times: found no --trajectory, expected one, because they select times on it");
     if (!t.file.empty() && options.frames)
         throw UsageError(
             "--frames: found --trajectory too, expected one of them; --times chooses moments on a "
@@ -183,7 +183,7 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const RenderOptions& options, i
         if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
-        throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar,
+        throw UsageError(fmt::format("--lidar {}: has none of the selected frames of {}", options.lidar,
                                      run.folder.string()));
     return sweeps;
 }
@@ -314,9 +314,9 @@ public:
             "Mrays/s{}\n",
             n_all, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
-            knows_seen_ ? fmt::format(", {:.1f} % go through space that the log did not see",
-                                      100.0 * n_unseen_ / n_rays_)
-                        : "",
+            knows_seen_
+                ? fmt::format(", {:.1f} % cross space that the log has not seen", 100.0 * n_unseen_ / n_rays_)
+                : "",
             trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
             n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
@@ -374,7 +374,7 @@ void run_render(const RenderOptions& given) {
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
-        note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
+        note(fmt::format("{} has no range noise: sampled ranges are exact", run.folder.string()));
     if (options.sample && !options.quiet) note_unscattered(run, lidar);
     if (!options.quiet) note_weather(parse_weather(options.weather));
     for (const Wanted& w : wanted)
@@ -396,18 +396,18 @@ void run_render(const RenderOptions& given) {
 void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
     command
         .add_option("--trajectory", trajectory.file,
-                    "drive the sensor along a path of its own: lines of "
-                    "time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world "
-                    "and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with "
-                    "--offset beside it")
+                    "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
+                    "the dataset's world and the log's time; `relidar export RUN --out FILE.csv` writes the "
+                    "path of the log; --offset shifts the sensor from the path")
         ->type_name("FILE.csv");
     command
         .add_option("--rate", trajectory.rate_hz,
-                    "scans a second on the trajectory (default: as the log's sensor turns)")
+                    "scans per second on the trajectory (default: the rate of the log's sensor)")
         ->type_name("HZ");
     command
-        .add_option("--times", trajectory.times,
-                    "when scans are taken on the trajectory instead: from, to and every so many seconds")
+        .add_option(
+            "--times", trajectory.times,
+            "times of the scans on the trajectory, instead of --rate: first, last and step in seconds")
         ->type_name("FIRST:LAST:STEP");
 }
 
@@ -415,7 +415,7 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
 void add_file_options(CLI::App& command, RenderOptions& options) {
     command
         .add_option("--format", options.formats,
-                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, parted by commas (default: npz)")
+                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, separated by commas (default: npz)")
         ->type_name("LIST");
     command
         .add_option("--frame", options.point_frame,
@@ -424,42 +424,37 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
         ->type_name("WHAT");
     add_channels_option(command, options.channels);
     command.add_flag("--deskew", options.deskew,
-                     "bring all points of a scan to the sensor's frame at the scan's time, as a "
-                     "motion-compensated log has them; in mcap "
-                     "and rosbag to that at the stamp");
+                     "transform all points of a scan to the sensor's frame at the scan's time, as in a "
+                     "motion-compensated log; in mcap and rosbag to the frame at the stamp");
     add_recording_options(command, options.names);
-    command.add_flag(
-        "--merge", options.merge,
-        "the scans of a rig's sensors as one, in the frame of the rig (default: a folder for each)");
+    command.add_flag("--merge", options.merge,
+                     "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
+                     "folder for each sensor)");
     command.add_flag("--force", options.overwrite, "replace the rendering in DIR");
 }
 
 constexpr const char* kFilesHelp =
-    "Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from "
-    "0), and "
-    "DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
-    "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin "
-    "[rows,columns,3];\n"
-    "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with "
-    "drop_prob < 0.5, of "
-    "the dominant\n"
-    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at "
-    "edges). ring: beam, 0 the "
-    "highest;\n"
-    "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
-    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 "
-    "background, -1 nothing; "
-    "npz has instance_names.\n"
-    "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag "
-    "of ROS 2. Both have\n"
-    "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to "
-    "the first ray's time.\n"
-    "scans.json has the share of rays of whose way less than half was seen by the log: unseen.\n";
+    R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
+they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
+`unseen`: the share of rays that cross mainly space that the log has not seen.
+npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
+origin [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s. Metres, seconds.
+ply, pcd, bin: points of rays with drop_prob < 0.5, on the dominant surface. With --set
+render.points=range they use the mean range, which lies between two surfaces at edges. The
+VIEWPOINT of a pcd is the pose in the dataset's world.
+ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
+instance (npz, exr, ply, pcd): surface that the ray hits first, the number in `relidar info RUN`;
+0 background, -1 nothing. npz also has instance_names.
+mcap: DIR/scans.mcap, one file with all scans of all sensors, for Foxglove. rosbag:
+DIR/rosbag.mcap, a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
+and sensors, and the boxes of actors. --deskew moves points to the time of the first ray.
+)";
 
 /// Returns the help text for --channels.
 std::string channels_help() {
     std::string text =
-        "Channels of --channels, an entry a ray in npz and exr, a point in ply, pcd, mcap and rosbag:\n";
+        "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
+        "rosbag:\n";
     for (const ChannelInfo& channel : optional_channels())
         text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
                             channel.unit.empty() ? "" : " [" + channel.unit + "]");
@@ -475,44 +470,45 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
     command
         ->add_option("--frames", options->frames,
-                     "first:end by the dataset's numbers, or test, train or all (default: test; all where "
-                     "none was held out)")
+                     "first:end by the dataset's frame numbers, or test, train or all (default: test, or all "
+                     "if none is held out)")
         ->type_name("WHICH");
     command
         ->add_option("--offset", options->offset,
-                     "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")
+                     "shift the sensor in its own frame: forward, left, up in metres, turn left in degrees")
         ->type_name("X,Y,Z,YAW_DEG");
     add_trajectory_options(*command, options->trajectory);
     command
         ->add_option("--lidar", options->lidar,
-                     "whose frames and place, by its name in `relidar info` (default: the first of the log)")
+                     "LiDAR of the log whose frames and mounting are used, by its name in `relidar info` "
+                     "(default: the first)")
         ->type_name("NAME");
     command
         ->add_option("--sensor", options->sensor,
                      "another sensor: native (the log's), one of `relidar list sensors`, or the file of a "
-                     "sensor or rig, see below")
+                     "sensor or rig (see below)")
         ->type_name("NAME|FILE");
     command
-        ->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
+        ->add_option("--only", options->only,
+                     "render only this part: background, actors, or a track; repeatable")
         ->type_name("WHAT")
         ->type_size(1)
         ->allow_extra_args(false);
     command
         ->add_option("--sample", options->sample,
-                     "draw each scan from the likely ones: drops by their probability, ranges and "
-                     "intensities with the noise of the log "
-                     "(default: the likeliest scan, free of noise)")
+                     "draw random scans with this seed: drops by their probability, ranges and intensities "
+                     "with the noise of the log (default: the most likely scan, without noise)")
         ->check([](const std::string& text) {
             return text.starts_with('-') ? fmt::format("found {}, expected a whole number from 0", text)
                                          : std::string();
         })
         ->type_name("SEED");
-    add_weather_option(*command, options->weather, "all scans; drawn by the seed of --sample, 0 without");
+    add_weather_option(*command, options->weather, "all scans; the seed is that of --sample, else 0");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "ray-drop as the surfels have it, without the run's network");
+                      "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(std::string(kFilesHelp) + channels_help() + kSensorFileHelp +
                     "\n"

@@ -16,8 +16,8 @@ void add_serve(CLI::App& app, Call& call) {
     command->callback([&call] {
         call.run = [] {
             throw UsageError(
-                "serve: this program was built without gRPC, expected one with it: "
-                "`tools/dev/setup --serve`, then build again");
+                "serve: this program was built without gRPC, expected a build with gRPC; run "
+                "`tools/dev/setup --serve` and build again");
         };
     });
 }

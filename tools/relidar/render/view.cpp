@@ -61,7 +61,7 @@ view::OtherRuns other_runs(const std::vector<std::string>& folders) {
 
 view::ServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
-        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 takes any that is free",
+        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 selects a free port",
                                      options.port, kLastPort));
     view::ServerOptions server;
     server.address = options.address;
@@ -100,8 +100,8 @@ void run_view(const ViewOptions& options) {
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);
-    const char* who =
-        wanted.token.empty() ? "open that address in a browser" : "only who has that address may look";
+    const char* who = wanted.token.empty() ? "open this address in a browser"
+                                           : "only clients with this address have access";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kViewPatience);
@@ -109,28 +109,38 @@ void run_view(const ViewOptions& options) {
     server.close(kGoodbye);
 }
 
+constexpr const char* kViewHelp =
+    R"(The page moves the sensor with mouse and keys, plays the log, and changes sensor and traffic. The
+key ? lists all keys. The page also shows the real scans if the log is still at its path. The URL
+of the page contains its state, including edits, and works again after the program is restarted.
+docs/viewer.md describes the page.
+Examples:
+  relidar view run
+  relidar view run --port 0 --open
+  relidar view run --insert other                      # actors of `other` can be inserted
+  ssh -L 8080:127.0.0.1:8080 machine relidar view run  # then open http://127.0.0.1:8080/ here)";
+
 }  // namespace
 
 void add_view(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("view", "look at a run in the browser, and drive the sensor");
+    CLI::App* command = app.add_subcommand("view", "show a run in the browser and drive the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--port", options->port, "port to listen on (default: 8080; 0: any that is free)")
+    command->add_option("--port", options->port, "port to listen on (default: 8080; 0: a free port)")
         ->type_name("N");
     command
         ->add_option("--bind", options->address,
-                     "address to listen on (default: 127.0.0.1, this machine alone; elsewhere the address "
-                     "that is printed holds a token "
-                     "without which nobody is let in)")
+                     "address to listen on (default: 127.0.0.1, only this machine; for any other address, "
+                     "the printed URL contains an access token that every client must present)")
         ->type_name("ADDRESS");
     command
-        ->add_option(
-            "--save-to", options->save_to,
-            "folder in which the page makes edited runs, made if missing (default: the one that RUN is in)")
+        ->add_option("--save-to", options->save_to,
+                     "folder for edited runs that the page saves, created if missing (default: the parent "
+                     "folder of RUN)")
         ->type_name("DIR");
     command
         ->add_option("--insert", options->inserts,
-                     "another run, whose actors the page can put on the ground; repeatable")
+                     "another run whose actors can be inserted from the page; repeatable")
         ->type_name("RUN")
         ->allow_extra_args(false);
     command->add_flag("--open", options->open, "open a browser");
@@ -138,20 +148,9 @@ void add_view(CLI::App& app, Call& call) {
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "ray-drop as the surfels have it, without the run's network");
+                      "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print the address and errors only");
-    command->footer(
-        "The page moves the sensor by mouse and keys, plays the log, changes sensor and traffic; ? shows its "
-        "keys. It has the log's own\n"
-        "scans too where the log is still at its place. Its address holds what it shows, edits included; it "
-        "goes on when the program has\n"
-        "been started again. docs/viewer.md says more.\n"
-        "Examples:\n"
-        "  relidar view run\n"
-        "  relidar view run --port 0 --open\n"
-        "  relidar view run --insert other                            # its actors can be put on the ground, "
-        "too\n"
-        "  ssh -L 8080:127.0.0.1:8080 machine relidar view run       # then http://127.0.0.1:8080/ here");
+    command->footer(kViewHelp);
     command->callback([&call, options] { call.run = [options] { run_view(*options); }; });
 }
 

@@ -13,9 +13,8 @@ void add_view(CLI::App& app, Call& call) {
     command->callback([&call] {
         call.run = [] {
             throw UsageError(
-                "view: this relidar was built without it, expected Boost.Beast while building: install "
-                "libboost-dev (Debian), "
-                "then cmake with -DRELIDAR_VIEW=ON");
+                "view: this program was built without the viewer, expected a build with Boost.Beast; install "
+                "libboost-dev (Debian) and run cmake with -DRELIDAR_VIEW=ON");
         };
     });
 }

@@ -37,14 +37,14 @@ std::optional<Checkpoint> find_start(const RefineOptions& options) {
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
             note(
-                fmt::format("{} holds the checkpoint of a network that was not finished: it is given up, "
-                            "--resume would have gone on",
+                fmt::format("{} holds the checkpoint of an unfinished network, which is discarded; use "
+                            "--resume to continue it",
                             options.run));
         return std::nullopt;
     }
     std::optional<Checkpoint> start = load_newest_checkpoint(folder, note);
     if (!start)
-        note(fmt::format("{} holds no checkpoint of its network: training starts from the beginning",
+        note(fmt::format("{} has no checkpoint of its network: training starts from the beginning",
                          options.run));
     return start;
 }
@@ -65,7 +65,7 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     if (!refine_shown(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted: {} has the network it had{}", run.folder.string(),
+                    fmt::format("interrupted: the network of {} is unchanged{}", run.folder.string(),
                                 can_go_on ? "; continue with: " + resume_command(options) : ""));
     }
     save_run(run);
@@ -118,10 +118,21 @@ void run_refine(const RefineOptions& options) {
     remove_network_checkpoints(run.folder);
 }
 
+constexpr const char* kRefineHelp =
+    R"(RUN/ receives drop_network.safetensors, which render and eval use from then on. The settings are
+refine.*. Each epoch saves a checkpoint (RUN/checkpoints/drop_network), and so does Ctrl-C. With
+--resume the network ends exactly the same as without an interruption.
+The log is read from the path that the run was trained from. If the log has moved, use --set
+dataset.path=PATH.
+Examples:
+  relidar refine run
+  relidar refine run --set refine.network=paper --set refine.epochs=100
+  relidar refine --resume run)";
+
 }  // namespace
 
 void add_refine(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("refine", "train the network that corrects a run's ray-drop");
+    CLI::App* command = app.add_subcommand("refine", "train the network that corrects the ray-drop of a run");
     const auto options = std::make_shared<RefineOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_flag("--resume", options->resume,
@@ -130,18 +141,7 @@ void add_refine(CLI::App& app, Call& call) {
     add_device_options(*command, options->device);
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames with and without it");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "RUN/ gets drop_network.safetensors, which render and eval use from then on; settings refine.*.\n"
-        "Ctrl-C stops training and leaves a checkpoint (RUN/checkpoints/drop_network), as every epoch does; "
-        "--resume goes on as if\n"
-        "nothing had happened: training frames are rendered again, the network ends the same to the last "
-        "bit.\n"
-        "The log is read from where it was when the run was trained; --set dataset.path=... names another "
-        "place.\n"
-        "Examples:\n"
-        "  relidar refine run\n"
-        "  relidar refine run --set refine.network=paper --set refine.epochs=100\n"
-        "  relidar refine --resume run");
+    command->footer(kRefineHelp);
     command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });
 }
 

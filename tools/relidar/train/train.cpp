@@ -67,7 +67,7 @@ TrainOptions sorted_out(TrainOptions options) {
     const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
     if (options.dataset.empty() && !knows_log)
         throw UsageError(fmt::format(
-            "DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)",
+            "DATASET is required: {} has no config.toml that names the log (see `relidar train --help`)",
             options.out));
     return options;
 }
@@ -124,8 +124,8 @@ void check_unchanged(const fs::path& folder, const Config& config) {
         if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
         throw UsageError(fmt::format(
-            "resuming {}: its training is finished with another setting {}, expected the same; --force "
-            "trains anew, and `relidar refine` trains the ray-drop network alone",
+            "resuming {}: its training is finished with a different setting {}, expected the same; --force "
+            "trains again from the start, and `relidar refine` trains only the ray-drop network",
             folder.string(), key));
 }
 
@@ -149,10 +149,10 @@ std::optional<Checkpoint> find_start(const TrainOptions& options) {
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(
-            fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on "
-                        "from; --force trains anew",
+            fmt::format("resuming {}: its training has ended and left no checkpoint, expected a checkpoint "
+                        "to resume from; --force trains again from the start",
                         folder.string()));
-    note(fmt::format("{} holds no checkpoint: training starts from the beginning", folder.string()));
+    note(fmt::format("{} has no checkpoint: training starts from the beginning", folder.string()));
     return std::nullopt;
 }
 
@@ -185,7 +185,7 @@ TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& op
         const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
         if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
-                                              has_checkpoint ? "the last checkpoint is kept, continue with"
+                                              has_checkpoint ? "the last checkpoint is kept; continue with"
                                                              : "start again with",
                                               resume_command(options)));
     }
@@ -322,7 +322,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     attach_scans(run, run.split.test, log);
     if (!options.quiet) {
         announce(run.sequence, run.split, device, nullptr);
-        print("resume  behind the last iteration\n");
+        print("resume  after the last iteration\n");
     }
     catch_interrupts();
     if (!run.held_out_placed) complete_or_tell(device, run, options, stages);
@@ -346,7 +346,7 @@ void clear_folder(const fs::path& folder, const Config& config, bool keeps_block
 void check_ranks(const Ranks& ranks, bool in_blocks) {
     if (ranks.size() > 1 && !in_blocks)
         throw UsageError(fmt::format(
-            "training by {} processes: found a log in one piece, expected --blocks, which they share",
+            "training with {} processes: expected --blocks, because processes share the blocks of a log",
             ranks.size()));
 }
 
@@ -360,7 +360,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
         check_unchanged(options.out, config);
         if (!options.quiet)
             print(fmt::format(
-                "{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n",
+                "{} has all of its {} iterations: nothing to do; increase train.iterations to continue\n",
                 options.out, config.train.iterations));
         return;
     }
@@ -411,11 +411,24 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
 void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
     command
         .add_option("--resume", options->resume_folder,
-                    "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are "
-                    "the run's unless given")
+                    "resume the run in --out, or in RUN, from its newest checkpoint; log and settings are "
+                    "those of the run unless given")
         ->type_name("[RUN]")
         ->expected(0, 1);
 }
+
+constexpr const char* kTrainHelp =
+    R"(RUN/ receives config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html,
+and checkpoints/ if training takes long.
+Ctrl-C stops training and saves the current scene and a checkpoint. --resume continues as if there
+had been no interruption, including the ray-drop network. Settings refine.* and render.* may be
+changed when resuming; changed refine.* settings train the network from the beginning.
+Later settings replace earlier ones in this order: preset, --config, --set, other options.
+`relidar list settings` lists the settings.
+Examples:
+  relidar train data/street --out run --preset quick
+  relidar train --resume run
+  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360)";
 
 }  // namespace
 
@@ -423,37 +436,22 @@ void add_train(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path");
-    command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
+    command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
     add_log_part_options(*command, options->part);
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
         ->type_name("S");
     command
         ->add_option("--blocks", options->blocks,
-                     "train a long log in blocks of at most so many metres of its trajectory, as 60m: memory "
-                     "does not grow with the log "
-                     "(blocks.length_m)")
+                     "train a long log in blocks of at most this length of its trajectory, for example 60m, "
+                     "so that memory does not grow with the log (blocks.length_m)")
         ->type_name("LENGTH");
     add_device_options(*command, options->device);
     add_resume_option(*command, options);
     command->add_flag("--force", options->force, "overwrite the run in RUN");
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and "
-        "checkpoints/ where training takes "
-        "long.\n"
-        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had "
-        "happened, with the ray-drop\n"
-        "network too. Settings refine.* and render.* may be changed then; other refine.* train the network "
-        "from the beginning.\n"
-        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar list "
-        "settings` lists them.\n"
-        "Examples:\n"
-        "  relidar train data/street --out run --preset quick\n"
-        "  relidar train --resume run\n"
-        "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 "
-        "--set dataset.poses=poses.txt");
+    command->footer(kTrainHelp);
     command->callback([&call, options, command] {
         options->resume = command->count("--resume") > 0;
         options->from_preset = command->count("--preset") + command->count("--config") > 0;

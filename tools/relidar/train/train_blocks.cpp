@@ -42,7 +42,7 @@ void check_settings(const fs::path& block, const Config& trained, const Config& 
         if (!is_free(is[i].key) && was[i].value != is[i].value)
             throw DataError(
                 fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force "
-                            "trains all anew)",
+                            "trains all blocks again)",
                             block.string(), is[i].key, was[i].value, is[i].value));
 }
 
@@ -54,11 +54,11 @@ void check_frames(const Run& trained, const BlockLog& log) {
     const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
     if (trained.split.train != log.split.train ||
         !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
-        throw DataError(fmt::format(
-            "resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, expected the same "
-            "(--force trains all anew)",
-            trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
-            is.front().index, is.back().index));
+        throw DataError(
+            fmt::format("resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, "
+                        "expected the same (--force trains all blocks again)",
+                        trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
+                        is.front().index, is.back().index));
 }
 
 /// Accumulates sums and means over blocks.
@@ -169,14 +169,15 @@ private:
         const auto start = Clock::now();
         const auto show = [&](int step, int n_steps) {
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
-            progress.show(fmt::format("actors before the joined background, step {}/{}  {:.2f} it/s  eta {}",
-                                      step, n_steps, step / s, duration(s / step * (n_steps - step))),
-                          step == n_steps);
+            progress.show(
+                fmt::format("actors in front of the joined background, step {}/{}  {:.2f} it/s  eta {}", step,
+                            n_steps, step / s, duration(s / step * (n_steps - step))),
+                step == n_steps);
         };
         try {
             if (!relidar::train_actors(device_, run_, {show, interrupted}))
                 throw Error(ExitCode::interrupted,
-                            "interrupted while actors learn before the joined background");
+                            "interrupted while actors were trained in front of the joined background");
         } catch (const Error& error) {
             throw Error(error.code(), kept(error.what()));
         }

@@ -51,7 +51,7 @@ public:
     void add(const TrainProgress& p) {
         if (lost_ || (file_ << log_line(p)).flush()) return;
         lost_ = true;
-        note(fmt::format("writing {}: the disk is full or the folder has gone; training goes on",
+        note(fmt::format("cannot write {}: the disk is full or the folder was removed; training continues",
                          path_.string()));
     }
     void finish(const std::vector<TrainProgress>& all) {
@@ -76,9 +76,9 @@ void place_shown(Device& device, Run& run, bool quiet) {
     const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
-    print(
-        fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n",
-                    placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
+    print(fmt::format(
+        "{} of {} held-out scans aligned to the scene: moved by {:.1f} mm (median), at most {:.1f} mm\n",
+        placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
     std::fflush(stdout);
 }
 
@@ -186,7 +186,8 @@ void log_stages(const fs::path& folder, const StageTimes& times) {
     for (const StageTimes::Stage& stage : times.stages()) seconds[stage.name] = stage.seconds;
     std::ofstream file(folder / "log.jsonl", std::ios::binary | std::ios::app);
     if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
-        note(fmt::format("writing {}: the stages are not in it", (folder / "log.jsonl").string()));
+        note(fmt::format("cannot write {}: the times of the stages are missing in it",
+                         (folder / "log.jsonl").string()));
 }
 
 void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) {
