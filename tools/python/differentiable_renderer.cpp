@@ -18,11 +18,11 @@
 namespace relidar::python {
 namespace {
 
-/// The renderer with what shapes the arrays it takes and gives.
+/// A renderer with the sizes that determine the shapes of its arrays.
 struct HeldRenderer {
     OnDevice<DifferentiableRenderer> renderer;
     std::vector<InstancePose> placed;  ///< [instances]
-    std::size_t n_rays = 0;            ///< of the last forward pass
+    std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
 
 std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
