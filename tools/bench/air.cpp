@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_air: how many points of a trained synthetic street hang in the air, from
-// where its sensor was and from beside there. A point is on a surface where the exact
-// street has one within 5 cm of it, whichever ray it came from.
+// relidar_bench_air: counts the points of a trained synthetic street that float in the
+// air, for the recorded sensor poses and for shifted poses. A point is on a surface if
+// the exact street has a surface within 5 cm of it, whichever ray made the point.
 #include <array>
 #include <cmath>
 #include <limits>
@@ -24,11 +24,12 @@ namespace {
 using namespace relidar;
 
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
-// directions about a point: a surface is within 7 degrees of square to one of them
+// Number of directions around a point. The normal of any surface is within 7 degrees of
+// one direction.
 constexpr std::size_t kProbes = 256;
-constexpr std::size_t kTogether = 4096;  // points whose surroundings are cast at once
+constexpr std::size_t kTogether = 4096;  // Number of points whose surroundings are cast together.
 
-/// Directions spread evenly over the sphere (Fibonacci's spiral).
+/// Returns directions that are spread evenly over the sphere (Fibonacci spiral).
 std::array<glm::vec3, kProbes> all_around() {
     std::array<glm::vec3, kProbes> directions;
     for (std::size_t i = 0; i < kProbes; ++i) {
@@ -40,14 +41,14 @@ std::array<glm::vec3, kProbes> all_around() {
     return directions;
 }
 
-/// The exact street from one place of the sensor.
+/// The exact street, seen from one pose of the sensor.
 struct Place {
     const SyntheticOptions& street;
     const PoseTrack& world_from_sensor;
     double time_s;
 };
 
-/// Points of a scan and what the street has along their rays.
+/// Points of a scan, and the exact ranges along their rays.
 struct Points {
     const RayTable& rays;
     const std::vector<float>& range_m;
@@ -56,18 +57,18 @@ struct Points {
     glm::vec3 at(std::size_t i, float range) const { return rays.origin[i] + range * rays.direction[i]; }
 };
 
-/// Distance of points to the nearest surface at the times of their rays: infinity where
-/// no probe meets one. Surfaces of the street have one side, and a point may lie
-/// millimetres behind one. So it is asked from itself to all around, and from all around
-/// to itself, from as near as a surface counts as its own, and from as far as one counts
-/// at all.
+/// Returns the distance of points to the nearest surface at the times of their rays, or
+/// infinity if no probe hits a surface. Surfaces of the street are one-sided, and a point
+/// may be a few millimetres behind one. Probes therefore run from the point outwards and
+/// from all directions towards the point. They start both at the tolerance of a surface
+/// and at the largest relevant distance.
 std::vector<float> distances(const Place& place, const Points& points,
                              const std::vector<std::size_t>& chosen) {
     static const std::array<glm::vec3, kProbes> directions = all_around();
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
     for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
         RayTable probes;
-        std::vector<std::size_t> asked;  // [probes] position in `chosen`
+        std::vector<std::size_t> asked;  // [probes] index into `chosen`
         for (std::size_t k = first; k < std::min(first + kTogether, chosen.size()); ++k) {
             const std::size_t i = chosen[k];
             const glm::vec3 point = points.at(i, points.range_m[i]);
@@ -98,7 +99,8 @@ std::vector<float> distances(const Place& place, const Points& points,
 struct Count {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    /// @param scan  whose rays return or not
+    /// Adds the points of a scan.
+    /// @param scan decides which rays return
     void add(const Place& place, const Points& of, const RenderedScan& scan) {
         const std::vector<float>& range_m = of.range_m;
         std::vector<std::size_t> doubtful;

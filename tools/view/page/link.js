@@ -9,9 +9,9 @@ const LONGEST_PAUSE_S = 8;
 
 export class Link {
   /**
-   * @param state () => what is to be scanned, without "do" and "id"
-   * @param on {text(message), frame(frame, asked), lost(pause_s, isLocked)}: asked, the state that the scan is of; isLocked, the program is
-   * there and wants a token
+   * @param state () => the state to scan, without "do" and "id"
+   * @param on callbacks {text(message), frame(frame, asked), lost(pause_s, isLocked)};
+   * asked: the state of the scan; isLocked: true if the program requires a token
    */
   constructor(state, on) {
     this.state = state;

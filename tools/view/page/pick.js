@@ -3,9 +3,11 @@
 // background point nearest to the click.
 
 /**
- * @param x,y position of the click, -1..1, up positive @param scan of frame.js @param
- * shown (i) => true if point i is drawn @param level height that is used if no point is
- * drawn @return [x, y] in the world frame, or null if the click is above the horizon
+ * @param x,y position of the click, -1..1, up positive
+ * @param scan scan as returned by frame.js
+ * @param shown (i) => true if point i is drawn
+ * @param level height that is used if no point is drawn
+ * @return [x, y] in the world frame, or null if the click is above the horizon
  */
 export function pickGround(camera, aspect, [x, y], scan, shown, level) {
   const m = camera.matrix(aspect);
