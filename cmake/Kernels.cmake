@@ -1,9 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-# add_kernel(room/folder/stem [TRACES] [ACCUMULATES]): compiles shaders/<room>/<folder>/<stem>.comp to SPIR-V and embeds it in the library.
-#   TRACES       built once per traversal backend: @ray_query, @software_bvh, @brute_force
-#   ACCUMULATES  built once with the device's float atomics and once with compare-and-swap: suffix _atomics, _swap
-# embed_kernels(<target>): generates the table that relidar::embedded_kernels() returns, so that there is nothing to find at run time, and
-#   kernel_params.hpp, by which the compiler knows each kernel's parameter struct.
+# add_kernel(room/folder/stem [TRACES] [ACCUMULATES]): compiles
+# shaders/<room>/<folder>/<stem>.comp to SPIR-V and embeds it in the library.
+#   TRACES       one build for each traversal backend: @ray_query, @software_bvh, @brute_force
+#   ACCUMULATES  one build with the device's float atomics and one with compare-and-swap:
+#                suffixes _atomics and _swap
+# embed_kernels(<target>): generates the table that relidar::embedded_kernels() returns,
+# so that no files are needed at run time. Also generates kernel_params.hpp, which gives
+# the compiler the parameter struct of each kernel.
 find_program(RELIDAR_GLSLANG glslangValidator REQUIRED)
 find_program(RELIDAR_SPIRV_VAL spirv-val)
 set_property(GLOBAL PROPERTY RELIDAR_KERNELS "")
@@ -30,7 +33,7 @@ endfunction()
 function(add_kernel path)
     cmake_parse_arguments(KERNEL "TRACES;ACCUMULATES" "" "" ${ARGN})
     set(source ${PROJECT_SOURCE_DIR}/shaders/${path}.comp)
-    set(variants "@|")  # no backend: "stem", or "stem@_atomics" and "stem@_swap"
+    set(variants "@|")  # Without a backend: "stem", or "stem@_atomics" and "stem@_swap".
     if(KERNEL_TRACES)
         set(variants "@ray_query|-DRELIDAR_TRAVERSAL_RAY_QUERY" "@software_bvh|-DRELIDAR_TRAVERSAL_SOFTWARE_BVH" "@brute_force|")
     endif()
@@ -48,7 +51,8 @@ function(add_kernel path)
     endforeach()
 endfunction()
 
-# kernel_params.hpp: which parameter struct each shader declares, so that a kernel with another one does not compile.
+# kernel_params.hpp: the parameter struct that each shader declares, so that using a
+# kernel with another struct does not compile.
 function(_relidar_list_params)
     file(GLOB_RECURSE shaders CONFIGURE_DEPENDS ${PROJECT_SOURCE_DIR}/shaders/*.comp)
     set(rows "")
