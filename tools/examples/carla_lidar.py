@@ -24,8 +24,8 @@ import numpy as np
 
 from closed_loop_client import v1, v1_grpc
 
-MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])   # left-handed to right-handed and back
-NEARLY = 1e-6   # seconds, of a period that is made of ticks
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])   # Converts between left-handed and right-handed frames.
+NEARLY = 1e-6   # Tolerance in seconds for a period that consists of ticks.
 
 
 def right_handed(transform):
@@ -84,7 +84,7 @@ class Traffic:
             self.names.update({id: f"carla {id}" for id in new})
 
     def model_of(self, actor):
-        extent = actor.bounding_box.extent   # half of the size
+        extent = actor.bounding_box.extent   # Half of the size.
         wanted = 2 * np.array([extent.x, extent.y, extent.z])
         return min(self.models, key=lambda model: abs(model[0] - wanted).sum())[1]
 
@@ -102,7 +102,9 @@ class CarlaLidar:
         self.dataset_from_carla = pose_matrix(*options.dataset_from_carla)
         self.ego_from_sensor = pose_matrix(*options.mount)
         self.ego = None
-        self.history = []   # since the sweep began: time, pose of the sensor, poses of actors by their id
+        # Since the start of the sweep: time, pose of the sensor, poses of actors by their
+        # id.
+        self.history = []
 
     def find_ego(self):
         for actor in self.world.get_actors().filter("vehicle.*"):
@@ -130,14 +132,16 @@ class CarlaLidar:
         return points
 
     def render(self, others):
-        begin_s = self.scene.begin_s - self.history[0][0]   # the scene's clock: every sweep begins when the log does
+        # In the scene's time, every sweep begins when the log begins.
+        begin_s = self.scene.begin_s - self.history[0][0]
         path = [v1.TimedPose(time_s=begin_s + t, pose=pose_message(sensor)) for t, sensor, _ in self.history]
         tracks = [v1.ActorTrack(name=self.traffic.names[id], poses=[
             v1.TimedPose(time_s=begin_s + t, pose=pose_message(boxes[id])) for t, _, boxes in self.history if id in boxes]) for id in others]
         request = v1.RenderLidarRequest(scene=self.scene.name, sensor=v1.Sensor(name=self.options.sensor), path=path,
                                         actors=v1.ActorTracks(actors=tracks))
         points = self.service.RenderLidar(request, timeout=60).points
-        xyz = np.frombuffer(points.xyz_m, "<f4").reshape(-1, 3) * np.float32([1, -1, 1])   # to CARLA's hand
+        # Converts to CARLA's left-handed frame.
+        xyz = np.frombuffer(points.xyz_m, "<f4").reshape(-1, 3) * np.float32([1, -1, 1])
         return np.column_stack([xyz, np.frombuffer(points.intensity, "<f4")])
 
     def leave(self):

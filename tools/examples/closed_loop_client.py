@@ -21,8 +21,8 @@ import grpc
 import numpy as np
 
 PROTO = pathlib.Path(__file__).resolve().parents[1] / "serve/relidar/v1/render.proto"
-STEP_S, LANE_M, ACTOR_BRAKES, EGO_BRAKES = 0.1, 1.2, 4.0, 6.0   # seconds, metres, m/s2
-SENSOR_M = 1.73   # above the road, as KITTI's and the demo's
+STEP_S, LANE_M, ACTOR_BRAKES, EGO_BRAKES = 0.1, 1.2, 4.0, 6.0   # Seconds, metres, m/s2.
+SENSOR_M = 1.73   # Height above the road, as in KITTI and the demo.
 
 
 def make_stubs(folder):

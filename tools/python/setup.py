@@ -25,7 +25,8 @@ def version():
 class CMakeBuild(build_ext):
     def build_extension(self, extension):
         folder = pathlib.Path(os.environ.get("RELIDAR_PYTHON_BUILD") or self.build_with_cmake())
-        suffix = self.get_ext_filename("_relidar")   # "_relidar.cpython-311-x86_64-linux-gnu.so": of this Python
+        # For example "_relidar.cpython-311-x86_64-linux-gnu.so" for this Python.
+        suffix = self.get_ext_filename("_relidar")
         built = folder / "tools" / "python" / "relidar" / suffix
         if not built.is_file():
             raise SystemExit(f"relidar: found no {built}, expected a build with -DRELIDAR_PYTHON=ON for {sys.executable}")
