@@ -40,7 +40,8 @@ void write_channels(const std::vector<ScanChannel>& channels, Messages& messages
     }
 }
 
-/// Turns the last value of a channel of points into their frame, where it is a direction.
+/// Rotates the last value of a channel into the frame of the points if the channel holds
+/// directions.
 void turn_last(ScanChannel& of_points, const Pose& points_from_firing) {
     auto* vectors = std::get_if<std::vector<glm::vec3>>(&of_points.values);
     if (vectors && of_points.info.turns)
@@ -87,7 +88,7 @@ std::uint32_t count_returned(const RenderedScan& scan) {
     return n;
 }
 
-/// What all answers say of a scan.
+/// Fields that all answers with a scan contain.
 struct ScanHead {
     double time_s;
     std::size_t rays, returned;

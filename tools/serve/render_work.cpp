@@ -25,8 +25,8 @@ bool is_late(const grpc::ServerContext& context) {
     return std::chrono::system_clock::now() >= context.deadline();
 }
 
-/// What a scene's renderer does for a request, which has been looked at: the run's folder
-/// is at fault where it fails.
+/// Calls a function with the scene's renderer for a checked request. Errors are
+/// attributed to the run's folder.
 SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted,
                    const std::function<void(ScanRenderer&)>& work) {
     try {
@@ -36,7 +36,8 @@ SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted,
     }
 }
 
-/// Has a scan made on the queue's thread. @param finish  none: the work has one part
+/// Makes a scan on the queue's thread.
+/// @param finish empty: the job has one part
 template <class Scan>
 Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context,
                   const std::function<void(Scan&, bool is_last)>& begin,
@@ -90,8 +91,8 @@ Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet&
     using Send = ScanRenderer::Send;
     std::size_t n_asked = 0;
     SceneSet::Load load{};
-    // told when those before it have been taken: their places in the renderer's line are
-    // theirs
+    // An error is reported only after the earlier scans are read, because their results
+    // come first in the renderer's queue.
     std::exception_ptr failure;
     const auto begin = [&](std::vector<PointScan>&, bool is_last) {
         try {

@@ -21,9 +21,10 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kMostSensors = 64;                // of a rig
-constexpr std::size_t kLongestSpawnName = 200;  // bytes, of spawned actors
-// a sweep may begin before its path and end after it; more is a mistake of times
+constexpr int kMostSensors = 64;                // Maximum number of sensors of a rig.
+constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of the name of a spawned actor.
+// A sweep may begin before its path and end after it. A larger difference is an error of
+// the times.
 constexpr double kBeyondPath_s = 1.0;
 
 bool is_far_beyond(double time_s, const PoseTrack& path) {
@@ -32,7 +33,7 @@ bool is_far_beyond(double time_s, const PoseTrack& path) {
            (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
-/// A moment on the sensor's path, or not far beyond it.
+/// Reads a time on the sensor's path or slightly outside it.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
     if (is_far_beyond(time_s, path))
@@ -48,7 +49,7 @@ std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors)
     return names;
 }
 
-/// @throws Refusal for poses that end long before the scan, or begin long after it
+/// @throws Refusal for poses that end long before the scan or begin long after it
 std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s) {
     std::vector<ActorWish> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
@@ -127,7 +128,7 @@ std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::uploa
     return {handle, sensor};
 }
 
-/// By name, its rays made once.
+/// Returns a sensor by name. Its rays are made only once.
 std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::string& name, std::size_t scene,
                                                                 int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, name);
@@ -163,7 +164,7 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish&
     return std::make_shared<const SensorChoice>(std::move(placed));
 }
 
-/// Those of the run, and those that clients have put there.
+/// Returns the actors of the run and the spawned actors.
 std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
     std::vector<PlacedActor> known;
@@ -182,7 +183,8 @@ std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
 
 void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const {
     const std::vector<PlacedActor> known = known_actors(wanted.scene);
-    std::map<std::string_view, const PlacedActor*> by_name;  // there may be thousands
+    // A map, because there may be thousands of actors.
+    std::map<std::string_view, const PlacedActor*> by_name;
     for (const PlacedActor& actor : known) by_name.emplace(actor.name, &actor);
     ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
     for (const ActorWish& wish : wishes) {
@@ -221,7 +223,7 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
         if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
         const auto actor = std::ranges::find(of_run, spawn.actor());
         if (actor == of_run.end()) refuse_unknown(field + ".actor", spawn.actor(), of_run);
-        // those of the run come first
+        // The actors of the run come first.
         const PlacedActor& model = known[std::size_t(actor - of_run.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }
@@ -260,7 +262,7 @@ std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message)
         refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()),
                fmt::format("1 to {}", kMostSensors));
     std::vector<WantedScan> scans;
-    std::set<std::string_view> names;  // sensors without a name are known by their order
+    std::set<std::string_view> names;  // Sensors without a name are identified by their order.
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assets and spawned actors as messages.
+// Converts assets and spawned actors to messages.
 #pragma once
 
 #include <span>
@@ -15,14 +15,16 @@ namespace relidar::serve {
 
 void write_asset(const AssetFacts& facts, v1::Asset& message);
 
-/// @param run  of the scene, without surfels
+/// Writes a spawned actor.
+/// @param run run of the scene, without surfels
 void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message);
 
-/// [n] Rays of a scan, sensor frame.
+/// [n] rays of a scan in the sensor frame.
 struct RaysOfScan {
     std::span<const glm::vec3> origin, direction;
 };
-/// Says which actors that the request placed are too coarse for where they stand.
+/// Lists the actors placed by the request that have too few surfels for their distance
+/// from the sensor.
 void write_sparse_actors(const WantedScan& wanted, const RaysOfScan& rays, v1::LidarScan& message);
 
 }  // namespace relidar::serve

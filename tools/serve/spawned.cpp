@@ -14,7 +14,8 @@
 namespace relidar::serve {
 namespace {
 
-// places made at once: with image.sh_direction=surfel each has surfels of its own
+// Maximum number of places that are added together. With image.sh_direction=surfel each
+// place has separate surfels.
 constexpr std::size_t kMostSpare = 8;
 
 using SpawnedPlaces = std::vector<SpawnWish>;
@@ -23,7 +24,8 @@ auto find_spawned(SpawnedPlaces& places, const std::string& name) {
     return std::ranges::find(places, name, &SpawnWish::name);
 }
 
-/// A free place of the same source; where there is none, the first of new ones.
+/// Returns a free place of the same source. If there is none, adds places and returns the
+/// first of them.
 std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
     const auto is_free = [&](const SpawnWish& p) { return p.name.empty() && p.source == wish.source; };
     const auto free = std::ranges::find_if(places, is_free);
@@ -80,7 +82,7 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                                       const std::vector<SpawnWish>& wishes) {
     const std::lock_guard lock(mutex_);
-    SpawnedPlaces places = scenes_[scene];  // a copy: a refusal changes nothing
+    SpawnedPlaces places = scenes_[scene];  // A copy, so that a rejected request changes nothing.
     std::vector<Place> given;
     for (const SpawnWish& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
@@ -119,7 +121,7 @@ void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, st
 std::string track_of_place(std::size_t position) { return fmt::format("\x01spawned {}", position); }
 
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets) {
-    std::map<std::string, std::uint32_t> models;  // of assets
+    std::map<std::string, std::uint32_t> models;  // Models of assets.
     for (const SpawnedActors::Place& place : places) {
         const SpawnSource& source = place.actor.source;
         std::uint32_t model = 0;
