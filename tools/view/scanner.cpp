@@ -182,7 +182,7 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     SensorChoice sensor;
     try {
         sensor = sensor_choice(find_sensor(upload.path(ending).string()));
-        // Replaces the temporary path in the message by the file name that the user knows.
+        // Replaces the temporary path in the message by the user's name of the file.
     } catch (const Error& error) {
         std::string message = error.what();
         const std::string path = upload.path(ending).string();

@@ -6,9 +6,10 @@
 //   clients must present the token: once in the URL, then as a cookie.
 // - The Host header must be an IP address, "localhost" or the name of this machine,
 //   because other names allow DNS rebinding.
-// - Requests whose Origin is not this server are refused. All resources are bounded:
-//   connections, bytes of headers and messages, time for a request, and messages queued
-//   for a slow client.
+// - Requests whose Origin is not this server are refused.
+//
+// All resources are bounded: connections, bytes of headers and messages, time for a
+// request, and messages queued for a slow client.
 #pragma once
 
 #include <chrono>

@@ -17,8 +17,8 @@ class Ranks;
 /// throws an Error with exit code 130.
 relidar::Progress shown_until_interrupted(Progress& progress);
 
-/// Returns the five most important scores for the terminal, one per line. Skips scores that
-/// the evaluation does not have.
+/// Returns the five most important scores for the terminal, one per line. Skips scores
+/// that are missing in the evaluation.
 std::string score_summary(const Evaluation& evaluation);
 /// Returns the tables of all metrics for the terminal: mean, lowest and highest value
 /// over the frames, the mean of the baseline if there is one, errors by region, and the

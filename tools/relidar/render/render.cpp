@@ -352,8 +352,7 @@ void run_render(const RenderOptions& given) {
     const PoseTrack track =
         drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // The destructor removes the folder if nothing was written. Only the first process may do
-    // so.
+    // The destructor removes the folder if it is empty. Only the first process may do so.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
