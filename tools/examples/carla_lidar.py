@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""A LiDAR of a trained scene that follows the ego vehicle and the traffic of a CARLA world, through `relidar serve`.
+"""Simulates a LiDAR in a trained scene through `relidar serve`. The sensor follows the ego vehicle, and actors
+follow the traffic of a CARLA world.
 
     relidar serve RUN --assets FOLDER &
     tools/examples/carla_lidar.py 127.0.0.1:50051 --out scans [--ego hero] [--sensor VLP-32C] [--mount 0,0,1.8,0]
@@ -29,7 +30,7 @@ NEARLY = 1e-6   # Tolerance in seconds for a period that consists of ticks.
 
 
 def right_handed(transform):
-    """[4,4] of a carla.Transform."""
+    """Returns the [4,4] matrix of a carla.Transform."""
     return MIRROR @ np.array(transform.get_matrix()) @ MIRROR
 
 

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""A simulator in a loop at 10 Hz, as a client of `relidar serve`: it drives its own car and an actor of the scene, and brakes for what its
-simulated LiDAR sees. The car starts where the log's did; the actor drives 25 m in front of it and brakes after two seconds. It is the
-first of the scene, or an asset that is put there.
+"""A simulator that runs a closed loop at 10 Hz as a client of `relidar serve`. It moves the ego car and
+an actor of the scene, and brakes depending on its simulated LiDAR. The ego car starts at the first
+pose of the log. The actor drives 25 m in front of it and brakes after two seconds. The actor is the
+first one of the scene, or a spawned asset.
 
     relidar serve RUN [--assets FOLDER] &
     tools/examples/closed_loop_client.py [HOST:PORT [SENSOR [ASSET]]]
 
-Needs numpy, grpcio and protobuf (Debian: python3-numpy python3-grpcio python3-protobuf), and something that makes stubs of the proto:
-grpcio-tools of PyPI, or Debian's protobuf-compiler and protobuf-compiler-grpc.
+Needs numpy, grpcio and protobuf (Debian: python3-numpy python3-grpcio python3-protobuf). To generate
+stubs of the proto it also needs grpcio-tools of PyPI, or Debian's protobuf-compiler and
+protobuf-compiler-grpc.
 """
 import os
 import pathlib
