@@ -68,7 +68,7 @@ std::vector<float> distances(const Place& place, const Points& points,
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
     for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
         RayTable probes;
-        std::vector<std::size_t> asked;  // [probes] index into `chosen`
+        std::vector<std::size_t> probe_targets;  // [probes] index into `chosen`
         for (std::size_t k = first; k < std::min(first + kTogether, chosen.size()); ++k) {
             const std::size_t i = chosen[k];
             const glm::vec3 point = points.at(i, points.range_m[i]);
@@ -78,19 +78,20 @@ std::vector<float> distances(const Place& place, const Points& points,
                     probes.direction.push_back(from_m > 0.0f ? -direction : direction);
                     probes.time_offset_s.push_back(points.rays.time_offset_s[i]);
                     probes.channel.push_back(points.rays.channel[i]);
-                    asked.push_back(k);
+                    probe_targets.push_back(k);
                 }
             }
         }
         probes.rows = 1;
-        probes.columns = static_cast<int>(asked.size());
+        probes.columns = static_cast<int>(probe_targets.size());
         const Scan around =
             cast_synthetic_street(place.street, probes, place.world_from_sensor, place.time_s);
-        for (std::size_t j = 0; j < asked.size(); ++j) {
-            const std::size_t i = chosen[asked[j]];
+        for (std::size_t j = 0; j < probe_targets.size(); ++j) {
+            const std::size_t i = chosen[probe_targets[j]];
             if (around.range_m[j] > 0.0f)
-                nearest[asked[j]] = std::min(nearest[asked[j]],
-                                             glm::distance(around.point(j), points.at(i, points.range_m[i])));
+                nearest[probe_targets[j]] =
+                    std::min(nearest[probe_targets[j]],
+                             glm::distance(around.point(j), points.at(i, points.range_m[i])));
         }
     }
     return nearest;

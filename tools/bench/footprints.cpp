@@ -69,16 +69,16 @@ Returns returns_of(const Scan& cone, std::size_t ray) {
     for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i)
         if (cone.range_m[i] > 0.0f) hits.emplace_back(cone.range_m[i], std::max(cone.intensity[i], 1e-3f));
     std::sort(hits.begin(), hits.end());
-    Returns found;
+    Returns returns;
     float last_m = -1e9f;
     for (const auto& [range_m, light] : hits) {
-        if (range_m - last_m >= kSeparation_m) found.push_back({});
-        found.back().range_m += range_m * light;
-        found.back().light += light;
+        if (range_m - last_m >= kSeparation_m) returns.push_back({});
+        returns.back().range_m += range_m * light;
+        returns.back().light += light;
         last_m = range_m;
     }
-    for (Return& r : found) r.range_m /= r.light;
-    return found;
+    for (Return& r : returns) r.range_m /= r.light;
+    return returns;
 }
 
 struct Truth {

@@ -59,9 +59,9 @@ void place(HeldRenderer& held, const py::object& poses, const py::object& view_o
                                         found, placed.size()));
     };
     if (!poses.is_none()) {
-        const std::vector<Pose> given = poses_of(poses, "poses");
-        check_count(given.size(), "poses");
-        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = given[i];
+        const std::vector<Pose> model_poses = poses_of(poses, "poses");
+        check_count(model_poses.size(), "poses");
+        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }
     if (present) {
         check_count(present->size(), "present");

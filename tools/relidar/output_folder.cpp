@@ -222,10 +222,10 @@ void NewRun::save(Run& run) const {
 
 bool holds_run(const fs::path& folder) {
     if (is_run(folder) || !list_checkpoints(checkpoint_folder(folder)).empty()) return true;
-    const std::string ours = to_toml({}).substr(0, to_toml({}).find('\n'));
+    const std::string header_line = to_toml({}).substr(0, to_toml({}).find('\n'));
     std::string line;
     std::ifstream config(folder / "config.toml");
-    return std::getline(config, line) && line == ours;
+    return std::getline(config, line) && line == header_line;
 }
 
 void remove_run_files(const fs::path& folder) {

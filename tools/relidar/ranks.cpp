@@ -42,10 +42,10 @@ unsigned long long build_number() {
 /// @throws UsageError in a process whose build differs from the build of the first
 /// process
 void check_build(int rank) {
-    const unsigned long long own = build_number();
-    unsigned long long first = own;
-    MPI_Bcast(&first, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
-    if (own != first)
+    const unsigned long long build = build_number();
+    unsigned long long first_build = build;
+    MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
+    if (build != first_build)
         throw UsageError(
             fmt::format("started by mpirun: process {} is another build of relidar than the first process, "
                         "expected the same build",
@@ -53,8 +53,8 @@ void check_build(int rank) {
 }
 
 /// Concatenates the texts of all processes and returns the result in every process.
-std::string gather_in_all(const std::string& own, int size) {
-    const auto n = static_cast<unsigned long long>(own.size());
+std::string gather_in_all(const std::string& text, int size) {
+    const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
     MPI_Request request;
     MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD,
@@ -67,7 +67,7 @@ std::string gather_in_all(const std::string& own, int size) {
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
     std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
     std::string all(total, '\0');
-    MPI_Iallgatherv(own.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(),
+    MPI_Iallgatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(),
                     MPI_CHAR, MPI_COMM_WORLD, &request);
     sleep_until(request);
     return all;
@@ -80,7 +80,7 @@ Ranks::Ranks() {
     MPI_Init(nullptr, nullptr);
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
-    group_.all_gather = [size = group_.size](const std::string& own) { return gather_in_all(own, size); };
+    group_.all_gather = [size = group_.size](const std::string& text) { return gather_in_all(text, size); };
     MPI_Comm on_this_machine;
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);

@@ -68,11 +68,11 @@ void apply(const BenchChoice& choice, Config& config) {
 /// Returns the index of a word among the values of an option.
 /// @throws UsageError for an unknown word
 std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
-    const auto found = std::find(words.begin(), words.end(), word);
-    if (found == words.end())
+    const auto match = std::find(words.begin(), words.end(), word);
+    if (match == words.end())
         throw UsageError(
             fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
-    return std::size_t(found - words.begin());
+    return std::size_t(match - words.begin());
 }
 
 /// Parse the values of options. Their order is the order of Proxy, Walk and HitOrder.

@@ -34,12 +34,13 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
 std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
-    std::set<std::string> known;
+    std::set<std::string> pipeline_names;
     const auto add = [&](const char* name, Traversal traversal, bool has) {
         if (options.traversal != name && !(options.traversal == "both" && has)) return;
         for (PipelineStatistics& p : compiled(info.index, traversal)) {
             if (p.kernel.find(options.kernel) == std::string::npos) continue;
-            if (known.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size)).second)
+            if (pipeline_names.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size))
+                    .second)
                 all.push_back(std::move(p));
         }
     };

@@ -99,20 +99,20 @@ int first_spare_descriptor() {
 }  // namespace
 
 Acceptor::Acceptor(const std::string& text) {
-    const HostPort wanted = parse_host_port(text, "--listen", 0);
-    const Addresses all = addresses_of(wanted.host, text);
+    const HostPort host_port = parse_host_port(text, "--listen", 0);
+    const Addresses all = addresses_of(host_port.host, text);
     int error = EADDRNOTAVAIL;
-    port_ = wanted.port;
+    port_ = host_port.port;
     for (const addrinfo* address = all.get(); address; address = address->ai_next) {
         set_port(*address->ai_addr, port_);
         const int listener = listen_at(*address);
         if (listener < 0) error = errno;
-        if (listener < 0 && error == EADDRINUSE && wanted.port != 0) break;
+        if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
         if (listener < 0) continue;  // The machine does not support this address family.
         listeners_.push_back(listener);
         port_ = port_of(listener);
     }
-    const bool is_taken = error == EADDRINUSE && wanted.port != 0;
+    const bool is_taken = error == EADDRINUSE && host_port.port != 0;
     if (listeners_.empty() || is_taken || ::pipe2(wake_, O_CLOEXEC) != 0) {
         close_all();
         fail(text, is_taken ? "it is taken" : message_of(error));

@@ -42,16 +42,16 @@ template <class Scan>
 Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context,
                   const std::function<void(Scan&, bool is_last)>& begin,
                   const std::function<void(Scan&)>& finish = {}, std::size_t kind = 0) {
-    const Clock::time_point asked = Clock::now();
-    Clock::time_point begun = asked;
+    const Clock::time_point requested_at = Clock::now();
+    Clock::time_point started_at = requested_at;
     Timed<Scan> result;
-    const auto take_time = [&] { result.rendered_ms = ms_between(begun, Clock::now()); };
+    const auto take_time = [&] { result.rendered_ms = ms_between(started_at, Clock::now()); };
     WorkInTwo work{
-        [&](bool is_last) { begun = Clock::now(), begin(result.scan, is_last), take_time(); }, {}, kind};
+        [&](bool is_last) { started_at = Clock::now(), begin(result.scan, is_last), take_time(); }, {}, kind};
     if (finish) work.finish = [&] { finish(result.scan), take_time(); };
     const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
     if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
-    result.queued_ms = ms_between(asked, begun);
+    result.queued_ms = ms_between(requested_at, started_at);
     return result;
 }
 

@@ -29,10 +29,10 @@ struct WireLidar {
 constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sensorsim::AT128, "AT128", 0.1}};
 
 const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
-    const auto found = std::ranges::find(kLidars, type, &WireLidar::type);
-    if (found == std::end(kLidars))
+    const auto match = std::ranges::find(kLidars, type, &WireLidar::type);
+    if (match == std::end(kLidars))
         refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128) or 1 (AT128)");
-    return *found;
+    return *match;
 }
 
 bool same(const Pose& a, const Pose& b) { return a.translation == b.translation && a.rotation == b.rotation; }
@@ -138,11 +138,11 @@ WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
 
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
                 sensorsim::LidarRenderReturn& message) {
-    v1::LidarScan ours;
-    write_scan(scan, wanted, config, ours);
-    message.set_count(ours.points().count());
-    *message.mutable_xyz_buffer() = std::move(*ours.mutable_points()->mutable_xyz_m());
-    *message.mutable_intensity_buffer() = std::move(*ours.mutable_points()->mutable_intensity());
+    v1::LidarScan render_message;
+    write_scan(scan, wanted, config, render_message);
+    message.set_count(render_message.points().count());
+    *message.mutable_xyz_buffer() = std::move(*render_message.mutable_points()->mutable_xyz_m());
+    *message.mutable_intensity_buffer() = std::move(*render_message.mutable_points()->mutable_intensity());
     add_floats(message.xyz_buffer(), *message.mutable_xyz());
     add_floats(message.intensity_buffer(), *message.mutable_intensities());
 }

@@ -83,7 +83,7 @@ std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                                       const std::vector<SpawnWish>& wishes) {
     const std::lock_guard lock(mutex_);
     SpawnedPlaces places = scenes_[scene];  // A copy, so that a rejected request changes nothing.
-    std::vector<Place> given;
+    std::vector<Place> new_places;
     for (const SpawnWish& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
@@ -91,10 +91,10 @@ std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                       quoted(wish.name)));
         const std::size_t position = free_place(places, wish);
         places[position] = wish;
-        given.push_back({position, wish});
+        new_places.push_back({position, wish});
     }
     scenes_[scene] = std::move(places);
-    return given;
+    return new_places;
 }
 
 void SpawnedActors::give_back(std::size_t scene, const std::vector<std::string>& names) {
@@ -126,7 +126,8 @@ void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const
         const SpawnSource& source = place.actor.source;
         std::uint32_t model = 0;
         if (!source.is_asset) model = model_of_actor(run.scene, source.name);
-        else if (const auto known = models.find(source.name); known != models.end()) model = known->second;
+        else if (const auto model_entry = models.find(source.name); model_entry != models.end())
+            model = model_entry->second;
         else model = models[source.name] = add_asset(run.scene, assets.find(source.name)->folder);
         run.scene.instances.push_back({model, track_of_place(place.position)});
     }

@@ -79,12 +79,12 @@ void HttpSession::on_read(Error failed) {
 /// client learns as little as possible.
 std::optional<HttpSession::Status> HttpSession::objection(const Request& request) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
-    const Credentials shown{view(request[http::field::host]), view(request[http::field::origin]),
-                            view(request[http::field::cookie]), query_of(view(request.target()))};
-    if (!is_own_host(shown.host, hub_.own_name)) return Status::forbidden;
-    if (request.count(http::field::origin) > 1 || !is_own_origin(shown.origin, shown.host))
+    const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
+                                  view(request[http::field::cookie]), query_of(view(request.target()))};
+    if (!is_own_host(credentials.host, hub_.own_name)) return Status::forbidden;
+    if (request.count(http::field::origin) > 1 || !is_own_origin(credentials.origin, credentials.host))
         return Status::forbidden;
-    if (!hub_.options.token.empty() && !shows_token(shown, hub_.options.token, hub_.cookie_name))
+    if (!hub_.options.token.empty() && !shows_token(credentials, hub_.options.token, hub_.cookie_name))
         return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;

@@ -29,9 +29,9 @@ constexpr std::size_t kMaxRunName = 1024;
 }
 
 const Json& field(const Json& object, const char* name) {
-    const auto found = object.find(name);
-    if (found == object.end()) refuse(name, "it to be there");
-    return *found;
+    const auto member = object.find(name);
+    if (member == object.end()) refuse(name, "it to be there");
+    return *member;
 }
 
 double number(const Json& value, const std::string& what, double limit) {
@@ -133,17 +133,16 @@ std::string folder_name(const Json& value) {
 Request parse_request(const std::string& message) {
     const Json json = Json::parse(message, nullptr, false);
     if (!json.is_object()) throw UsageError("a message of the page: expected a JSON object");
-    const std::string wanted = text(field(json, "do"), "do");
-    if (wanted == "scan") return parse_scan(json);
-    if (wanted == "sensor")
+    const std::string kind = text(field(json, "do"), "do");
+    if (kind == "scan") return parse_scan(json);
+    if (kind == "sensor")
         return SensorFile{text(field(json, "file"), "file", 200),
                           text(field(json, "text"), "text", message.size())};
-    if (wanted == "save")
-        return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
-    if (wanted == "ground")
+    if (kind == "save") return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
+    if (kind == "ground")
         return GroundWish{text(field(json, "of"), "of"), run_name(field(json, "from")),
                           numbers<2>(field(json, "at"), "at", {kFarAway_m, kFarAway_m})};
-    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor, ground or save", wanted));
+    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor, ground or save", kind));
 }
 
 }  // namespace relidar::view

@@ -165,8 +165,8 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
     if (!tab.sensor || tab.sensor->first != key) {
         // Accepts only names, so that clients cannot read files of the server.
-        const std::vector<std::string> known = known_sensors();
-        if (std::find(known.begin(), known.end(), wish.sensor) == known.end())
+        const std::vector<std::string> names = known_sensors();
+        if (std::find(names.begin(), names.end(), wish.sensor) == names.end())
             throw UsageError(fmt::format("sensor: found \"{}\", expected a name of the list", wish.sensor));
         tab.sensor.emplace(key, choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
         check_size(tab.sensor->second);
@@ -199,8 +199,8 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
 /// Returns a renderer whose scene has these copies. Moves and removals only change poses,
 /// so that the renderer can be reused.
 ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
-    const auto wanted = models_of(traffic.edits().copies);
-    if (!renderer_ || rendered_ != wanted) {
+    const auto models = models_of(traffic.edits().copies);
+    if (!renderer_ || rendered_ != models) {
         renderer_.reset();  // Frees its memory before the next renderer is created.
         if (traffic.edits().copies.empty()) {
             renderer_.emplace(device_, run_);
@@ -210,7 +210,7 @@ ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
                                     traffic.edits().copies));
             renderer_.emplace(device_, run);
         }
-        rendered_ = wanted;
+        rendered_ = models;
         launches_.clear();
     }
     return *renderer_;

@@ -95,9 +95,9 @@ struct Server::Impl {
 
     void send(ClientId client, std::string bytes, bool is_text) {
         boost::asio::post(hub.io, [this, client, is_text, bytes = std::move(bytes)]() mutable {
-            const auto found = hub.clients.find(client);
-            if (found == hub.clients.end()) return;
-            if (const auto session = found->second.lock()) session->send(std::move(bytes), is_text, !is_text);
+            const auto match = hub.clients.find(client);
+            if (match == hub.clients.end()) return;
+            if (const auto session = match->second.lock()) session->send(std::move(bytes), is_text, !is_text);
         });
     }
 };

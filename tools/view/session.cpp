@@ -61,9 +61,9 @@ void Session::receive(TabId id, const std::string& message) {
         why = error.what();
     }
     const std::lock_guard lock(mutex_);
-    const auto found = tabs_.find(id);
-    if (found == tabs_.end() || deaf_) return;
-    Tab& tab = *found->second;
+    const auto tab_entry = tabs_.find(id);
+    if (tab_entry == tabs_.end() || deaf_) return;
+    Tab& tab = *tab_entry->second;
     if (request && std::holds_alternative<ScanWish>(*request))
         tab.scan = std::get<ScanWish>(std::move(*request));
     else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));

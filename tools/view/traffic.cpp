@@ -52,11 +52,11 @@ DrivingScene layout(const Run& run) {
 }
 
 const Run& run_called(const std::string& name, const OtherRuns& others) {
-    const auto found = others.find(name);
-    if (found == others.end())
+    const auto match = others.find(name);
+    if (match == others.end())
         throw UsageError(fmt::format(
             "inserting an actor: found the run \"{}\", expected one of `relidar view --insert`", name));
-    return found->second;
+    return match->second;
 }
 
 /// Adds copies to a scene.

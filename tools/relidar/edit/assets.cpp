@@ -69,10 +69,10 @@ std::vector<std::string> actors_of(const Run& run) {
 
 /// Gives an asset a name that no other asset has. Names can collide because characters
 /// that are not allowed in folder names are replaced.
-void make_unique(Asset& asset, std::set<std::string>& taken) {
+void make_unique(Asset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
-    for (int n = 2; !taken.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
+    for (int n = 2; !used_names.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
     if (name == stem) return;
     asset.facts.name = asset.run.scene.models[1].name = asset.run.scene.instances[1].track =
         asset.run.sequence.boxes[0].id = name;
@@ -98,19 +98,20 @@ void run_assets(const AssetOptions& options) {
     const std::map<std::string, ActorSightings> sightings = sight_actors(device, run, shown_by(progress));
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
                                                 "top", "completed", "nearest_m", "surfels"}};
-    std::set<std::string> taken;
+    std::set<std::string> used_names;
     std::string skipped;
     for (const std::string& track : tracks) {
         const auto seen = sightings.find(track);
-        const ActorSightings of_it = seen == sightings.end() ? ActorSightings{} : seen->second;
-        Asset asset = make_asset(run, track, of_it);
-        if (const std::string reason = reason_against(asset.facts, of_it, options.least); !reason.empty()) {
+        const ActorSightings actor_sightings = seen == sightings.end() ? ActorSightings{} : seen->second;
+        Asset asset = make_asset(run, track, actor_sightings);
+        if (const std::string reason = reason_against(asset.facts, actor_sightings, options.least);
+            !reason.empty()) {
             skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
             continue;
         }
-        make_unique(asset, taken);
+        make_unique(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
-        const Image views = asset_picture(device, asset, seen_surface(asset.facts.size_m, of_it));
+        const Image views = asset_picture(device, asset, seen_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
         rows.push_back(row_of(asset.facts));
     }

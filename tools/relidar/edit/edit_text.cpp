@@ -28,8 +28,8 @@ constexpr double kFarOff_m = 1e6;  // Larger offsets or speeds are rejected as t
 }
 
 const char* form_of(const TypedEdit& edit) {
-    const auto& known = edit_options();
-    return std::find_if(known.begin(), known.end(),
+    const auto& options = edit_options();
+    return std::find_if(options.begin(), options.end(),
                         [&](const EditOption& o) { return edit.option == o.option; })
         ->form;
 }

@@ -27,12 +27,12 @@ Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
     const glm::dvec3 about = inverse(sensor) * box.world_from_box.at(frame.time_s).translation;
     const double distance = glm::length(about), reach = 0.5 * glm::length(box.size_m) + kWider_m;
     const double cosine = distance > reach ? std::cos(std::asin(reach / distance)) : -1.0;
-    std::vector<std::size_t> wanted;
+    std::vector<std::size_t> ray_indices;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
         if (glm::dot(glm::dvec3(frame.scan.rays.direction[i]), about) > cosine * distance)
-            wanted.push_back(i);
-    Scan scan{some_rays(frame.scan.rays, wanted), {}, {}};
-    for (const std::size_t i : wanted) {
+            ray_indices.push_back(i);
+    Scan scan{some_rays(frame.scan.rays, ray_indices), {}, {}};
+    for (const std::size_t i : ray_indices) {
         scan.range_m.push_back(frame.scan.range_m[i]);
         scan.intensity.push_back(frame.scan.intensity[i]);
     }

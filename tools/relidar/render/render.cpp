@@ -79,17 +79,17 @@ Pose parse_offset(const std::string& text) {
 
 /// Parses a list such as "npz,ply", in upper or lower case, with or without spaces.
 std::vector<std::string> parse_formats(const std::string& list) {
-    const std::vector<std::string> known = scan_formats();
-    std::vector<std::string> wanted;
+    const std::vector<std::string> known_formats = scan_formats();
+    std::vector<std::string> formats;
     for (const std::string& word : split(list, ',')) {
         const std::string name = without_blanks(word);
-        const std::optional<std::string> format = known_name(name, known);
+        const std::optional<std::string> format = known_name(name, known_formats);
         if (!format)
             throw UsageError(fmt::format("--format: found \"{}\"{} (known: {})", name,
-                                         did_you_mean(name, known), fmt::join(known, ", ")));
-        wanted.push_back(*format);
+                                         did_you_mean(name, known_formats), fmt::join(known_formats, ", ")));
+        formats.push_back(*format);
     }
-    return wanted;
+    return formats;
 }
 
 PointFrame parse_point_frame(const std::string& name) {
@@ -200,7 +200,7 @@ std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, co
 
 /// A simulated sensor and its mounting, which replaces the log's sensor or follows a
 /// path.
-struct Wanted {
+struct TargetSensor {
     std::string folder;  ///< Subfolder for its files. Empty: the output folder itself.
     SensorChoice sensor;
     Pose mounting;
@@ -208,22 +208,23 @@ struct Wanted {
 
 using Rig = std::optional<std::vector<MountedSensor>>;
 
-std::vector<Wanted> wanted_sensors(const RenderOptions& options, const Rig& rig, const Run& run, int lidar) {
+std::vector<TargetSensor> list_target_sensors(const RenderOptions& options, const Rig& rig, const Run& run,
+                                              int lidar) {
     if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
-    std::vector<Wanted> wanted;
+    std::vector<TargetSensor> targets;
     for (const MountedSensor& mounted : *rig)
-        wanted.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
-    return wanted;
+        targets.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
+    return targets;
 }
 
 /// Returns the format for the merged files of all sensors of a rig.
-ScanFormat merged_format(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
-                         const Pose& offset) {
-    SensorChoice rig = wanted.front().sensor;
+ScanFormat merged_format(const RenderOptions& options, const Run& run,
+                         const std::vector<TargetSensor>& targets, const Pose& offset) {
+    SensorChoice rig = targets.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
-    for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
-    for (const Wanted& w : wanted)
+    for (const TargetSensor& w : targets) rig.returns = std::max(rig.returns, w.sensor.returns);
+    for (const TargetSensor& w : targets)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
                       std::max(rig.limits.max_m, w.sensor.limits.max_m)};
     return scan_file_format(options, run, rig, offset, "");
@@ -238,7 +239,7 @@ struct Output {
 
 /// Creates the output folders. The first process creates them before the other processes
 /// open them.
-Output make_output(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
+Output make_output(const RenderOptions& options, const Run& run, const std::vector<TargetSensor>& targets,
                    const Pose& offset, const Ranks& ranks) {
     Output output;
     std::vector<ScanFormat> sensors;
@@ -248,15 +249,15 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
         if (folder != options.out) check_empty(folder, options), std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
-    if (options.merge) sensors = {merged_format(options, run, wanted, offset)};
+    if (options.merge) sensors = {merged_format(options, run, targets, offset)};
     else
-        for (const Wanted& w : wanted)
+        for (const TargetSensor& w : targets)
             sensors.push_back(scan_file_format(options, run, w.sensor, offset * w.mounting, w.folder));
-    const bool is_rig = !options.merge && !wanted.front().folder.empty();
+    const bool is_rig = !options.merge && !targets.front().folder.empty();
     if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         if (is_rig) std::erase_if(sensors[s].formats, is_recording);
-        add(is_rig ? std::filesystem::path(options.out) / wanted[s].folder
+        add(is_rig ? std::filesystem::path(options.out) / targets[s].folder
                    : std::filesystem::path(options.out),
             sensors[s]);
     }
@@ -281,15 +282,15 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
 /// Renders and writes scans, one sweep after the other.
 class SweepRenderer {
 public:
-    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options, const std::vector<Wanted>& wanted,
-                  const Pose& offset, const PoseTrack& track)
-        : renderer_(renderer), options_(options), wanted_(wanted), offset_(offset), track_(track) {
-        for (const Wanted& w : wanted) mountings_.push_back(w.mounting);
+    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options,
+                  const std::vector<TargetSensor>& targets, const Pose& offset, const PoseTrack& track)
+        : renderer_(renderer), options_(options), targets_(targets), offset_(offset), track_(track) {
+        for (const TargetSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
     void render(const Sweep& sweep, Output& output) {
         std::vector<RenderedScan> scans;
-        for (const Wanted& w : wanted_) {
+        for (const TargetSensor& w : targets_) {
             stop_if_interrupted();
             scans.push_back(
                 drives() ? renderer_.render(w.sensor, {sweep.time_s, moved_track(track_, w.mounting)},
@@ -324,7 +325,7 @@ public:
 private:
     ScanRenderer& renderer_;
     const RenderOptions& options_;
-    const std::vector<Wanted>& wanted_;
+    const std::vector<TargetSensor>& targets_;
     const Pose offset_;
     const PoseTrack track_;
     std::vector<Pose> mountings_;
@@ -363,24 +364,24 @@ void run_render(const RenderOptions& given) {
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps =
         drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
-    const std::vector<Wanted> wanted = wanted_sensors(options, rig, run, lidar);
+    const std::vector<TargetSensor> targets = list_target_sensors(options, rig, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
     renderer.set_weather(parse_weather(options.weather));
-    Output output = make_output(options, run, wanted, offset, ranks);
+    Output output = make_output(options, run, targets, offset, ranks);
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
         note(fmt::format("{} has no range noise: sampled ranges are exact", run.folder.string()));
     if (options.sample && !options.quiet) note_unscattered(run, lidar);
     if (!options.quiet) note_weather(parse_weather(options.weather));
-    for (const Wanted& w : wanted)
+    for (const TargetSensor& w : targets)
         if (!options.quiet) note_compensated(run, w.sensor), note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
     Progress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, options, wanted, offset, with_fine_turns(track));
+    SweepRenderer sweep_renderer(renderer, options, targets, offset, with_fine_turns(track));
     const ProcessGroup::Share share = ranks.group().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render(sweeps[i], output);

@@ -87,17 +87,17 @@ void share_one_heap() {
 void run_serve(const ServeOptions& options) {
     share_one_heap();
     raise_descriptor_limit();
-    const serve::ServerOptions wanted = server_options(options);
-    if (!options.quiet) note_weather(wanted.weather);
-    const std::string host = wanted.listen.substr(0, wanted.listen.rfind(':'));
+    const serve::ServerOptions server_settings = server_options(options);
+    if (!options.quiet) note_weather(server_settings.weather);
+    const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback(host))
-        note(
-            fmt::format("--listen {}: every client that can reach this address can render and upload, "
-                        "because there is no authentication{}",
-                        wanted.listen,
-                        wanted.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
+        note(fmt::format(
+            "--listen {}: every client that can reach this address can render and upload, "
+            "because there is no authentication{}",
+            server_settings.listen,
+            server_settings.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
     catch_interrupts();
-    serve::ScanServer server(wanted);
+    serve::ScanServer server(server_settings);
     if (!options.quiet) {
         print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host,
                           server.port(), server.device_name()));

@@ -75,7 +75,7 @@ view::ServerOptions server_options(const ViewOptions& options) {
 void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
     // Rejects a wrong address before the run is read.
-    const view::ServerOptions wanted = server_options(options);
+    const view::ServerOptions server_settings = server_options(options);
     check_sets(options.sets, rendering_settings(), "view");
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
@@ -93,15 +93,16 @@ void run_view(const ViewOptions& options) {
         std::move(run), other_runs(options.inserts), device, folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
          [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
-    view::Server server(wanted, {[&](view::ClientId tab) { session.open(tab); },
-                                 [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
-                                 [&](view::ClientId tab) { session.close(tab); }});
+    view::Server server(server_settings,
+                        {[&](view::ClientId tab) { session.open(tab); },
+                         [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
+                         [&](view::ClientId tab) { session.close(tab); }});
     out = &server;  // Set before work() is called, because only work() sends answers.
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);
-    const char* who = wanted.token.empty() ? "open this address in a browser"
-                                           : "only clients with this address have access";
+    const char* who = server_settings.token.empty() ? "open this address in a browser"
+                                                    : "only clients with this address have access";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kViewPatience);
