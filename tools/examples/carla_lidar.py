@@ -1,21 +1,23 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Simulates a LiDAR in a trained scene through `relidar serve`. The sensor follows the ego vehicle, and actors
-follow the traffic of a CARLA world.
+"""Simulates a LiDAR in a trained scene through `relidar serve`. The sensor follows the ego vehicle,
+and actors follow the traffic of a CARLA world.
 
     relidar serve RUN --assets FOLDER &
     tools/examples/carla_lidar.py 127.0.0.1:50051 --out scans [--ego hero] [--sensor VLP-32C] [--mount 0,0,1.8,0]
 
-Every vehicle and walker but the ego becomes the actor or asset of the scene that is nearest to it in size, and goes with it. Each scan is a
-file FRAME.bin of float32 x, y, z, intensity as CARLA's own LidarMeasurement.raw_data has them: in the sensor's frame, y to the right.
+Each vehicle and walker except the ego vehicle becomes the actor or asset of the scene that is most
+similar in size, and moves it. Each scan is a file FRAME.bin of float32 x, y, z, intensity in the
+layout of CARLA's LidarMeasurement.raw_data: in the sensor's frame, with y to the right.
 
-Frames. CARLA's are left-handed: x forward, y to the right, z up, and yaw turns to the right. Relidar's are right-handed: x forward, y to
-the left, z up. Both are taken to each other by turning the sign of y: with M = diag(1, -1, 1), a point p becomes M p and a rotation R
-becomes M R M, so a yaw of 30 degrees to the right is one of -30 degrees. Nothing else changes; no Euler angles are needed, as a transform
-of CARLA gives its matrix. --dataset-from-carla says where CARLA's map lies in the dataset's world: right-handed x,y,z in metres and yaw in
-degrees, to the left, of the map's origin.
+Frames: CARLA uses left-handed frames, with x forward, y right, z up, and yaw to the right. Relidar
+uses right-handed frames, with x forward, y left, z up. Changing the sign of y converts between them:
+with M = diag(1, -1, 1), a point p becomes M p and a rotation R becomes M R M. A yaw of 30 degrees to
+the right becomes a yaw of -30 degrees. Euler angles are not needed, because a CARLA transform provides
+its matrix. --dataset-from-carla is the pose of the origin of CARLA's map in the dataset's world, which
+is right-handed: x,y,z in metres and yaw to the left in degrees.
 
-Needs carla, and what closed_loop_client.py needs.
+Needs carla and the packages of closed_loop_client.py.
 """
 import argparse
 import pathlib

@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Drives the log's way through a trained scene and publishes what a LiDAR sees there: sensor_msgs/PointCloud2 from `relidar serve`, and the
-pose of the sensor on /tf.
+"""Moves a LiDAR along the log's path through a trained scene. Publishes the scans of `relidar serve` as
+sensor_msgs/PointCloud2, and the pose of the sensor on /tf.
 
     relidar serve RUN &
     tools/examples/ros2_lidar.py 127.0.0.1:50051 [--sensor OS1-128] [--topic /points] [--loop]
 
-A cloud is of one sweep and motion-compensated: its points (x, y, z, intensity as float32, ring as uint16) are in the sensor's frame at the
-header's stamp, which is the end of the sweep, and /tf has that frame's pose for the same stamp. So there is no time field: who compensates
-by one would do it twice. Stamps begin with the node's clock and go on as the log's do; a server that is slower than the sensor lets them
-fall behind, which is said once.
+Each cloud contains one motion-compensated sweep. Its points (x, y, z, intensity as float32, ring as
+uint16) are in the sensor's frame at the header's stamp, which is the end of the sweep. /tf has the
+pose of this frame for the same stamp. The cloud has no time field, because a subscriber could use it
+to compensate the motion a second time. Stamps start at the time of the node's clock and advance with
+the log. If the server is slower than the sensor, the stamps fall behind, and a warning is printed once.
 
-Needs rclpy with sensor_msgs, geometry_msgs, tf2_msgs, and what closed_loop_client.py needs.
+Needs rclpy with sensor_msgs, geometry_msgs, tf2_msgs, and the packages of closed_loop_client.py.
 """
 import argparse
 import time

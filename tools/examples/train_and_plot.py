@@ -1,6 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""From a street to a scan nobody took: makes the demo's street, trains on it, renders, and plots. Cells start with `# %%`.
+"""Trains a scene on the demo's street, renders scans from a new pose, and plots them. Cells start with
+`# %%`.
 
     PYTHONPATH=build/ci/tools/python tools/examples/train_and_plot.py [FOLDER [ITERATIONS]]
 """

@@ -207,9 +207,9 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
         write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
-void run_eval(const EvalOptions& given, const std::string& command_line) {
+void run_eval(const EvalOptions& typed_options, const std::string& command_line) {
     const Ranks ranks;
-    EvalOptions options = given;
+    EvalOptions options = typed_options;
     options.quiet = options.quiet || !ranks.is_first();
     if (!options.tables.empty()) {
         if (ranks.is_first()) write_score_tables(options.targets, options.tables);

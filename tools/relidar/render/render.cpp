@@ -341,9 +341,9 @@ private:
     }
 };
 
-void run_render(const RenderOptions& given) {
+void run_render(const RenderOptions& typed_options) {
     const Ranks ranks;
-    RenderOptions options = given;
+    RenderOptions options = typed_options;
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
     const Rig rig = find_rig(options.sensor);
