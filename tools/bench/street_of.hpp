@@ -9,6 +9,7 @@
 
 namespace relidar {
 
+/// Returns the options of the street of a run.
 /// @throws DataError if the log of the run is not a street.toml
 inline SyntheticOptions street_of(const Run& run) {
     const std::string dataset = run.config.dataset.path, prefix = "synthetic:";

@@ -41,6 +41,7 @@ py::array to_numpy(NamedArray&& array);
 /// Returns all arrays of an npz file by name.
 py::dict to_dict(std::vector<NamedArray>&& arrays);
 
+/// Checks the type of a numpy array.
 /// @throws DataError that states what was found, if the object is not an array of this
 /// dtype, shape and C order
 void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,

@@ -34,6 +34,7 @@ inline Progress told_to(const Tell& tell) {
 /// work stops in an orderly way. The exception is raised again afterwards.
 class PythonCalls {
 public:
+    /// Calls a Python function and records its first exception.
     /// @return false from the first exception on; the work must then stop
     template <class Call>
     bool operator()(Call&& call) {

@@ -36,6 +36,7 @@ SharedDevice device_or_default(SharedDevice device);
 /// lifetime. Python objects must not be accessed while this object exists.
 class DeviceUse {
 public:
+    /// Waits until the device is free.
     /// @throws UsageError if this thread already uses the device, because a callback
     /// calls a function of the same device
     explicit DeviceUse(OpenDevice& device);

@@ -15,6 +15,7 @@ namespace {
 // Tolerance of R^T R relative to the identity, because files have six digits.
 constexpr double kRigid = 1e-4;
 
+/// Returns the rigid pose of a 4x4 matrix and checks that its rotation is valid.
 /// @param m 16 numbers, row by row
 Pose rigid_pose(const double* m, const std::string& what) {
     const auto fail = [&](const std::string& found) {

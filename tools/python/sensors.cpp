@@ -17,6 +17,7 @@ namespace {
 
 constexpr float kUnit = 1e-3f;  // Tolerance of the length of a direction relative to 1.
 
+/// Checks that all rays of a sensor are valid.
 /// @throws DataError if a ray is not finite or its direction does not have length 1
 void check_rays(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {

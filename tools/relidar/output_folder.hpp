@@ -18,6 +18,7 @@ namespace relidar::cli {
 /// the constructor created it and it is still empty.
 class OutputFolder {
 public:
+    /// Creates the folder if it does not exist.
     /// @throws DataError if the folder cannot be created or written
     explicit OutputFolder(const std::filesystem::path& path);
     ~OutputFolder();
@@ -45,6 +46,7 @@ public:
     FolderLock(const FolderLock&) = delete;
     FolderLock& operator=(const FolderLock&) = delete;
 
+    /// Locks a folder if no other process holds the lock. Does not wait.
     /// @return a null pointer if another process holds the lock
     /// @throws DataError if the folder cannot be written
     static std::unique_ptr<FolderLock> take_if_free(const std::filesystem::path& folder);
@@ -61,6 +63,7 @@ private:
 /// An output folder that only this process may write.
 class LockedFolder {
 public:
+    /// Creates the folder if it does not exist, and locks it.
     /// @throws DataError if another process is writing the folder, or the folder cannot
     /// be created or written
     explicit LockedFolder(const std::filesystem::path& path) : folder_(path), lock_(path) {}
@@ -86,6 +89,7 @@ enum class Existing {
 /// A run's folder that only this process may write during the lifetime of this object.
 class RunFolder {
 public:
+    /// Checks the content of the folder, creates it if it does not exist, and locks it.
     /// @throws UsageError if the folder holds anything that `existing` does not permit;
     /// DataError if another process is writing the folder or it cannot be created
     RunFolder(const std::filesystem::path& path, Existing existing);

@@ -71,6 +71,7 @@ void set_option(int socket, int level, int name, int value) {
     (void)::setsockopt(socket, level, name, &value, sizeof(value));
 }
 
+/// Opens a socket that listens at an address.
 /// @return the listening socket, or -1 with errno set
 int listen_at(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);

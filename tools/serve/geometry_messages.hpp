@@ -26,6 +26,7 @@ Pose read_pose(const v1::Pose& message, const std::string& field);
 /// increase
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& field);
+/// Returns a time after checking its value.
 /// @throws Refusal for a value that is not finite or exceeds 1e10
 double read_time(double time_s, const std::string& field);
 

@@ -30,6 +30,7 @@ struct WorkInTwo {
 
 class RenderQueue {
 public:
+    /// Starts the render thread.
     /// @param waiting maximum number of waiting requests, not counting the current one
     explicit RenderQueue(std::size_t waiting);
     /// All Place objects must be destroyed first.

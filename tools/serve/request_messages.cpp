@@ -49,6 +49,7 @@ std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors)
     return names;
 }
 
+/// Reads the actors of a request.
 /// @throws Refusal for poses that end long before the scan or begin long after it
 std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s) {
     std::vector<ActorWish> wishes;

@@ -58,6 +58,7 @@ std::vector<std::string> actor_names(const Run& run);
 /// must outlive it.
 class RequestReader {
 public:
+    /// Creates a reader for the scenes of a device.
     /// @param scenes only its thread-safe members are used
     explicit RequestReader(SceneSet& scenes);
     /// Creates a reader without a device.

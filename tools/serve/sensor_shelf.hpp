@@ -22,6 +22,7 @@ public:
     /// Maximum number of rays of all sensors, about 120 MB.
     static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
+    /// Adds an uploaded sensor.
     /// @return a new handle
     std::string add(SensorChoice sensor);
     std::shared_ptr<const SensorChoice> put(const std::string& key, SensorChoice sensor);

@@ -22,6 +22,7 @@ namespace sensorsim = nre::grpc::protos::sensorsim;
 /// May be used from any thread.
 class SensorsimReader {
 public:
+    /// Creates a reader for the messages of sensorsim.proto.
     /// @param outlines outlines of the scenes of `reader`; both must outlive this object
     /// @param order order of rotation and translation in every pose
     SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseOrder order)

@@ -73,6 +73,7 @@ bool is_identity(const Pose& pose) {
 /// A file in a private temporary folder. The destructor removes both.
 class UploadedFile {
 public:
+    /// Writes a text to a new temporary file.
     /// @param ending ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();

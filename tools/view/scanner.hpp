@@ -33,6 +33,7 @@ struct TabCache {
 /// Renders scans of a run for the page. Must be used from one thread only.
 class Scanner {
 public:
+    /// Creates the scanner of a run.
     /// @param others runs whose actors can be inserted
     Scanner(Run run, OtherRuns others, Device& device);
 

@@ -89,6 +89,7 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
+/// Checks the address that the server listens on.
 /// @throws UsageError if the text is not a literal IP address, as ServerOptions::address
 /// requires
 void check_address(const std::string& address);

@@ -33,6 +33,7 @@ struct Answers {
 
 class Session {
 public:
+    /// Creates the session of a run.
     /// @param others runs whose actors can be inserted
     /// @param save_folder folder in which edited runs are saved
     Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);

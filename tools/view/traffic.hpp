@@ -34,6 +34,7 @@ ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const G
 /// The traffic of a run after some edits. Reads only tracks and instances, never surfels.
 class Traffic {
 public:
+    /// Applies the edits to the tracks of a run.
     /// @throws UsageError for an unknown track, as the functions of
     /// <relidar/run/edit.hpp>
     Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits);

@@ -30,6 +30,7 @@ struct AssetOptions {
     bool quiet = false;
 };
 
+/// Checks that the output folder is new or empty.
 /// @throws UsageError if the folder exists and is not empty
 void check_new(const std::string& out) {
     std::error_code failed;

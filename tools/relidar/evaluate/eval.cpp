@@ -243,6 +243,7 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
     score_run(options, ranks, command_line);
 }
 
+/// Checks that --table is not combined with other options.
 /// @throws UsageError if --table is combined with an option for scoring
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {

@@ -164,6 +164,7 @@ void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
     write_report(file, report);
 }
 
+/// Checks that all runs have scores.
 /// @throws DataError if a run has no scores
 void check_scored(const std::vector<ScoredRun>& runs) {
     const auto missing =

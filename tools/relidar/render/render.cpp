@@ -130,6 +130,7 @@ ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const 
     return format;
 }
 
+/// Checks that no other files in the output folder are lost.
 /// @throws UsageError if an earlier rendering would be overwritten without --force, or
 /// the folder is a run
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
@@ -146,6 +147,7 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
     }
 }
 
+/// Checks the options.
 /// @throws UsageError for invalid options that can be detected before the run is loaded
 void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
     for (const std::string& format : parse_formats(options.formats))

@@ -326,7 +326,7 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     }
     catch_interrupts();
     if (!run.held_out_placed) complete_or_tell(device, run, options, stages);
-    // An earlier process may have been killed just before it removed them.
+    // An earlier process may have been killed before it removed these checkpoints.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);

@@ -35,6 +35,7 @@ bool is_free(const std::string& key) {
                        [&](const char* group) { return key.starts_with(group); });
 }
 
+/// Checks that a trained block has the current settings.
 /// @throws DataError if a block was trained with other settings
 void check_settings(const fs::path& block, const Config& trained, const Config& config) {
     const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
@@ -46,6 +47,7 @@ void check_settings(const fs::path& block, const Config& trained, const Config& 
                             block.string(), is[i].key, was[i].value, is[i].value));
 }
 
+/// Checks that a trained block has the current frames.
 /// @throws DataError if a block was trained on other frames
 void check_frames(const Run& trained, const BlockLog& log) {
     const auto is_same = [](const Frame& a, const Frame& b) {
@@ -133,6 +135,7 @@ public:
     }
 
 private:
+    /// Trains block `k` unless another process trains it or has trained it.
     /// @return true if this call trained the block; false if it was trained before or
     /// another process trains it
     bool train(std::size_t k, const fs::path& folder) {
@@ -145,7 +148,7 @@ private:
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
-            // An earlier process may have been killed just before it removed them.
+            // An earlier process may have been killed before it removed these checkpoints.
             remove_checkpoints(checkpoint_folder(folder));
             return false;
         }
