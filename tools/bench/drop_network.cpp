@@ -19,7 +19,7 @@ using namespace relidar;
 
 template <class Work>
 double median_ms(int repeat, Work&& work) {
-    work();  // Warm-up.
+    work();  // Warm-up run, not timed.
     std::vector<double> ms;
     for (int i = 0; i < repeat; ++i) ms.push_back(milliseconds_of(work));
     return median(ms);

@@ -234,7 +234,7 @@ private:
     }
 
     static Pixel finished(Pixel pixel) {
-        pixel.drop_logit += pixel.transmittance;  // The background.
+        pixel.drop_logit += pixel.transmittance;  // Adds the background, whose drop logit is 1.
         return pixel;
     }
 };
@@ -287,7 +287,7 @@ int main(int argc, char** argv) {
     const Renderer renderer(make_benchmark_street(n_surfels, 20261120, scene == "B"), chunk,
                             fmt::format("threads={}", n_threads));
     const RayTable rays = make_rays(rays_name);
-    std::vector<Pixel> image = render(renderer, rays, n_threads);  // Warm-up.
+    std::vector<Pixel> image = render(renderer, rays, n_threads);  // Warm-up run, not timed.
     std::vector<double> wall, cpu;
     for (int i = 0; i < repeat; ++i) {
         const auto start = std::chrono::steady_clock::now();

@@ -122,7 +122,7 @@ void measure(Device& device, const ConvolutionSize& size, int repeat) {
         {"by weights", [&] { on_device.by_weights(); }}};
     for (std::size_t pass = 0; pass < passes.size(); ++pass) {
         const auto host = [&] { on_host.run(pass); };
-        passes[pass].second(), host();  // Warm-up.
+        passes[pass].second(), host();  // Warm-up run, not timed.
         Times of_device, of_host;
         for (int i = 0; i < repeat; ++i) of_device.add(passes[pass].second), of_host.add(host);
         print(size, passes[pass].first, of_device, of_host);

@@ -24,7 +24,8 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
         d.drop_logit[i] = (drop - (returned ? 0.0f : 1.0f)) / float(n);
         d.hit_logit[i] = -d.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
-        const float error = (image.depth[i] / weight - scan.range_m[i]) / 0.2f;  // Range D / W.
+        const float error =
+            (image.depth[i] / weight - scan.range_m[i]) / 0.2f;  // The range is D / W, depth over weight.
         loss += std::log1p(double(error) * double(error)) / double(n);
         d.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
         d.weight[i] = -d.depth[i] * image.depth[i] / weight;

@@ -21,7 +21,7 @@ namespace {
 /// A renderer with the sizes that determine the shapes of its arrays.
 struct HeldRenderer {
     OnDevice<DifferentiableRenderer> renderer;
-    std::vector<InstancePose> placed;  ///< [instances]
+    std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
     std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
 

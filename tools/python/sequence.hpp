@@ -16,12 +16,13 @@ struct Log {
 };
 
 /// Return the frames and poses of a log, or of the log of a run.
-pybind11::object times_of(const Sequence& sequence);          ///< [frames] float64
-pybind11::object frame_numbers_of(const Sequence& sequence);  ///< [frames] int32
-pybind11::object lidars_of(const Sequence& sequence);         ///< [frames] names of the LiDARs
+pybind11::object times_of(const Sequence& sequence);          ///< Returns the frame times, [frames] float64.
+pybind11::object frame_numbers_of(const Sequence& sequence);  ///< Returns the frame numbers, [frames] int32.
+pybind11::object lidars_of(const Sequence& sequence);         ///< Returns the LiDAR name of each frame.
 /// Returns (times, poses) of the vehicle in the dataset's world frame.
 pybind11::object trajectory_of(const Sequence& sequence);
-pybind11::object mountings_of(const Sequence& sequence);  ///< dict of vehicle_from_sensor by LiDAR name
+pybind11::object mountings_of(
+    const Sequence& sequence);  ///< Returns a dict of vehicle_from_sensor by LiDAR name.
 /// Returns a dict of (times, poses) of box centres.
 pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);
 

@@ -5,7 +5,7 @@
 // an effect with glibc. Tests use the same limits (GLIBC_TUNABLES in CMakePresets.json).
 #pragma once
 
-#include <cstddef>  // Defines __GLIBC__.
+#include <cstddef>  // Any standard header defines __GLIBC__ on glibc systems.
 
 #ifdef __GLIBC__
 #include <malloc.h>

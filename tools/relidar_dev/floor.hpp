@@ -27,7 +27,7 @@ struct FloorSizes {
     bool lists = false;   ///< True: the forward pass writes lists of hits.
     bool gather = false;  ///< True: hit records replace atomics.
     bool only_touched = false;
-    bool boxes = true;          ///< True: proxies are boxes.
+    bool boxes = true;          ///< True: proxies of surfels are boxes.
     bool software = true;       ///< True: software traversal. The driver's structures are not modelled.
     double nodes_opened = 0.0;  ///< Number of nodes opened by all rays of the forward pass. 0: unknown.
     double surfels_tested = 0.0;

@@ -62,7 +62,7 @@ struct BenchResult {
     std::optional<double> backward_mrays_per_s;  ///< From the median time of diff/backward/trace.
     double hits_per_ray = 0.0;                   ///< Mean number of blended hits.
     std::uint32_t kept_hits = 0;                 ///< Number of hits stored per ray for the backward pass.
-    std::optional<BenchVisits> visits;           ///< Only for software traversal.
+    std::optional<BenchVisits> visits;           ///< No value for ray query.
     BenchMemory memory;
     FloorSizes sizes;
     /// Copy bandwidth, bytes read plus bytes written. It is a property of the device, so

@@ -7,7 +7,7 @@
 namespace relidar::cli {
 
 struct ServeBench {
-    std::string address;  ///< Empty: not measured.
+    std::string address;  ///< Address of the service. Empty: no service is measured.
     std::string scene, sensor;
     int clients = 1;
     int calls = 100;

@@ -10,7 +10,7 @@ namespace relidar::serve {
 
 struct LatencyOptions {
     std::string address;  ///< HOST:PORT of a service without TLS.
-    std::string scene;    ///< Empty: the first scene.
+    std::string scene;    ///< Name of the scene. Empty: the first scene.
     std::string sensor;   ///< Name of the sensor. Empty: the sensor of the log.
     int clients = 1;      ///< Number of clients. Each has a separate connection and makes one call at a time.
     int calls = 100;      ///< Total number of calls of all clients.

@@ -67,7 +67,7 @@ public:
 
 private:
     mutable std::mutex mutex_;
-    std::vector<std::vector<SpawnWish>> scenes_;  ///< Indexed by scene and place.
+    std::vector<std::vector<SpawnWish>> scenes_;  ///< Places of each scene, indexed by scene and place.
 };
 
 /// Returns the track of a place in the rendered scene. No track of a run has such a name.

@@ -10,9 +10,9 @@ namespace relidar::view {
 
 /// Header fields of a request that identify its sender.
 struct Credentials {
-    std::string_view host;    ///< Header Host.
-    std::string_view origin;  ///< Header Origin. Empty: none.
-    std::string_view cookie;  ///< Header Cookie.
+    std::string_view host;    ///< Value of the header Host.
+    std::string_view origin;  ///< Value of the header Origin. Empty: the header is missing.
+    std::string_view cookie;  ///< Value of the header Cookie.
     std::string_view query;   ///< Part of the request target after '?'.
 };
 

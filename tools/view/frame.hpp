@@ -35,12 +35,12 @@ struct ScanColumns {
     int rows = 0, columns = 0;            ///< rows = 1: the rays form no image.
     std::vector<glm::vec3> position_m;    ///< [n] in relidar's world frame.
     std::vector<float> range_m;           ///< [n] 0 if the ray has no return or no hit.
-    std::vector<std::uint8_t> intensity;  ///< [n]
+    std::vector<std::uint8_t> intensity;  ///< [n] intensity in steps of 1/255.
     std::vector<std::uint8_t> drop;       ///< [n] Drop probability. Real scans contain only 0 and 255.
     /// [n] Index into the list of instances of the scan, 65535 if there is none. May be
     /// empty.
     std::vector<std::uint16_t> instance;
-    std::vector<std::uint16_t> ring;         ///< [n]
+    std::vector<std::uint16_t> ring;         ///< [n] number of the beam, 0 is the highest.
     std::vector<ScanChannel> channels = {};  ///< Additional arrays named "channel_NAME", [n] each.
 };
 

@@ -77,7 +77,7 @@ struct Server::Impl {
 
     void accept() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
-            if (!acceptor.is_open()) return;  // close() was called.
+            if (!acceptor.is_open()) return;  // The acceptor is closed because close() was called.
             if (failed) {
                 pause.expires_after(kAcceptPause);
                 pause.async_wait([this](ErrorCode) {

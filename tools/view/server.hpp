@@ -26,7 +26,7 @@ namespace relidar::view {
 /// A file of the page. Clients request it by its exact path.
 struct Asset {
     std::string_view path;  ///< Path such as "/main.js". "/" is the page itself.
-    std::string_view type;  ///< Header Content-Type.
+    std::string_view type;  ///< Value of the header Content-Type.
     std::string_view body;
 };
 

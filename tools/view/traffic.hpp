@@ -52,7 +52,7 @@ private:
         return !edits_.removed.contains(box.id) && !edits_.hidden.contains(box.id);
     }
 
-    DrivingScene driving_;  ///< Without surfels.
+    DrivingScene driving_;  ///< Scene and tracks after the edits, without surfels.
     ActorEdits edits_;
 };
 

@@ -20,7 +20,7 @@ struct BenchCase {
     int rows = 0;
     int columns = 0;
     glm::vec3 view_origin_m{0.0f};
-    std::vector<InstancePose> placed;  ///< [instances]
+    std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
 };
 
 /// Creates the benchmark street with the settings of the paper.

@@ -23,7 +23,7 @@ struct EditOptions {
     std::string run;
     std::string out;
     std::string ply;               ///< Surfels that replace the surfels of the run. Empty: none.
-    std::vector<TypedEdit> edits;  ///< In the order typed.
+    std::vector<TypedEdit> edits;  ///< Edits in the order in which the user typed them.
     bool force = false;
     bool quiet = false;
 };

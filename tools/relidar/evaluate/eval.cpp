@@ -57,7 +57,7 @@ void check_held_out(const Split& split, const std::string& where) {
 /// Output files and folders. The first process checks that they are writable before any
 /// process starts its work.
 struct Output {
-    std::filesystem::path file, pictures;  ///< Empty: not written.
+    std::filesystem::path file, pictures;  ///< Output paths; an empty path is not written.
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
 

@@ -56,7 +56,7 @@ double distance_of(const Run& run, const Frame& frame, const BoxTrack& box) {
 struct Walk {
     const BoxTrack* box = nullptr;
     std::vector<const Frame*> frames;
-    double distance_m = std::numeric_limits<double>::max();  ///< Mean distance.
+    double distance_m = std::numeric_limits<double>::max();  ///< Mean distance from the sensor.
 };
 
 /// Finds the walking actor and the frames with the smallest mean distance, because near
