@@ -48,7 +48,7 @@ wrong_lengths() {
 
 whole() {
     good train street --out one --blocks 30m "${settings[@]}"
-    says "^blocks  3 of 26.[0-9] m, with sweeps up to 40 m beside them$"
+    says "^blocks  3 of 26.[0-9] m, with sweeps up to 40 m outside them$"
     says "^block   3 of 3, metres 53 to 79: .* training frames, .* held out"
     for file in report.html metrics.json log.jsonl blocks/002/scene.json; do exists one/$file; done
     absent one/blocks/000/checkpoints

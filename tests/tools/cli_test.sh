@@ -886,7 +886,7 @@ bench() {
     check "bench.json: times or rates that contradict each other" awk -F '[:,]' '{gsub(/[" ]/, "", $1); v[$1] = $2}
         END {rate = 65.536 / v["forward_ms"]; exit !(v["iteration_ms"] > v["forward_ms"] / 2 && v["forward_mrays_per_s"] / rate > 0.999 && v["forward_mrays_per_s"] / rate < 1.001)}' numbers/bench.json
     good bench --run run --json run.json
-    says "^scans +[0-9.]+ a second$"
+    says "^scans +[0-9.]+ per second$"
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' run.json
     check "bench --run: other surfels than the run's" grep -q "\"surfels\": $("$relidar" info run | sed -n 's/^surfels *\([0-9]*\).*/\1/p')," run.json
     check "run.json lacks scans_per_s" grep -Eq '"scans_per_s": [0-9.]*[1-9]' run.json

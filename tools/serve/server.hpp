@@ -19,7 +19,7 @@ namespace relidar::serve {
 /// the parent frame.
 enum class PoseOrder {
     rotation_first,     ///< R p + t, as everywhere else.
-    translation_first,  ///< R (p + t), as some clients of SensorsimService expect.
+    translation_first,  ///< R (p + t)
 };
 
 struct ServerOptions {

@@ -144,7 +144,7 @@ std::string report_text(const BenchCase& bench, const BenchTimes& t, const Devic
         "backward    {:.2f} ms, {:.3f} Mrays/s\niteration   {:.2f} ms of training on all rays\n",
         t.build_ms, t.refit_ms, t.forward_ms, krays / t.forward_ms, t.backward_ms, krays / t.backward_ms,
         t.iteration_ms);
-    if (t.scans_per_s) text += fmt::format("scans       {:.1f} a second\n", *t.scans_per_s);
+    if (t.scans_per_s) text += fmt::format("scans       {:.1f} per second\n", *t.scans_per_s);
     return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, t.repetitions);
 }
 

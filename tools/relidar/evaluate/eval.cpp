@@ -82,7 +82,7 @@ void write_results(const Output& output, const Evaluation& evaluation, const Con
     print(metric_table(evaluation, origin.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
-        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory",
+        print(fmt::format(", {:.1f} ms of tracing per frame, {:.3f} Mrays/s, {} of device memory",
                           evaluation.trace_ms, evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
     if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
     print("\n");
@@ -299,7 +299,8 @@ void add_eval(CLI::App& app, Call& call) {
                      "folder for pictures of each held-out frame: real, rendered, error")
         ->type_name("DIR");
     command->add_flag("--open", options->open,
-                      "make a page of it, evaluation.html beside the JSON file, and open a browser");
+                      "write the scores to a page, evaluation.html in the folder of the JSON file, and open "
+                      "it in a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,

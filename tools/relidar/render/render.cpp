@@ -166,7 +166,7 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
             "--rate and --times: found no --trajectory, expected one, because they select times on it");
     if (!t.file.empty() && options.frames)
         throw UsageError(
-            "--frames: found --trajectory too, expected one of them; --times chooses moments on a "
+            "--frames: found --trajectory too, expected one of them; use --times to select times on a "
             "trajectory");
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
 }

@@ -127,7 +127,7 @@ Examples:
 }  // namespace
 
 void add_serve(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators, by gRPC");
+    CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators through gRPC");
     const auto options = std::make_shared<ServeOptions>();
     command
         ->add_option("RUN", options->server.runs,

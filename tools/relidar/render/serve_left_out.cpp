@@ -9,7 +9,7 @@ namespace relidar::cli {
 
 void add_serve(CLI::App& app, Call& call) {
     CLI::App* command =
-        app.add_subcommand("serve", "render scans for simulators, by gRPC (left out of this build)");
+        app.add_subcommand("serve", "render scans for simulators through gRPC (not in this build)");
     command->allow_extras();
     command->footer(
         "Example:\n  tools/dev/setup --serve && cmake --preset release && cmake --build --preset release");

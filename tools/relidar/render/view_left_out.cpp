@@ -8,7 +8,7 @@
 namespace relidar::cli {
 
 void add_view(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("view", "look at a run in the browser (left out of this build)");
+    CLI::App* command = app.add_subcommand("view", "show a run in the browser (not in this build)");
     command->allow_extras();
     command->callback([&call] {
         call.run = [] {

@@ -115,7 +115,7 @@ public:
     TrainResult train() {
         if (!how_.quiet)
             print(fmt::format(
-                "blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them{}\n", blocks_.size(),
+                "blocks  {} of {:.1f} m, with sweeps up to {:g} m outside them{}\n", blocks_.size(),
                 blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
                 how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
         std::vector<fs::path> folders;
