@@ -13,7 +13,7 @@ namespace relidar::cli {
 /// @param files names of the files: FILE.md receives the key metrics and their means,
 /// FILE.csv all metrics, and FILE.html both as a web page
 /// @throws UsageError for another extension; DataError if a folder holds no run. If a run
-/// has no scores, the files are written without it, and then a DataError names the run.
+/// has no scores, the files are still written, and then a DataError names the run.
 void write_score_tables(const std::vector<std::string>& runs, const std::vector<std::string>& files);
 
 }  // namespace relidar::cli
