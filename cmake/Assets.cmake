@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-# embed_texts(<target> <function> <file>...): puts text files into a target, as a function of namespace relidar without arguments that
-# returns std::span<const std::pair<std::string_view, std::string_view>>: name without folder, text. Whoever uses it declares it.
+# embed_texts(<target> <function> <file>...): compiles text files into a target. They are
+# returned by a function of namespace relidar without arguments, as std::span<const
+# std::pair<std::string_view, std::string_view>> of file names without folder and texts.
+# Files that call the function must declare it.
 function(embed_texts target function)
     set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS ${ARGN})
     set(rows "")

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# `cmake --install`: the static library with its headers, the command line tool, and what find_package(relidar) reads.
+# `cmake --install`: installs the static library with its headers, the command line
+# program, and the files that find_package(relidar) reads.
 include(GNUInstallDirs)
 include(CMakePackageConfigHelpers)
 
@@ -16,10 +17,10 @@ configure_package_config_file(${PROJECT_SOURCE_DIR}/cmake/relidarConfig.cmake.in
 write_basic_package_version_file(${PROJECT_BINARY_DIR}/relidarConfigVersion.cmake COMPATIBILITY SameMinorVersion)
 install(FILES ${PROJECT_BINARY_DIR}/relidarConfig.cmake ${PROJECT_BINARY_DIR}/relidarConfigVersion.cmake DESTINATION ${RELIDAR_PACKAGE_DIR})
 install(FILES ${PROJECT_SOURCE_DIR}/LICENSE DESTINATION ${CMAKE_INSTALL_DOCDIR})
-# headers refer to them
+# The installed headers include these headers.
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/docs DESTINATION ${CMAKE_INSTALL_DOCDIR} FILES_MATCHING PATTERN "*.md" PATTERN images EXCLUDE)
 
-if(TARGET relidar_serve)   # clients make their stubs of it
+if(TARGET relidar_serve)   # Clients generate their stubs from these files.
     install(FILES ${PROJECT_SOURCE_DIR}/tools/serve/relidar/v1/render.proto DESTINATION ${CMAKE_INSTALL_DATADIR}/relidar/proto/relidar/v1)
     install(FILES ${PROJECT_SOURCE_DIR}/tools/serve/sensorsim/sensorsim.proto
             DESTINATION ${CMAKE_INSTALL_DATADIR}/relidar/proto/sensorsim)

@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-# `cpack` makes a Debian package of all that `cmake --install` installs: build/<preset>/package/relidar_<version>_<arch>.deb.
-# It is one package. The Debian way would be relidar and librelidar-dev, but the library is static: what compiling against it
-# needs is recommended here, so it comes with `apt install` and stays away with --no-install-recommends.
-# With SOURCE_DATE_EPOCH set, the same build gives the same bytes.
+# `cpack` makes a Debian package of all files that `cmake --install` installs:
+# build/<preset>/package/relidar_<version>_<arch>.deb.
+# One package contains both the program and the library, although Debian would separate
+# relidar and librelidar-dev. The library is static, and the packages that are needed to
+# compile against it are recommended packages. `apt install` installs them; --no-install-
+# recommends does not.
+# With SOURCE_DATE_EPOCH set, the same build produces the same bytes.
 find_program(RELIDAR_DPKG dpkg)
 if(NOT RELIDAR_DPKG)
-    return()   # not a Debian system
+    return()   # Not a Debian system.
 endif()
 
-# Debian packages of what our targets link: their code may be in the program; who links the library needs those in to_link.
+# Debian packages of the libraries that our targets link. Their code may be part of the
+# program. Programs that link our library need the packages in `to_link`.
 set(compiled_in "")
 set(to_link "")
 foreach(target IN ITEMS relidar relidar_commands relidar_cli relidar_view_server relidar_serve relidar_python)
@@ -29,7 +33,8 @@ endforeach()
 list(REMOVE_DUPLICATES compiled_in)
 list(REMOVE_DUPLICATES to_link)
 
-# Our licence, then that of all whose code may be compiled in, as the packages used for this build state it.
+# Our licence, followed by the licences of all code that may be compiled in, as stated by
+# the packages used for this build.
 set(copyright ${PROJECT_BINARY_DIR}/copyright)
 configure_file(${PROJECT_SOURCE_DIR}/cmake/debian/copyright ${copyright} COPYONLY)
 foreach(package IN LISTS compiled_in)
@@ -38,7 +43,8 @@ foreach(package IN LISTS compiled_in)
         file(APPEND ${copyright} "\n======== ${package} ========\n\n${text}")
     endif()
 endforeach()
-execute_process(COMMAND gzip -9nc ${PROJECT_SOURCE_DIR}/cmake/debian/changelog   # -n: no time inside
+# -n: no time stamp in the file.
+execute_process(COMMAND gzip -9nc ${PROJECT_SOURCE_DIR}/cmake/debian/changelog
     OUTPUT_FILE ${PROJECT_BINARY_DIR}/changelog.gz COMMAND_ERROR_IS_FATAL ANY)
 install(FILES ${copyright} ${PROJECT_BINARY_DIR}/changelog.gz DESTINATION ${CMAKE_INSTALL_DOCDIR})
 
@@ -55,13 +61,14 @@ find_package(relidar) reads, and the Python module relidar.")
 set(CPACK_STRIP_FILES ON)
 set(CPACK_PRE_BUILD_SCRIPTS ${PROJECT_SOURCE_DIR}/cmake/debian/permissions.cmake)
 
-set(depends libvulkan1)   # opened at run time, so dpkg-shlibdeps does not see it
-if(RELIDAR_PYTHON)        # the module is made for one version of Python
+set(depends libvulkan1)   # Opened at run time, so that dpkg-shlibdeps does not find it.
+if(RELIDAR_PYTHON)        # The module is built for one version of Python.
     math(EXPR next_minor "${Python_VERSION_MINOR} + 1")
     list(APPEND depends python3-numpy "python3 (>= ${Python_VERSION_MAJOR}.${Python_VERSION_MINOR})"
         "python3 (<< ${Python_VERSION_MAJOR}.${next_minor})")
 endif()
-set(recommends "mesa-vulkan-drivers (>= 24.1)" ${to_link})   # the first software driver that runs every kernel
+# The first software driver that supports every kernel.
+set(recommends "mesa-vulkan-drivers (>= 24.1)" ${to_link})
 set(CPACK_DEBIAN_COMPRESSION_TYPE xz)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)
 set(CPACK_DEBIAN_PACKAGE_SECTION science)

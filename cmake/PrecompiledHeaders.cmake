@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-# relidar_precompile(<target> [<header>...] [REUSE <target>]): with RELIDAR_PRECOMPILED_HEADERS, what nearly every file of a target includes
-# (the standard library, GLM and fmt, and the headers given) is parsed once a target, or once for several that REUSE one's. For the many
-# small programs of the tests: where a whole folder is compiled together (relidar_unity()), it costs as much as it saves. Files include what
-# they use all the same: preset dev builds without.
+# relidar_precompile(<target> [<header>...] [REUSE <target>]): with
+# RELIDAR_PRECOMPILED_HEADERS, parses the headers that nearly every file includes (the
+# standard library, GLM, fmt and the given headers) once per target. With REUSE several
+# targets share them. Intended for the many small programs of the tests; folders that are
+# compiled together (relidar_unity()) gain nothing. Files must still include all headers
+# that they use, because preset dev builds without precompiled headers.
 function(relidar_precompile target)
-    # clang refuses headers compiled with other definitions than a file's; GCC takes them
+    # Clang rejects headers that were compiled with other definitions than the file's. GCC
+    # accepts them.
     if(NOT RELIDAR_PRECOMPILED_HEADERS OR NOT CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
         return()
     endif()
@@ -18,8 +21,9 @@ function(relidar_precompile target)
         <fmt/ranges.h> ${pch_UNPARSED_ARGUMENTS})
 endfunction()
 
-# relidar_optimise_little(<target>): for what parses, asks the library and writes down, in releases. Its headers (CLI11, Beast, pybind11)
-# make much code that runs once: at -O1 it is compiled in two thirds of the time.
+# relidar_optimise_little(<target>): for release builds of code that only parses, calls
+# the library and writes output. Its headers (CLI11, Beast, pybind11) generate much code
+# that runs once. With -O1 it compiles in two thirds of the time.
 function(relidar_optimise_little target)
     target_compile_options(${target} PRIVATE $<$<AND:$<CXX_COMPILER_ID:GNU,Clang>,$<CONFIG:Release>>:-O1>)
 endfunction()

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-# relidar_unity(<target> [<folders>...]): with RELIDAR_UNITY, files are compiled together, so that headers are parsed and templates are made
-# once for all of them: those of the folders that an argument names ("train train/poses", "." for the target's own), and those of any other
-# folder by themselves. Names in anonymous namespaces are therefore unique among files that are compiled together. Files say what they
-# include all the same: preset dev compiles each alone.
+# relidar_unity(<target> [<folders>...]): with RELIDAR_UNITY, compiles several files
+# together, so that headers are parsed and templates are instantiated only once. Each
+# argument names folders that are compiled together ("train train/poses", "." for the
+# target's own folder). Every other folder is compiled separately. Names in anonymous
+# namespaces must therefore be unique among files that are compiled together. Files must
+# still include all headers that they use, because preset dev compiles each file
+# separately.
 function(relidar_unity target)
     if(NOT RELIDAR_UNITY)
         return()
@@ -20,7 +23,7 @@ function(relidar_unity target)
     foreach(source IN LISTS sources)
         cmake_path(IS_ABSOLUTE source absolute)
         if(absolute OR NOT source MATCHES "\\.cpp$")
-            continue()   # what is generated stays alone
+            continue()   # Generated files are compiled separately.
         endif()
         cmake_path(GET source PARENT_PATH folder)
         if(folder STREQUAL "")
@@ -33,12 +36,13 @@ function(relidar_unity target)
         set_source_files_properties(${source} PROPERTIES UNITY_GROUP ${group_${folder}})
     endforeach()
     set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_MODE GROUP)
-    # of a class whose members are of types of its own file: another file is the main one here
+    # g++ warns about classes with members of types from an anonymous namespace, because
+    # the main file here is a different file.
     target_compile_options(${target} PRIVATE $<$<COMPILE_LANG_AND_ID:CXX,GNU>:-Wno-subobject-linkage>)
 endfunction()
 
-# So much code at once makes much garbage, which g++ collects again and again: a sixth of its time. Where each core has 2 GiB, it begins
-# with that later.
+# g++ collects garbage repeatedly during large unity builds, which takes a sixth of its
+# time. If each core has 2 GiB, g++ starts to collect garbage later.
 if(RELIDAR_UNITY AND CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
     cmake_host_system_information(RESULT relidar_memory_mib QUERY TOTAL_PHYSICAL_MEMORY)
     cmake_host_system_information(RESULT relidar_cores QUERY NUMBER_OF_LOGICAL_CORES)

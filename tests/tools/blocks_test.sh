@@ -48,7 +48,7 @@ wrong_lengths() {
 
 whole() {
     good train street --out one --blocks 30m "${settings[@]}"
-    says "^blocks  3 of 26.[0-9] m, with sweeps up to 40 m beside them$"
+    says "^blocks  3 of 26.[0-9] m, with sweeps up to 40 m outside them$"
     says "^block   3 of 3, metres 53 to 79: .* training frames, .* held out"
     for file in report.html metrics.json log.jsonl blocks/002/scene.json; do exists one/$file; done
     absent one/blocks/000/checkpoints
@@ -167,7 +167,7 @@ ranks() {
     same two
     mpi 2 "$relidar" train street --out piece "${settings[@]}" >out 2>err
     check "a log in one piece by two processes: exit code 0" test $? != 0
-    check "the message lacks --blocks" grep -Eq "training by 2 processes: .*expected --blocks" err
+    check "the message lacks --blocks" grep -Eq "training with 2 processes: .*expected --blocks" err
 
     mpi 2 "$relidar" train street --out endless --blocks 30m "${settings[@]}" --set train.iterations=100000 >out 2>err &
     local pid=$!

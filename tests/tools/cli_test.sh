@@ -91,7 +91,7 @@ wrong_usage() {
     bad 2 "found no subcommand, expected devices, sensors, settings" list
     bad 2 "command sensor: unknown, did you mean sensors\?" list sensor
     bad 2 "option --jso: unknown, did you mean --json\? .see .relidar list devices --help" list devices --jso
-    bad 3 "found a folder, expected the name of a file" bench --json .
+    bad 3 "found a folder, expected a file name" bench --json .
     absent x
 }
 
@@ -271,7 +271,7 @@ rendering() {
     check "scans drawn with two seeds are the same" test "$(cmp -s drawn/frame_000003.npz drawn_otherwise/frame_000003.npz; echo $?)" = 1
     check "scans.json does not say how scans were drawn" grep -q '"sample": 7' drawn/scans.json
     good render run --out foggy --frames 2:4 --sample 7 --weather fog=40 --format npz,ply
-    check "weather is not noted" grep -q "^relidar: note: weather fog=40: no sensor states its wavelength: 905 nm" err
+    check "weather is not noted" grep -q "^relidar: note: weather fog=40: the sensors' wavelength is unknown, assuming 905 nm" err
     check "scans.json does not say the weather" grep -q '"weather": "fog=40"' foggy/scans.json
     check "points do not say why they are there" grep -qa "property int source" foggy/frame_000003.ply
     good render run --out foggy_again --frames 2:4 --sample 7 --weather fog=40
@@ -284,16 +284,16 @@ rendering() {
     bad 2 "weather: found \"hail\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES" render run --out x --weather hail
     good render run --out sunny --frames 2:4 --sample 7 --weather bloom,sun=90:10
     check "scans.json does not say all of the weather" grep -q '"weather": "bloom=0.00012,sun=90:10"' sunny/scans.json
-    check "the log's own place is called unseen" test -z "$(grep -o 'look where no ray of the log did' err)"
+    check "the log's own place is called unseen" test -z "$(grep -o 'cross space that the log has not seen' err)"
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz
     exists left/frame_000003.npz
     good render run --out below --frames 2:4 --offset 0,0,-5
     check "a sensor under the ground is not warned of" \
-        grep -q "^relidar: note: below: in 2 of 2 scans more than 20 % of the rays look where no ray of the log did, in number [23] 9" err
+        grep -q "^relidar: note: below: in 2 of 2 scans more than 20 % of the rays cross space that the log has not seen, in number [23] 9" err
     check "scans.json does not say how much is unseen" grep -q '"unseen":0.9' <(tr -d ' \n' <below/scans.json)
     good render run --out far_off --frames 2:3 --offset 9000,0,0 --channels seen
-    check "the summary does not say how much is unseen" grep -q "0.0 % return, 100.0 % go through space that the log did not see" out
+    check "the summary does not say how much is unseen" grep -q "0.0 % return, 100.0 % cross space that the log has not seen" out
     good render run --out other --frames 11: --sensor VLP-16
     good render run --out grid --frames all --sensor kitti360 --quiet
     check "--frames all wrote other than 12 files and scans.json" test "$(ls grid | wc -l)" = 13
@@ -306,9 +306,9 @@ rendering() {
     check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 11:14: run ends with frame 11" err
     good train street --out kept --preset quick --set train.iterations=1 --set dataset.test_every=0 --no-eval --quiet
     good render kept --out kept_scans
-    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept held no frame out: rendering all 12" err
+    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept has no held-out frames: rendering all 12" err
     check "render of a run that held nothing out left frames out" test "$(ls kept_scans | wc -l)" = 13
-    bad 2 "no frame of run lies in it" render run --out x --frames 100:200
+    bad 2 "selects no frame of run" render run --out x --frames 100:200
     bad 2 'format: found "npy", did you mean npz' render run --out x --format npy
     bad 2 "offset: found 2 numbers" render run --out x --offset 1,2
     bad 2 'format: found "" \(known: npz' render run --out x --format npz,
@@ -336,7 +336,7 @@ rendering() {
     good render run --out merged --frames 5:6 --sensor rig.json --format pcd --merge
     check "a merged rig has not the points of its sensors" test "$(points_of merged/frame_000005.pcd)" -eq \
         "$(($(points_of rig/top/frame_000005.pcd) + $(points_of rig/left/frame_000005.pcd)))"
-    bad 2 "--merge: found no rig" render run --out x --sensor VLP-16 --merge
+    bad 2 "--merge: found a single sensor" render run --out x --sensor VLP-16 --merge
     bad 2 "--topic: found no recording in --format, expected mcap or rosbag" render run --out x --topic /points
     bad 2 '--frame-id: found "a" for all sensors of a rig, expected \{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
     bad 2 'found topic "points", expected one as /lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
@@ -376,7 +376,7 @@ difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | a
 # The network that corrects ray-drop: part of a run, used where it fits, left out where asked for.
 ray_drop() {
     good info run
-    says "^ray drop +corrected by a network of [0-9]+ parameters that looks at native images$"
+    says "^ray drop +corrected by a network of [0-9]+ parameters that reads native images$"
     good render run --out refined --frames 5:6
     good render run --out unrefined --frames 5:6 --no-refine
     check "--no-refine changes nothing" test "$(cmp -s refined/frame_000005.npz unrefined/frame_000005.npz; echo $?)" = 1
@@ -386,10 +386,10 @@ ray_drop() {
     says '^"baseline" is without the network$'
     check "progress of the network lacks rate and eta" grep -Eq "^ray-drop network, epoch 1/1  step 3/3  [0-9.]+ it/s  eta 0:00  entropy" err
     good info cells
-    says "parameters that looks at kitti360 images$"
+    says "parameters that reads kitti360 images$"
     good render cells --out of_cells --frames 5:6 --sensor VLP-16
     check "render does not say that a network does not fit" \
-        grep -q "^relidar: note: cells: its ray-drop network looks at kitti360 images of at least 8 x 8; scans of VLP-16 stay as" err
+        grep -q "^relidar: note: cells: its ray-drop network reads kitti360 images of at least 8 x 8; scans of VLP-16 use the" err
     good train street --out surfels --config run/config.toml --set refine.enabled=false --no-eval --quiet
     absent surfels/drop_network.safetensors
     good refine surfels --no-eval --quiet
@@ -417,8 +417,8 @@ own_paths() {
     check "11 turns at 20 Hz are not 23 scans" test "$(ls twice_as_often | grep -c bin)" = 23
     { cat way.csv; echo "60,400,0,2,0"; } >beyond.csv
     good render run --out after_the_log --trajectory beyond.csv --times 50:60:10 --format bin
-    check "nobody says that the log has no actors then" grep -q "2 of 2 scans are taken outside the log's .* no actor is there" err
-    check "nobody says how far from the log that is" grep -q "the trajectory goes [0-9]* m away from" err
+    check "nobody says that the log has no actors then" grep -q "2 of 2 scans are outside the log's .* show no actors" err
+    check "nobody says how far from the log that is" grep -q "the trajectory is up to [0-9]* m away from" err
     printf '0,0,0,2,0\n' >one.csv
     bad 3 "one.csv: found 1 poses, expected at least two" render run --out x --trajectory one.csv
     printf '0,0,0,2,0\n1,nan,0,2,0\n' >nan.csv
@@ -429,11 +429,11 @@ own_paths() {
     bad 2 "rate and --times: found no --trajectory" render run --out x --rate 20
     bad 2 "frames: found --trajectory too" render run --out x --trajectory way.csv --frames 1:2
     bad 2 "rate: found --times too" render run --out x --trajectory way.csv --rate 5 --times 0:1:0.1
-    bad 2 "rate: found 0, expected scans a second above 0" render run --out x --trajectory way.csv --rate 0
+    bad 2 "rate: found 0, expected scans per second, above 0" render run --out x --trajectory way.csv --rate 0
     bad 2 "at most 1e\+06" render run --out x --trajectory way.csv --rate 1e9
     bad 2 "times: found \"0:1\", expected first:last:step" render run --out x --trajectory way.csv --times 0:1
     bad 2 "times: found 0 to 50 s, expected times of the trajectory" render run --out x --trajectory way.csv --times 0:50:1
-    bad 2 "expected times that rise by a step above 0" render run --out x --trajectory way.csv --times 1:0:0.1
+    bad 2 "expected first < last and a step above 0" render run --out x --trajectory way.csv --times 1:0:0.1
     bad 2 "ends in .ply \(surfels\) or .csv" export run --out way.txt
     absent x
 }
@@ -493,18 +493,18 @@ XOSC
     says "0-insert-1 follows Van of cut_in.xosc"
     bad 2 'expected Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=- too' edit run --out x --scenario cut_in.xosc
     bad 2 'expected entities of the file, which Bus is not' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
-    bad 2 'an entity that follows a trajectory, which Ego does not' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
+    bad 2 'an entity that follows a trajectory; Ego follows none' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
     bad 2 'expected Van=TRACK of the run, RUN#TRACK or ASSET' edit run --out x --scenario cut_in.xosc@Van=7
-    bad 2 'scenario in which somebody follows' edit run --out x --scenario cut_in.xosc@Van=-
+    bad 2 'scenario with at least one entity that follows' edit run --out x --scenario cut_in.xosc@Van=-
     bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van
     bad 3 'none.xosc' edit run --out x --scenario none.xosc
     good edit run --out late --retime 0:100
-    says "note: track 0 is there at no frame of the log now"
+    says "note: track 0 is present at no frame of the log"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
     says "note: removed was recorded by another sensor"
     good eval moved --out edited.json
-    says "the street was cast again with the run's edits"
+    says "the street was rendered again with the run's edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
     good eval path --out path.json   # of a name that no car of the street has
     good render run --out cars --frames 5:6 --only actors
@@ -526,12 +526,12 @@ keeping_assets() {
     good render assets/car-0 --out asset_scans --frames 5:6 --format ply
     local most
     most=$("$relidar" assets run --out every --least 0 2>/dev/null | awk '/^car-/ && $3 > most { most = $3 } END { print most }')
-    bad 3 "run: found no actor that is seen well enough: skipped 0 \(Car\): score 0.*expected 1.00 \(--least\): seen front" assets run --out none --least 1
+    bad 3 "run: found no actor with a sufficient score: skipped 0 \(Car\): score 0.*expected 1.00 \(--least\): seen front" assets run --out none --least 1
     absent none
     check "a score above 1: $most" awk "BEGIN { exit !($most <= 1) }"
-    bad 2 "assets: there is something of that name, expected a new folder" assets run --out assets
+    bad 2 "assets: the folder is not empty, expected a new or empty folder" assets run --out assets
     bad 2 "least: found 2, expected 0 to 1" assets run --out none --least 2
-    bad 2 "found no actor in it" assets again2 --out none
+    bad 2 "found no actor, expected at least one" assets again2 --out none
     bad 3 "nowhere: no such folder" assets nowhere --out none
     absent none
     check "unfinished folders were left behind" test -z "$(find . -maxdepth 1 -name '.*tmp*')"
@@ -562,7 +562,7 @@ wrong_edits() {
     bad 3 'none.csv' edit run --out x --trajectory 0:none.csv
     printf '0,1,2,3,0\n' >one.csv
     bad 3 'one.csv: found 1 poses' edit run --out x --trajectory 0:one.csv
-    bad 2 'found the run that is edited' edit run --out ./run --remove 0
+    bad 2 'found the run to edit' edit run --out ./run --remove 0
     bad 2 'removed: the folder is not empty' edit run --out removed --remove 0
     bad 3 'nowhere: no such folder' edit nowhere --out x --remove 0
     bad 2 'found "cars" \(there are: background' render run --out x --only cars
@@ -639,7 +639,7 @@ baseline_beside_a_run() {
     good eval run --baseline nearest --out beside.json
     says "^metric +mean +lowest +highest +baseline nearest"
     check "beside.json lacks the baseline" grep -q '"scored": "baseline nearest"' beside.json
-    bad 2 "--frames: found it beside a run" eval run --baseline nearest --frames 0:5
+    bad 2 "--frames: found it with a run" eval run --baseline nearest --frames 0:5
 }
 
 surfels_as_ply() {
@@ -693,7 +693,7 @@ damaged_runs() {
 viewing() {
     good view --help
     if ! grep -q -- "--port" out; then
-        bad 2 "built without it.*install libboost-dev" view run
+        bad 2 "built without the viewer.*install libboost-dev" view run
         return
     fi
     says "Example"
@@ -815,7 +815,7 @@ resuming() {
     mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0   # as a process leaves it that is killed while it writes its first file
     good train street --out anew --preset quick --set train.refine_poses=none --set train.iterations=2 --no-eval --resume
     absent anew/.config.toml.tmp-1-0
-    check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew holds no checkpoint" err
+    check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew has no checkpoint" err
     bad 2 "has ended and left no checkpoint" train --resume anew --set train.iterations=4
     bad 3 "training, iteration 1: (the intensity loss is|array .*: row [0-9]+ holds inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
 }
@@ -841,14 +841,14 @@ network_resuming() {
     check "other settings of the network are taken without a word" grep -Eq "^relidar: note: resuming the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 15 as in the checkpoint; the network is trained from the beginning" err
     exists other/drop_network.safetensors
     stop_in_network refine other --no-eval --set refine.epochs=15
-    check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: other has the network it had; continue with: relidar refine --resume other$" err
+    check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: the network of other is unchanged; continue with: relidar refine --resume other$" err
     bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
     good refine --resume other --no-eval
     says "^resume  from step [1-9]"
     check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors
     absent other/checkpoints
     good refine --resume other --no-eval --set refine.epochs=1
-    check "nobody says that there is nothing to resume" grep -q "^relidar: note: other holds no checkpoint of its network" err
+    check "nobody says that there is nothing to resume" grep -q "^relidar: note: other has no checkpoint of its network" err
 }
 
 # stop_in_network ARGS...: a command whose network is trained on $checkpoints, ended by SIGTERM once it has written one.
@@ -886,7 +886,7 @@ bench() {
     check "bench.json: times or rates that contradict each other" awk -F '[:,]' '{gsub(/[" ]/, "", $1); v[$1] = $2}
         END {rate = 65.536 / v["forward_ms"]; exit !(v["iteration_ms"] > v["forward_ms"] / 2 && v["forward_mrays_per_s"] / rate > 0.999 && v["forward_mrays_per_s"] / rate < 1.001)}' numbers/bench.json
     good bench --run run --json run.json
-    says "^scans +[0-9.]+ a second$"
+    says "^scans +[0-9.]+ per second$"
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' run.json
     check "bench --run: other surfels than the run's" grep -q "\"surfels\": $("$relidar" info run | sed -n 's/^surfels *\([0-9]*\).*/\1/p')," run.json
     check "run.json lacks scans_per_s" grep -Eq '"scans_per_s": [0-9.]*[1-9]' run.json

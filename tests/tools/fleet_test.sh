@@ -45,12 +45,12 @@ score_tables() {
     has t.md "Compare the runs with care: their protocols differ in grid."
     bad 2 "RUN: found 2 runs, expected one, or --table" eval scored/a scored/d
     bad 2 "table: found t.txt, expected a file that ends in .md, .csv or .html" eval scored/a --table t.txt
-    bad 2 "--set: found it with --table, which only reads scores" eval scored/a --table t.md --set render.range=median
+    bad 2 "--set: found it with --table, which only reads existing scores" eval scored/a --table t.md --set render.range=median
     bad 3 "nowhere: not a run folder" eval scored/a nowhere --table t.md
     mkdir scored/unscored scored/damaged
     touch scored/unscored/scene.json scored/damaged/scene.json
     printf '{"mean": ' >scored/damaged/metrics.json
-    bad 3 "2 of 3 runs have no scores in their metrics.json, the first is scored/unscored; .relidar eval scored/unscored. scores it" \
+    bad 3 "2 of 3 runs have no scores in their metrics.json, for example scored/unscored; .relidar eval scored/unscored. computes them" \
         eval scored/a scored/unscored scored/damaged --table t.md
     has t.md '| scored/a | logs/a | 2 | 12.5 | 0.25 | 0.5 |'
     has t.md '| scored/damaged | no scores | - | 0 | - | - |'
@@ -125,7 +125,7 @@ makefile() {
     check "make fails for a run that is complete" test $? = 0
     check "a run that is complete is trained again" cmp -s before runs/a/log.jsonl
     # shellcheck disable=SC2086
-    bad 2 "training is finished with another setting dataset.path, expected the same" train logs/b --out runs/a $train --resume
+    bad 2 "training is finished with a different setting dataset.path, expected the same" train logs/b --out runs/a $train --resume
     cd ..
 }
 

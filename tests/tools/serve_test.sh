@@ -78,7 +78,7 @@ bad 2 "queue: found 0, expected 1 to" serve run --queue 0
 bad 2 "memory-mib: found -1" serve run --memory-mib -1
 bad 3 "serving run: it holds .* MiB of device memory, expected at most 1.0 \(--memory-mib\)" serve run --memory-mib 1
 bad 2 "weather: found snow=-1, expected 0 to 100 mm/h" serve run --weather snow=-1
-bad 2 "tls-cert and --tls-key: found one of them" serve run --tls-cert x.pem
+bad 2 "tls-cert and --tls-key: found only one of them" serve run --tls-cert x.pem
 bad 3 "reading run/config.toml: found no PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
 bad 2 "found \"run\" as the name of both, expected another one, given as NAME=RUN" serve run "$PWD/run"
 bad 2 "listen: found 'nonsense', expected HOST:PORT with a port from 0 to 65535" serve run --listen nonsense

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_air: how many points of a trained synthetic street hang in the air, from
-// where its sensor was and from beside there. A point is on a surface where the exact
-// street has one within 5 cm of it, whichever ray it came from.
+// relidar_bench_air: counts the points of a trained synthetic street that float in the
+// air, for the recorded sensor poses and for shifted poses. A point is on a surface if
+// the exact street has a surface within 5 cm of it, whichever ray made the point.
 #include <array>
 #include <cmath>
 #include <limits>
@@ -24,11 +24,12 @@ namespace {
 using namespace relidar;
 
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
-// directions about a point: a surface is within 7 degrees of square to one of them
+// Number of directions around a point. The normal of any surface is within 7 degrees of
+// one direction.
 constexpr std::size_t kProbes = 256;
-constexpr std::size_t kTogether = 4096;  // points whose surroundings are cast at once
+constexpr std::size_t kTogether = 4096;  // Number of points whose surroundings are cast together.
 
-/// Directions spread evenly over the sphere (Fibonacci's spiral).
+/// Returns directions that are spread evenly over the sphere (Fibonacci spiral).
 std::array<glm::vec3, kProbes> all_around() {
     std::array<glm::vec3, kProbes> directions;
     for (std::size_t i = 0; i < kProbes; ++i) {
@@ -40,7 +41,7 @@ std::array<glm::vec3, kProbes> all_around() {
     return directions;
 }
 
-/// The exact street from one place of the sensor.
+/// The exact street, seen from one pose of the sensor.
 struct Place {
     const SyntheticOptions& street;
     const PoseTrack& world_from_sensor;
@@ -67,7 +68,7 @@ std::vector<float> distances(const Place& place, const RayEnds& points,
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
     for (std::size_t first = 0; first < chosen.size(); first += kTogether) {
         RayTable probes;
-        std::vector<std::size_t> asked;  // [probes] position in `chosen`
+        std::vector<std::size_t> probe_targets;  // [probes] index into `chosen`
         for (std::size_t k = first; k < std::min(first + kTogether, chosen.size()); ++k) {
             const std::size_t i = chosen[k];
             const glm::vec3 point = points.at(i, points.range_m[i]);
@@ -77,19 +78,20 @@ std::vector<float> distances(const Place& place, const RayEnds& points,
                     probes.direction.push_back(from_m > 0.0f ? -direction : direction);
                     probes.time_offset_s.push_back(points.rays.time_offset_s[i]);
                     probes.channel.push_back(points.rays.channel[i]);
-                    asked.push_back(k);
+                    probe_targets.push_back(k);
                 }
             }
         }
         probes.rows = 1;
-        probes.columns = static_cast<int>(asked.size());
+        probes.columns = static_cast<int>(probe_targets.size());
         const Scan around =
             cast_synthetic_street(place.street, probes, place.world_from_sensor, place.time_s);
-        for (std::size_t j = 0; j < asked.size(); ++j) {
-            const std::size_t i = chosen[asked[j]];
+        for (std::size_t j = 0; j < probe_targets.size(); ++j) {
+            const std::size_t i = chosen[probe_targets[j]];
             if (around.range_m[j] > 0.0f)
-                nearest[asked[j]] = std::min(nearest[asked[j]],
-                                             glm::distance(around.point(j), points.at(i, points.range_m[i])));
+                nearest[probe_targets[j]] =
+                    std::min(nearest[probe_targets[j]],
+                             glm::distance(around.point(j), points.at(i, points.range_m[i])));
         }
     }
     return nearest;

@@ -1,16 +1,19 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Everything that a card has to answer: do the suites pass there, how fast is every kernel beside the paper's own tracer and beside its
-# floor, and does a training end well. Runs from a source tree or from inside the bundle (tools/dev/bundle --tests), and needs nothing but
-# bash and awk.
+# Tests and measures a GPU: runs the test suites, measures every kernel against the tracer
+# of the paper and against its lower bound, and runs a training. Works in a source tree or
+# inside the bundle (tools/dev/bundle --tests). Needs only bash and awk.
 #
-#   tools/bench/card.sh [--out DIR] [--minutes N] [--only PART] [--repeat N] [--surfels-max N] [relidar options, such as --device 0]
+#   tools/bench/card.sh [--out DIR] [--minutes N] [--only PART] [--repeat N] [--surfels-max N]
+#                       [relidar options, such as --device 0]
 #
-# PART is suites, bench or demo, for machines that are lent for some minutes at a time. A step that fails or takes too long is named, with
-# what it found and expected, and the next one begins; a summary comes last, and the exit code is 1 where a step failed.
-# RELIDAR=FILE and RELIDAR_DEV=FILE choose the programs, RELIDAR_TESTS=DIR the folder of the suites. DIR keeps the logs and the JSON of every case. The peer's
-# numbers are its own, from an NVIDIA H200: on another device the columns of ratios say nothing.
+# PART is suites, bench or demo, for machines that are available for only a few minutes. A
+# step that fails or takes too long is reported with the found and expected values, and
+# the next step starts. The last output is a summary; the exit code is 1 if a step failed.
+# RELIDAR=FILE and RELIDAR_DEV=FILE select the programs, RELIDAR_TESTS=DIR the folder of
+# the suites. DIR receives the logs and the JSON of every case. The numbers of the other
+# tracer were measured on an NVIDIA H200, so on another device the ratios have no meaning.
 set -euo pipefail
 here=$(cd "$(dirname "${BASH_SOURCE[0]}")" && pwd)
 out="" minutes=25 only="" repeat=15 surfels_max=1000000 options=()
@@ -29,7 +32,7 @@ fail() { printf 'card: %s\n' "$*" >&2; exit 1; }
 wants() { [[ -z $only || $only == "$1" ]]; }
 deadline=$(awk -v minutes="$minutes" 'BEGIN {printf "%d", minutes * 60}')
 
-# First of some paths that there is; nothing where there is none.
+# Prints the first of the given paths that exists, or nothing.
 first_of() {
     local candidate
     for candidate; do
@@ -46,7 +49,8 @@ trap 'rm -rf "$scratch"' EXIT
 [[ -n $out ]] || out=$scratch/out
 mkdir -p "$out"
 
-# What a log says of failures, with the numbers: of a suite each assertion's lines, of the program its message.
+# Prints the failures in a log with their numbers: all lines of each failed assertion of a
+# suite, or the error message of the program.
 findings() {
     printf '\n'
     grep -E 'Failure|FAILED|^Expected|actual:|^The difference|evaluates to|^Which is|relidar:|terminate|validation:' "$1" |
@@ -54,7 +58,8 @@ findings() {
 }
 
 summary=() failed=0
-# step <name> <most seconds> <command...>: its output goes to a log, its end to the summary. Returns the command's exit code.
+# step <name> <most seconds> <command...>: writes the output of a command to a log and its
+# result to the summary. Returns the exit code of the command.
 step() {
     local name=$1 limit=$2 rc=0 start=$SECONDS left=$((deadline - SECONDS)) result=ok
     shift 2
@@ -72,7 +77,8 @@ step() {
     return "$rc"
 }
 
-# Suites that use the device, with each traversal that it has. Arguments: NAME:SECONDS, what each may take at most.
+# Runs the suites that use the device, once for each of its traversals. Arguments:
+# NAME:SECONDS with the maximum duration of each suite.
 suites() {
     local suite limit traversal
     [[ -n $tests ]] || { summary+=("suites: not run, no tests beside the program (tools/dev/bundle --tests, or build preset ci)"); return 0; }
@@ -85,13 +91,14 @@ suites() {
     done
 }
 
-# Median of a kernel or phase in a bench JSON (one key a line); 0 where it did not run. Arguments: file, pattern of names, summed.
+# Prints the median of a kernel or phase in a benchmark's JSON (one key per line), or 0 if
+# it did not run. Arguments: file, pattern of the names that are summed.
 median() {
     awk -v name="^ *\"($2)\": [{]" '$0 ~ name {inside = 1} inside && /"median":/ {gsub(/[^0-9.e+-]/, "", $2); sum += $2; inside = 0} END {printf "%.3f", sum}' "$1"
 }
 number() { awk -v name="^ *\"$2\":" '$0 ~ name {gsub(/[",]/, "", $2); print $2; exit}' "$1"; }
 
-# scene surfels rays | build forward backward iteration MiB of the peer
+# scene surfels rays | build forward backward iteration MiB of the other tracer
 readonly kPeer="
 A 100000 waymo 3.2 12.2 16.1 36.1 1195
 A 100000 kitti 3.3 8.8 11.2 27.2 1199
@@ -105,7 +112,8 @@ B 1000000 waymo 12.4 21.4 25.1 64.2 3547
 B 1000000 kitti 12.3 15.6 18.3 51.9 3499
 C 400000 waymo 6.1 10.2 13.6 33.3 1965"
 
-# Every kernel and phase of a bench JSON: median, floor and their ratio.
+# Prints every kernel and phase of a benchmark's JSON: median, lower bound and their
+# ratio.
 kernels() {
     awk '/^ "(kernels|phases)_ms": [{]/ {inside = 1; next} /^ [}]/ {inside = 0}
          inside && /": [{]$/ {gsub(/[":{ ]/, ""); name = $0}
@@ -121,7 +129,7 @@ traversals=(software)
 if "$relidar" list devices --json | grep -q '"ray_query": true'; then traversals+=(ray_query); fi
 if wants suites; then suites traversal:60 accel:60 forward:60 backward:200; fi
 
-# How fast every kernel is.
+# Measures the speed of every kernel.
 bench() {
     local scene surfels rays build forward backward iteration memory file peak largest_A="" largest_B="" chunk walk
     if command -v nvidia-smi >/dev/null; then nvidia-smi -L; fi
@@ -146,11 +154,12 @@ bench() {
         kernels "$file"
     done
 
-    # The whole training program at KITTI size: wall clock of real steps, scaled to the paper's 30 000.
+    # The complete training program at KITTI size: wall time of real steps, scaled to the
+    # paper's 30,000 steps.
     file=$out/B_400000_kitti.json
     [[ ! -e $file ]] || awk -v wall="$(median "$file" iteration_wall)" 'BEGIN {printf "\n30 000 iterations at KITTI size (B 400k, 66 x 1030, wall clock of an iteration %.2f ms): %.1f minutes; the peer 30 to 50; aim 3\n", wall, wall * 30000 / 60000}'
 
-    # What chunk and walk are best here: forward and backward of the two largest cases.
+    # Finds the best chunk and walk: forward and backward pass of the two largest cases.
     printf '\n%-30s %12s %12s   (ms)\n' 'chunk, walk' 'forward' 'backward'
     for scene in B A; do
         for chunk in 16 32 64; do
@@ -168,7 +177,8 @@ if wants bench; then bench; fi
 if wants suites; then suites gpu:60 scene:90 loss:60 optimizer:60 densify:90 refine:90 render:60 train:400; fi
 if wants demo; then
     step demo 150 "$relidar" demo --out "$out/demo" "${options[@]}" && tail -n 30 "$out/demo.log" || true
-    # What a simulation gets from its run, one by one and side by side, and what a step of training costs there, kernel by kernel.
+    # Measures the scans per second of a simulation, with one scan and with several scans
+    # at a time, and the kernels of a training step.
     for part in "scans --scans 200" "together --scans 200 --together 4" "steps --steps 50"; do
         [[ -d $out/demo/run ]] || continue
         read -r -a words <<<"$part"
@@ -176,7 +186,7 @@ if wants demo; then
         step "$name" 60 "$relidar_dev" bench --run "$out/demo/run" "${words[@]:1}" --json "$out/$name.json" "${options[@]}" &&
             tail -n 40 "$out/$name.log" || true
     done
-    rm -rf "$out/demo"   # the scans and pictures; its table is in the log
+    rm -rf "$out/demo"   # Removes the scans and pictures. The table is in the log.
 fi
 
 printf '\nsummary\n'

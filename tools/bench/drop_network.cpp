@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_drop_network: milliseconds of a training step and of an inference of the
-// ray-drop network, and of a step's kernels, and the device memory that training takes.
+// relidar_bench_drop_network: measures a training step and an inference of the ray-drop
+// network, the kernels of a step, and the device memory of training.
 #include <algorithm>
 #include <string>
 #include <vector>
@@ -19,13 +19,13 @@ using namespace relidar;
 
 template <class Work>
 double median_ms(int repeat, Work&& work) {
-    work();  // warm up
+    work();  // Warm-up run, not timed.
     std::vector<double> ms;
     for (int i = 0; i < repeat; ++i) ms.push_back(milliseconds_of(work));
     return median(ms);
 }
 
-/// Kernels of a step by what they take in all, the dearest first.
+/// Prints the kernels of a step by total time, the slowest first.
 void print_kernels(const KernelTimes& times, int steps) {
     std::vector<std::pair<double, std::string>> rows;
     for (const auto& [name, ms] : times.milliseconds) {
@@ -39,9 +39,11 @@ void print_kernels(const KernelTimes& times, int steps) {
 }
 
 void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows, int columns, int repeat) {
-    Device device(from_environment(chosen));  // its own, so that the peak is of these images
+    // A separate device for each image size, so that the memory peak belongs to this
+    // size.
+    Device device(from_environment(chosen));
     MeasuredDropNetwork network(device, options, rows, columns);
-    // of training
+    // Measured during training.
     const double step = median_ms(repeat, [&] { network.step(); }),
                  peak_mib = double(device.peak_bytes()) / 0x1p20;
     const double infer = median_ms(repeat, [&] { network.infer(); }), giga = 1e-6 * network.operations();

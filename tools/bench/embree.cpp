@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_embree: the image of `relidar-dev bench` rendered by Embree on the host,
-// as a yardstick for the software traversal. The same surfels, rays, order and blending
-// (docs/method.md M1-M5, Eq. 2-4), single precision, two threads: an intersection filter
-// puts candidates into a sorted buffer of `chunk` hits and shortens the ray once it is
-// full.
+// relidar_bench_embree: renders the image of `relidar-dev bench` with Embree on the host,
+// as a reference for the speed of the software traversal. Surfels, rays, order and
+// blending are the same (docs/method.md M1-M5, Eq. 2-4), in single precision on two
+// threads. An intersection filter inserts candidates into a sorted buffer of `chunk`
+// hits. It shortens the ray when the buffer is full.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -37,9 +37,9 @@ using Context = RTCIntersectContext;
 #endif
 
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
-constexpr float kGrow = 1.002f, kPad_m = 1e-4f;  // of proxies, as AccelOptions
+constexpr float kGrow = 1.002f, kPad_m = 1e-4f;  // Margins of the proxies, as in AccelOptions.
 
-/// A surfel as a hit reads it, and its channels' coefficients.
+/// Data of a surfel for blending a hit, with the coefficients of its channels.
 struct Record {
     glm::vec3 mean;
     float opacity;
@@ -59,7 +59,8 @@ struct World {
     std::vector<float> sh;
 };
 
-/// One pass of one ray; the context Embree hands to the filter is its first member.
+/// State of one pass of a ray. The first member is the context that Embree passes to the
+/// filter.
 struct Query {
     Context context;
     const World* world;
@@ -80,7 +81,7 @@ struct Query {
         if (!(hit.alpha >= world->model.alpha_min) || !before(after, hit)) return;
         int slot = n;
         while (slot > 0 && before(hit, hits[slot - 1])) --slot;
-        // a split quad is met twice
+        // A quad that Embree has split is hit twice.
         if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;
         n = std::min(n + 1, chunk);
         std::copy_backward(hits + slot, hits + n - 1, hits + n);
@@ -95,10 +96,11 @@ struct Query {
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     Query& query = *reinterpret_cast<Query*>(args->context);
     query.offer(RTCHitN_primID(args->hit, 1, 0));
-    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;  // accepted: the ray ends here
+    // An accepted hit ends the ray here.
+    args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;
 }
 
-/// Real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
+/// Evaluates real spherical harmonics of degree 3 (shaders/scene/gaussian/sh.glsl).
 void sh_basis(const glm::vec3& d, float* b) {
     const float x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
     const float values[16] = {0.28209479f,
@@ -175,7 +177,7 @@ private:
     int chunk_;
     World world_;
 
-    /// Record and proxy rectangle of a surfel (M1-M3).
+    /// Adds the record and the proxy rectangle of a surfel (M1-M3).
     void add(const Surfels& surfels, std::size_t i, glm::vec3* corners) {
         const glm::vec4 q = surfels.rotation[i];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
@@ -212,7 +214,8 @@ private:
 #endif
     }
 
-    /// @return false where the hit ends the ray instead
+    /// Blends a hit into a pixel.
+    /// @return false if the ray ends before this hit
     bool blend(const Hit& hit, const float* basis, Pixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
                     next = pixel.transmittance * (1.0f - alpha);
@@ -231,12 +234,12 @@ private:
     }
 
     static Pixel finished(Pixel pixel) {
-        pixel.drop_logit += pixel.transmittance;  // background
+        pixel.drop_logit += pixel.transmittance;  // Adds the background, whose drop logit is 1.
         return pixel;
     }
 };
 
-/// All rays, in blocks that threads take from a counter.
+/// Renders all rays in blocks. Threads take the next block from a shared counter.
 std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_threads) {
     constexpr std::size_t kBlock = 256;
     std::vector<Pixel> image(rays.size());
@@ -257,7 +260,7 @@ double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
 RayTable make_rays(const std::string& text) {
     int rows = 0, columns = 0;
-    // as relidar-dev bench
+    // Same rays as in relidar-dev bench.
     if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2)
         return make_benchmark_rays(rows, columns, 2.0, -24.9);
     return make_benchmark_rays(text);
@@ -284,7 +287,7 @@ int main(int argc, char** argv) {
     const Renderer renderer(make_benchmark_street(n_surfels, 20261120, scene == "B"), chunk,
                             fmt::format("threads={}", n_threads));
     const RayTable rays = make_rays(rays_name);
-    std::vector<Pixel> image = render(renderer, rays, n_threads);  // warm up
+    std::vector<Pixel> image = render(renderer, rays, n_threads);  // Warm-up run, not timed.
     std::vector<double> wall, cpu;
     for (int i = 0; i < repeat; ++i) {
         const auto start = std::chrono::steady_clock::now();

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_footprints: what sub-rays and second returns are worth, on a trained
-// synthetic street. Truth is the street itself, cast with a cone of 64 exact rays for
-// each beam, whose returns are told apart by brute force here. Compared at beams that
-// straddle an edge: the first return's error, how often it lies in the air between two
-// surfaces, and second returns found, missed and invented.
+// relidar_bench_footprints: measures the benefit of sub-rays and second returns on a
+// trained synthetic street. The ground truth casts a cone of 64 exact rays for each beam
+// into the street and separates its returns by brute force. Only beams at edges are
+// compared: the error of the first return, its share between two surfaces, and the
+// numbers of correct, missed and false second returns.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -27,17 +27,19 @@ using namespace relidar;
 constexpr int kCone = 64;
 constexpr double kGolden_rad = 2.399963229728653;
 constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f;
-// a range farther than this from every surface of the footprint lies in the air
+// A point floats in the air if its range differs from all surfaces of the footprint by
+// more than this.
 constexpr float kOnSurface_m = 0.3f;
 
 struct Return {
     float range_m = 0.0f, light = 0.0f;
 };
 
-/// What one beam meets, nearest first.
+/// Returns of one beam, nearest first.
 using Returns = std::vector<Return>;
 
-/// @param divergence_rad  of all rays; 0: each ray's own
+/// Replaces each ray by a cone of rays.
+/// @param divergence_rad divergence of all beams; 0: the divergence of each ray
 RayTable cone_rays(const RayTable& rays, double divergence_rad) {
     RayTable cone;
     cone.rows = rays.rows;
@@ -60,29 +62,30 @@ RayTable cone_rays(const RayTable& rays, double divergence_rad) {
     return cone;
 }
 
-/// Returns of beam `ray`: cone rays that are connected by steps below the separation.
+/// Separates the returns of beam `ray`. Cone rays belong to the same return if their
+/// ranges are connected by steps below the separation.
 Returns returns_of(const Scan& cone, std::size_t ray) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i)
         if (cone.range_m[i] > 0.0f) hits.emplace_back(cone.range_m[i], std::max(cone.intensity[i], 1e-3f));
     std::sort(hits.begin(), hits.end());
-    Returns found;
+    Returns returns;
     float last_m = -1e9f;
     for (const auto& [range_m, light] : hits) {
-        if (range_m - last_m >= kSeparation_m) found.push_back({});
-        found.back().range_m += range_m * light;
-        found.back().light += light;
+        if (range_m - last_m >= kSeparation_m) returns.push_back({});
+        returns.back().range_m += range_m * light;
+        returns.back().light += light;
         last_m = range_m;
     }
-    for (Return& r : found) r.range_m /= r.light;
-    return found;
+    for (Return& r : returns) r.range_m /= r.light;
+    return returns;
 }
 
 struct Truth {
     Returns returns;
-    float first_m = 0.0f;   ///< 0: the beam is dropped
-    float second_m = 0.0f;  ///< 0: there is none
-    bool edge = false;      ///< two surfaces with a tenth of the light each
+    float first_m = 0.0f;   ///< 0: the beam is dropped.
+    float second_m = 0.0f;  ///< 0: no second return.
+    bool edge = false;      ///< True if two surfaces each receive at least a tenth of the light.
 };
 
 Truth truth_of(const Scan& cone, std::size_t ray) {

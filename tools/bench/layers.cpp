@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_layers: convolutions 3x3 of the ray-drop network on the device and by
-// oneDNN on the host, in turn in one process, forward, by the input and by the weights.
-// oneDNN chooses its own layouts, in which its values already lie; the columns that make
-// a ring of the image's are there, too. Times by the wall, and of all cores in this
-// process, where a GPU's is not counted. OMP_WAIT_POLICY=passive keeps oneDNN's threads
-// from spinning in the device's turn.
+// relidar_bench_layers: compares 3x3 convolutions of the ray-drop network on the device
+// with oneDNN on the host. Runs the forward pass and the derivatives by input and by
+// weights, alternately in one process. oneDNN chooses its own layouts, and its inputs
+// already have these layouts and the padding columns that close the image to a ring.
+// Prints wall times and processor times of this process, which do not include GPU time.
+// Set OMP_WAIT_POLICY=passive to stop oneDNN's threads from spinning while the device is
+// measured.
 #include <onednn_primitive.hpp>
 
 #include <cmath>
@@ -27,7 +28,7 @@ namespace {
 using namespace relidar;
 using dnnl::algorithm, dnnl::memory;
 
-/// The same convolution by oneDNN.
+/// The same convolution with oneDNN.
 class HostConvolution {
 public:
     explicit HostConvolution(const ConvolutionSize& size)
@@ -58,7 +59,8 @@ public:
                      {DNNL_ARG_DIFF_WEIGHTS, filled(by_weights.diff_weights_desc())}}}};
     }
 
-    /// @param pass  0 forward, 1 by the input, 2 by the weights
+    /// Runs one pass.
+    /// @param pass 0: forward, 1: derivative by the input, 2: derivative by the weights
     void run(std::size_t pass) {
         passes_[pass].primitive.execute(stream_, passes_[pass].arguments);
         stream_.wait();
@@ -86,7 +88,7 @@ private:
     }
 };
 
-/// Milliseconds of each run.
+/// Milliseconds of each repetition.
 struct Times {
     std::vector<double> wall, cpu;
 
@@ -97,8 +99,8 @@ struct Times {
     }
 };
 
-/// One line: milliseconds by the wall, milliseconds and GFLOP/s by processor time, of the
-/// device and of oneDNN.
+/// Prints one line for the device and oneDNN: wall time, processor time, and GFLOP/s of
+/// processor time.
 void print(const ConvolutionSize& size, const char* pass, const Times& device, const Times& host) {
     const double of_device = median(device.cpu), of_host = median(host.cpu),
                  wall_device = median(device.wall), wall_host = median(host.wall),
@@ -120,7 +122,7 @@ void measure(Device& device, const ConvolutionSize& size, int repeat) {
         {"by weights", [&] { on_device.by_weights(); }}};
     for (std::size_t pass = 0; pass < passes.size(); ++pass) {
         const auto host = [&] { on_host.run(pass); };
-        passes[pass].second(), host();  // warm up
+        passes[pass].second(), host();  // Warm-up run, not timed.
         Times of_device, of_host;
         for (int i = 0; i < repeat; ++i) of_device.add(passes[pass].second), of_host.add(host);
         print(size, passes[pass].first, of_device, of_host);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_rig: a run trained on a synthetic street that a rig has logged: each
-// LiDAR's held-out sweeps against the street itself, cast along the same rays, by exact
-// ones or by cones where the LiDAR has two returns; and another sensor in the place of
-// the first LiDAR.
+// relidar_bench_rig: scores a run that was trained on a synthetic street recorded by a
+// rig. Compares the held-out sweeps of each LiDAR with rays cast into the exact street;
+// LiDARs with two returns use cones of rays. Also scores another sensor in place of the
+// first LiDAR.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -26,7 +26,7 @@ using namespace relidar;
 constexpr float kOnSurface_m = 0.3f;
 
 struct Score {
-    std::vector<double> errors_m;  ///< of rays that return in truth and rendering
+    std::vector<double> errors_m;  ///< Errors of rays that return in both the truth and the rendering.
     double squares = 0.0;
     std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, seconds = 0, found = 0,
                 reported = 0, invented = 0;
@@ -36,9 +36,10 @@ double percent(std::size_t part, std::size_t whole) {
     return whole ? 100.0 * double(part) / double(whole) : 0.0;
 }
 
-/// What a scan says of each ray, rendered or cast.
+/// Ranges of each ray of a rendered or cast scan.
 struct Returns {
-    std::vector<float> range_m, second_m;  ///< [rays] 0: none; `second_m` empty without second returns
+    /// [rays] 0: no return. `second_m` is empty without second returns.
+    std::vector<float> range_m, second_m;
 };
 
 Returns returns_of(const RenderedScan& scan) {
@@ -55,7 +56,8 @@ Returns returns_of(const Scan& scan) {
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
-/// @param truth  with the second returns there are, those of a tenth of the light
+/// Scores the second returns.
+/// @param truth its second returns have at least a tenth of the light
 void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t i) {
     const float is_m = truth.second_m[i], found_m = scan.second_m[i];
     const bool right =
@@ -95,8 +97,8 @@ std::string row(const std::string& name, Score& s) {
                        percent(s.drops_right, s.rays), seconds);
 }
 
-/// The street as the sensor has it, exactly: beams of two returns as cones. @param
-/// aside_m  how far to the left of its place, and above
+/// Casts the exact scan of the sensor into the street. Beams with two returns are cones.
+/// @param aside_m shift of the sensor to the left and upwards
 Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s,
              const SensorChoice& sensor, float aside_m = 0.0f) {
     for (glm::vec3& origin : rays.origin) origin += aside_m * glm::vec3(0.0f, 1.0f, 1.0f);
@@ -106,8 +108,8 @@ Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& tra
     return returns_of(scan);
 }
 
-/// A sensor that the log does not have, in the place of its first LiDAR on the held-out
-/// sweeps.
+/// Scores a sensor that the log does not have, in place of its first LiDAR, on the
+/// held-out sweeps.
 void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street,
                const std::string& name) {
     const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);

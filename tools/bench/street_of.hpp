@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street that a run was trained on.
+// Reads the options of the synthetic street that a run was trained on.
 #pragma once
 
 #include <string>
@@ -9,7 +9,8 @@
 
 namespace relidar {
 
-/// @throws DataError where the run's log is no street.toml
+/// Returns the options of the street of a run.
+/// @throws DataError if the log of the run is not a street.toml
 inline SyntheticOptions street_of(const Run& run) {
     const std::string dataset = run.config.dataset.path, prefix = "synthetic:";
     return read_synthetic(dataset.starts_with(prefix) ? dataset.substr(prefix.size()) : dataset);

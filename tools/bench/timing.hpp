@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What benchmarks say of repeated runs.
+// Statistics of repeated measurements.
 #pragma once
 
 #include <algorithm>
@@ -8,13 +8,14 @@
 
 namespace relidar {
 
-/// @param values  one at least
+/// Returns the median.
+/// @param values at least one value
 inline double median(std::vector<double> values) {
     std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());
     return values[values.size() / 2];
 }
 
-/// By the wall.
+/// Returns the wall time of some work.
 template <class Work>
 double milliseconds_of(Work&& work) {
     const auto start = std::chrono::steady_clock::now();

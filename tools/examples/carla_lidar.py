@@ -1,20 +1,23 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""A LiDAR of a trained scene that follows the ego vehicle and the traffic of a CARLA world, through `relidar serve`.
+"""Simulates a LiDAR in a trained scene through `relidar serve`. The sensor follows the ego vehicle,
+and actors follow the traffic of a CARLA world.
 
     relidar serve RUN --assets FOLDER &
     tools/examples/carla_lidar.py 127.0.0.1:50051 --out scans [--ego hero] [--sensor VLP-32C] [--mount 0,0,1.8,0]
 
-Every vehicle and walker but the ego becomes the actor or asset of the scene that is nearest to it in size, and goes with it. Each scan is a
-file FRAME.bin of float32 x, y, z, intensity as CARLA's own LidarMeasurement.raw_data has them: in the sensor's frame, y to the right.
+Each vehicle and walker except the ego vehicle becomes the actor or asset of the scene that is most
+similar in size, and moves it. Each scan is a file FRAME.bin of float32 x, y, z, intensity in the
+layout of CARLA's LidarMeasurement.raw_data: in the sensor's frame, with y to the right.
 
-Frames. CARLA's are left-handed: x forward, y to the right, z up, and yaw turns to the right. Relidar's are right-handed: x forward, y to
-the left, z up. Both are taken to each other by turning the sign of y: with M = diag(1, -1, 1), a point p becomes M p and a rotation R
-becomes M R M, so a yaw of 30 degrees to the right is one of -30 degrees. Nothing else changes; no Euler angles are needed, as a transform
-of CARLA gives its matrix. --dataset-from-carla says where CARLA's map lies in the dataset's world: right-handed x,y,z in metres and yaw in
-degrees, to the left, of the map's origin.
+Frames: CARLA uses left-handed frames, with x forward, y right, z up, and yaw to the right. Relidar
+uses right-handed frames, with x forward, y left, z up. Changing the sign of y converts between them:
+with M = diag(1, -1, 1), a point p becomes M p and a rotation R becomes M R M. A yaw of 30 degrees to
+the right becomes a yaw of -30 degrees. Euler angles are not needed, because a CARLA transform provides
+its matrix. --dataset-from-carla is the pose of the origin of CARLA's map in the dataset's world, which
+is right-handed: x,y,z in metres and yaw to the left in degrees.
 
-Needs carla, and what closed_loop_client.py needs.
+Needs carla and the packages of closed_loop_client.py.
 """
 import argparse
 import pathlib
@@ -24,12 +27,12 @@ import numpy as np
 
 from closed_loop_client import v1, v1_grpc
 
-MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])   # left-handed to right-handed and back
-NEARLY = 1e-6   # seconds, of a period that is made of ticks
+MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])   # Converts between left-handed and right-handed frames.
+NEARLY = 1e-6   # Tolerance in seconds for a period that consists of ticks.
 
 
 def right_handed(transform):
-    """[4,4] of a carla.Transform."""
+    """Returns the [4,4] matrix of a carla.Transform."""
     return MIRROR @ np.array(transform.get_matrix()) @ MIRROR
 
 
@@ -84,7 +87,7 @@ class Traffic:
             self.names.update({id: f"carla {id}" for id in new})
 
     def model_of(self, actor):
-        extent = actor.bounding_box.extent   # half of the size
+        extent = actor.bounding_box.extent   # Half of the size.
         wanted = 2 * np.array([extent.x, extent.y, extent.z])
         return min(self.models, key=lambda model: abs(model[0] - wanted).sum())[1]
 
@@ -102,7 +105,9 @@ class CarlaLidar:
         self.dataset_from_carla = pose_matrix(*options.dataset_from_carla)
         self.ego_from_sensor = pose_matrix(*options.mount)
         self.ego = None
-        self.history = []   # since the sweep began: time, pose of the sensor, poses of actors by their id
+        # Since the start of the sweep: time, pose of the sensor, poses of actors by their
+        # id.
+        self.history = []
 
     def find_ego(self):
         for actor in self.world.get_actors().filter("vehicle.*"):
@@ -130,14 +135,16 @@ class CarlaLidar:
         return points
 
     def render(self, others):
-        begin_s = self.scene.begin_s - self.history[0][0]   # the scene's clock: every sweep begins when the log does
+        # In the scene's time, every sweep begins when the log begins.
+        begin_s = self.scene.begin_s - self.history[0][0]
         path = [v1.TimedPose(time_s=begin_s + t, pose=pose_message(sensor)) for t, sensor, _ in self.history]
         tracks = [v1.ActorTrack(name=self.traffic.names[id], poses=[
             v1.TimedPose(time_s=begin_s + t, pose=pose_message(boxes[id])) for t, _, boxes in self.history if id in boxes]) for id in others]
         request = v1.RenderLidarRequest(scene=self.scene.name, sensor=v1.Sensor(name=self.options.sensor), path=path,
                                         actors=v1.ActorTracks(actors=tracks))
         points = self.service.RenderLidar(request, timeout=60).points
-        xyz = np.frombuffer(points.xyz_m, "<f4").reshape(-1, 3) * np.float32([1, -1, 1])   # to CARLA's hand
+        # Converts to CARLA's left-handed frame.
+        xyz = np.frombuffer(points.xyz_m, "<f4").reshape(-1, 3) * np.float32([1, -1, 1])
         return np.column_stack([xyz, np.frombuffer(points.intensity, "<f4")])
 
     def leave(self):

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A simulator in a loop at 10 Hz: it moves its own car and an actor of the run, and
-// brakes for what its simulated LiDAR sees. The car starts where the log's did; the actor
-// drives 25 m in front of it and brakes after two seconds.
+// A simulator that runs a closed loop at 10 Hz. It moves the ego car and an actor of the
+// run, and brakes depending on its simulated LiDAR. The ego car starts at the first pose
+// of the log. The actor drives 25 m in front of it and brakes after two seconds.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -35,7 +35,7 @@ int main(int argc, char** argv) try {
     const SensorChoice sensor = configured_sensor(run.config, run.sequence);
 
     Pose start = run.sequence.world_from_sensor(0).pose.front();
-    start.translation += run.sequence.world_offset_m;  // requests are in the dataset's world
+    start.translation += run.sequence.world_offset_m;  // Requests use the dataset's world frame.
     const auto ahead = [&](double metres, double up_m) {
         return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}};
     };
@@ -48,8 +48,8 @@ int main(int argc, char** argv) try {
             .dataset_from_actor = ActorPoses{
                 {actor,
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
-        // in the sensor's frame at t; where nothing waits for a scan, ask for the next
-        // one, too
+        // Points are in the sensor's frame at time t. A program that need not wait for
+        // the scan can request the next scan here.
         renderer.ask_points(sensor, request, t);
         const double gap_m = gap_ahead(renderer.take_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)

@@ -1,14 +1,16 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""A simulator in a loop at 10 Hz, as a client of `relidar serve`: it drives its own car and an actor of the scene, and brakes for what its
-simulated LiDAR sees. The car starts where the log's did; the actor drives 25 m in front of it and brakes after two seconds. It is the
-first of the scene, or an asset that is put there.
+"""A simulator that runs a closed loop at 10 Hz as a client of `relidar serve`. It moves the ego car and
+an actor of the scene, and brakes depending on its simulated LiDAR. The ego car starts at the first
+pose of the log. The actor drives 25 m in front of it and brakes after two seconds. The actor is the
+first one of the scene, or a spawned asset.
 
     relidar serve RUN [--assets FOLDER] &
     tools/examples/closed_loop_client.py [HOST:PORT [SENSOR [ASSET]]]
 
-Needs numpy, grpcio and protobuf (Debian: python3-numpy python3-grpcio python3-protobuf), and something that makes stubs of the proto:
-grpcio-tools of PyPI, or Debian's protobuf-compiler and protobuf-compiler-grpc.
+Needs numpy, grpcio and protobuf (Debian: python3-numpy python3-grpcio python3-protobuf). To generate
+stubs of the proto it also needs grpcio-tools of PyPI, or Debian's protobuf-compiler and
+protobuf-compiler-grpc.
 """
 import os
 import pathlib
@@ -21,8 +23,8 @@ import grpc
 import numpy as np
 
 PROTO = pathlib.Path(__file__).resolve().parents[1] / "serve/relidar/v1/render.proto"
-STEP_S, LANE_M, ACTOR_BRAKES, EGO_BRAKES = 0.1, 1.2, 4.0, 6.0   # seconds, metres, m/s2
-SENSOR_M = 1.73   # above the road, as KITTI's and the demo's
+STEP_S, LANE_M, ACTOR_BRAKES, EGO_BRAKES = 0.1, 1.2, 4.0, 6.0   # Seconds, metres, m/s2.
+SENSOR_M = 1.73   # Height above the road, as in KITTI and the demo.
 
 
 def make_stubs(folder):

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training with a loss of one's own: a robust one of ranges, log(1 + (error / 0.2 m)^2),
-// and cross-entropy of drops.
+// Trains with a user-defined loss: a robust loss of ranges, log(1 + (error / 0.2 m)^2),
+// and cross-entropy of ray drops.
 #include <cmath>
 #include <cstdio>
 
@@ -10,7 +10,8 @@
 
 using namespace relidar;
 
-/// Mean loss of all rays, and its derivative with respect to what they rendered.
+/// Returns the mean loss of all rays, and computes its derivatives by the rendered
+/// values.
 double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
     const std::size_t n = image.size();
     d = {std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
@@ -23,7 +24,8 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
         d.drop_logit[i] = (drop - (returned ? 0.0f : 1.0f)) / float(n);
         d.hit_logit[i] = -d.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
-        const float error = (image.depth[i] / weight - scan.range_m[i]) / 0.2f;  // range D / W
+        const float error =
+            (image.depth[i] / weight - scan.range_m[i]) / 0.2f;  // The range is D / W, depth over weight.
         loss += std::log1p(double(error) * double(error)) / double(n);
         d.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
         d.weight[i] = -d.depth[i] * image.depth[i] / weight;
@@ -43,7 +45,7 @@ int main(int argc, char** argv) try {
     RenderedGradients d;
     double first = 0.0, last = 0.0;
     for (int step = 1; step <= 40; ++step) {
-        // ten steps a frame
+        // Ten steps per frame.
         const Frame& frame =
             log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];
         WorldRays rays;

@@ -1,17 +1,18 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Drives the log's way through a trained scene and publishes what a LiDAR sees there: sensor_msgs/PointCloud2 from `relidar serve`, and the
-pose of the sensor on /tf.
+"""Moves a LiDAR along the log's path through a trained scene. Publishes the scans of `relidar serve` as
+sensor_msgs/PointCloud2, and the pose of the sensor on /tf.
 
     relidar serve RUN &
     tools/examples/ros2_lidar.py 127.0.0.1:50051 [--sensor OS1-128] [--topic /points] [--loop]
 
-A cloud is of one sweep and motion-compensated: its points (x, y, z, intensity as float32, ring as uint16) are in the sensor's frame at the
-header's stamp, which is the end of the sweep, and /tf has that frame's pose for the same stamp. So there is no time field: who compensates
-by one would do it twice. Stamps begin with the node's clock and go on as the log's do; a server that is slower than the sensor lets them
-fall behind, which is said once.
+Each cloud contains one motion-compensated sweep. Its points (x, y, z, intensity as float32, ring as
+uint16) are in the sensor's frame at the header's stamp, which is the end of the sweep. /tf has the
+pose of this frame for the same stamp. The cloud has no time field, because a subscriber could use it
+to compensate the motion a second time. Stamps start at the time of the node's clock and advance with
+the log. If the server is slower than the sensor, the stamps fall behind, and a warning is printed once.
 
-Needs rclpy with sensor_msgs, geometry_msgs, tf2_msgs, and what closed_loop_client.py needs.
+Needs rclpy with sensor_msgs, geometry_msgs, tf2_msgs, and the packages of closed_loop_client.py.
 """
 import argparse
 import time
@@ -77,7 +78,8 @@ class Sweeps:
         """@return v1.LidarScan, and the moment of its points in the log's time"""
         begin_s = self.path[0].time_s + number * self.period_s
         end_s = begin_s + self.period_s
-        first = max(0, np.searchsorted(self.times_s, begin_s, "right") - 1)   # from the pose before the sweep to the one after it
+        # Starts with the pose before the sweep and ends with the pose after it.
+        first = max(0, np.searchsorted(self.times_s, begin_s, "right") - 1)
         last = np.searchsorted(self.times_s, end_s, "left")
         request = v1.RenderLidarRequest(scene=self.scene.name, lidar=self.options.lidar, sensor=v1.Sensor(name=self.options.sensor),
                                         path=self.path[first:last + 1], time_s=0.5 * (begin_s + end_s), points_at_s=end_s)

@@ -1,10 +1,11 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""From a street to a scan nobody took: makes the demo's street, trains on it, renders, and plots. Cells start with `# %%`.
+"""Trains a scene on the demo's street, renders scans from a new pose, and plots them. Cells start with
+`# %%`.
 
     PYTHONPATH=build/ci/tools/python tools/examples/train_and_plot.py [FOLDER [ITERATIONS]]
 """
-# %% What goes where
+# %% Input and output paths
 import pathlib
 import sys
 
@@ -16,13 +17,14 @@ folder = pathlib.Path(sys.argv[1] if len(sys.argv) > 1 else "train_and_plot")
 iterations = int(sys.argv[2]) if len(sys.argv) > 2 else 300
 print("device:", relidar.Device().info.name)
 
-# %% A log: the synthetic street that `relidar demo` trains on; a path to a KITTI drive does as well
+# %% A log: the synthetic street that `relidar demo` trains on; the path of a KITTI drive
+# also works
 relidar.save_street(folder / "street", n_frames=12)
 config = relidar.Config("quick", {"train.iterations": iterations, "train.log_every": max(1, iterations // 6), "init.scale_factor": 0.6})
 log = relidar.load_sequence(folder / "street", config)
 print(f"{log.name}: {len(log)} frames, boxes {', '.join(log.boxes)}")
 
-# %% Training, with a line now and then
+# %% Training, with a progress line from time to time
 def show(line):
     print(f"iteration {line.iteration}/{line.n_iterations}  loss {line.loss:.4f}  {line.n_surfels} surfels")
 
@@ -30,22 +32,22 @@ def show(line):
 run = relidar.train(log, config, callback=show)
 run.save(folder / "run", overwrite=True)
 
-# %% How good it is on the frames that it never saw
+# %% Scores of the held-out frames
 scores = relidar.evaluate(run, log)["mean"]
 for metric in ("strict/depth_medae_m", "strict/depth_rmse_m", "strict/drop_accuracy"):
     print(metric, round(scores[metric], 4))
 
-# %% A scan from 2 m to the left and 1 m up, with a car taken out
+# %% A scan from 2 m to the left and 1 m up, with a car removed
 position = run.held_out[0]
 times, poses = run.trajectory
 track = next(iter(run.actors))
 scan = run.edit().remove(track).run().render(time=times[position], pose=poses[position] @ relidar.pose(0, 2, 1))
 
-# %% Pictures: range, intensity and drop probability, of the real scan and of the simulated one
+# %% Pictures: range, intensity and drop probability of the real and of the simulated scan
 relidar.write_picture(folder / "real.png", log.scan(position))
 relidar.write_picture(folder / "simulated.png", scan)
 
-# %% Points, and a view from above where matplotlib is installed
+# %% Points, and a view from above if matplotlib is installed
 returned = (scan["drop_prob"] < 0.5) & (scan["median_range"] > 0)
 points = scan["points"][returned]
 np.save(folder / "points.npy", points)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Addresses as users type them: 127.0.0.1:50051, [::1]:50051, localhost:50051.
+// Parses addresses as users type them: 127.0.0.1:50051, [::1]:50051, localhost:50051.
 #pragma once
 
 #include <charconv>
@@ -14,13 +14,14 @@ namespace relidar {
 inline constexpr int kLastPort = 65535;
 
 struct HostPort {
-    std::string host;  ///< without the brackets of an IPv6 address
+    std::string host;  ///< Without the brackets of an IPv6 address.
     int port = 0;
 };
 
-/// @param what  the option that messages name @param first_port  0 if any free port may
-/// be taken, otherwise 1
-/// @throws UsageError if the text is no HOST:PORT with such a port
+/// Parses HOST:PORT.
+/// @param what name of the option, for messages
+/// @param first_port 0 if port 0 may select a free port, otherwise 1
+/// @throws UsageError if the text is not HOST:PORT with a valid port
 inline HostPort parse_host_port(const std::string& text, const std::string& what, int first_port) {
     const auto fail = [&] {
         throw UsageError(fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}", what,

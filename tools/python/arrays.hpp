@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Between numpy and the library. Out: a vector's values become an array without a copy.
-// In: an array's values are read where they lie, so dtype, shape and order must be as
-// they are named; nothing is converted behind the caller's back.
+// Conversions between numpy arrays and the library. A returned vector becomes an array
+// without a copy. An argument array is read in place, so dtype, shape and order must
+// match exactly; nothing is converted implicitly.
 #pragma once
 
 #include <span>
@@ -17,10 +17,10 @@ namespace relidar::python {
 namespace py = pybind11;
 
 using Shape = std::vector<py::ssize_t>;
-inline constexpr py::ssize_t kAny = -1;  ///< any length, in the shape that is expected of an array
+inline constexpr py::ssize_t kAny = -1;  ///< Any length, in the expected shape of an array.
 
-/// An array that owns the vector's values: they are moved. @tparam Number  of which an
-/// element has one or more
+/// Returns an array that takes ownership of the vector's values.
+/// @tparam Number element type of the array; an Element consists of one or more Numbers
 template <class Number, class Element>
 py::array owned(std::vector<Element>&& values, const Shape& shape) {
     auto* kept = new std::vector<Element>(std::move(values));
@@ -28,7 +28,7 @@ py::array owned(std::vector<Element>&& values, const Shape& shape) {
     return py::array(py::dtype::of<Number>(), shape, kept->data(), owner);
 }
 
-/// A read-only array over values that `owner` keeps alive.
+/// Returns a read-only array over values that `owner` keeps alive.
 template <class Number, class Element>
 py::array view(const std::vector<Element>& values, const Shape& shape, const py::handle& owner) {
     py::array array(py::dtype::of<Number>(), shape, values.data(), owner);
@@ -36,18 +36,20 @@ py::array view(const std::vector<Element>& values, const Shape& shape, const py:
     return array;
 }
 
-/// An array of an npz as numpy reads it.
+/// Returns an array of an npz file as a numpy array.
 py::array to_numpy(NamedArray&& array);
-/// All arrays of an npz, by name.
+/// Returns all arrays of an npz file by name.
 py::dict to_dict(std::vector<NamedArray>&& arrays);
 
-/// @throws DataError naming what was found where the object is no array of this dtype,
-/// shape and C order
+/// Checks the type of a numpy array.
+/// @throws DataError that states what was found, if the object is not an array of this
+/// dtype, shape and C order
 void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,
                  const Shape& shape);
 
-/// The values of a C-ordered array, where they lie. @param what  is read, for the message
-/// @param shape  of the array; kAny for any length
+/// Returns the values of a C-ordered array without a copy.
+/// @param what name of the values, for error messages
+/// @param shape expected shape; kAny for any length
 /// @throws DataError as check_array()
 template <class Number>
 std::span<const Number> values_of(const py::handle& object, const std::string& what, const Shape& shape) {
@@ -56,7 +58,7 @@ std::span<const Number> values_of(const py::handle& object, const std::string& w
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
 
-/// The same copied into a vector whose elements hold one Number or more.
+/// Copies the values into a vector whose elements consist of one or more Numbers.
 template <class Number, class Element>
 std::vector<Element> copied(const py::handle& object, const std::string& what, const Shape& shape) {
     const std::span<const Number> values = values_of<Number>(object, what, shape);

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the library calls back into Python, from work during which other threads run
-// Python.
+// Calls from the library into Python during work that has released the interpreter lock.
 #pragma once
 
 #include <exception>
@@ -17,11 +16,12 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// What Python gives to be told of progress: what is done, and its share.
+/// Python callback for progress: receives the name of the step and the finished share.
 using Tell = std::optional<std::function<void(const std::string&, double)>>;
 
-/// The same for the library. What is raised there, KeyboardInterrupt too, leaves the
-/// library at once: for work that may be left anywhere.
+/// Wraps a Python callback as a Progress of the library. Exceptions of the callback,
+/// including KeyboardInterrupt, leave the library immediately. Use it only for work that
+/// may be aborted anywhere.
 inline Progress told_to(const Tell& tell) {
     return [&tell](std::string_view what, double done) {
         const py::gil_scoped_acquire interpreter;
@@ -30,11 +30,12 @@ inline Progress told_to(const Tell& tell) {
     };
 }
 
-/// Calls into Python from within the library. The first exception there, Ctrl-C's too,
-/// ends the work in order; it is raised again after it.
+/// Calls into Python from the library. After the first exception, including Ctrl-C, the
+/// work stops in an orderly way. The exception is raised again afterwards.
 class PythonCalls {
 public:
-    /// @return false from the first exception on: the work is to stop
+    /// Calls a Python function and records its first exception.
+    /// @return false from the first exception on; the work must then stop
     template <class Call>
     bool operator()(Call&& call) {
         if (failure_) return false;
@@ -47,7 +48,7 @@ public:
         }
         return !failure_;
     }
-    /// Whether nothing was raised so far, Ctrl-C looked for.
+    /// Returns true if no exception was raised. Checks for Ctrl-C first.
     bool go_on() {
         return (*this)([] {});
     }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings from Python: names as in `relidar list settings`, values as Python has them.
+// Settings from Python. Names are those of `relidar list settings`; values are Python
+// values.
 #pragma once
 
 #include <string>
@@ -10,12 +11,12 @@
 
 namespace relidar::python {
 
-/// Sets one setting from a str, bool, int, float or path. @throws UsageError as
-/// set_key(), and for a value of another type
+/// Sets one setting from a str, bool, int, float or path.
+/// @throws UsageError as set_key(), and for a value of another type
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
-/// A note of the library as a warning of Python.
+/// Raises a note of the library as a Python warning.
 void warn(const std::string& text);
-/// Sets all of a dict.
+/// Sets all settings of a dict.
 void set_values(Config& config, const pybind11::dict& values);
 
 }  // namespace relidar::python

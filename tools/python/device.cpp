@@ -96,7 +96,7 @@ void add_device(py::module_& module) {
             "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); },
             "Most device memory held so far, bytes.")
         .def("__repr__", &shown);
-    // Devices close before the interpreter and the Vulkan loader go.
+    // Closes devices before the interpreter and the Vulkan loader shut down.
     py::module_::import("atexit").attr("register")(py::cpp_function([] { default_device().reset(); }));
 }
 

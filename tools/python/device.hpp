@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A device that several Python objects and threads share: it closes after the last of
-// them, and serves one thread at a time.
+// A device shared by several Python objects and threads. It is closed when its last user
+// releases it, and one thread uses it at a time.
 #pragma once
 
 #include <atomic>
@@ -17,26 +17,28 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// An open device and who uses it.
+/// An open device, its lock and the thread that uses it.
 struct OpenDevice {
     Device device;
     std::mutex in_use;
-    std::atomic<std::thread::id> user{};  ///< the thread that uses it now
+    std::atomic<std::thread::id> user{};  ///< Thread that currently uses the device.
 
     explicit OpenDevice(const DeviceOptions& options) : device(options) {}
 };
 using SharedDevice = std::shared_ptr<OpenDevice>;
 
-/// The given device; the default one, which is opened on first use, for null. @throws
-/// DeviceError as Device
+/// Returns the given device. For null, returns the default device, which is opened at its
+/// first use.
+/// @throws DeviceError as Device
 SharedDevice device_or_default(SharedDevice device);
 
-/// While this lives, its thread alone uses a device, and other threads run Python.
-/// Nothing of Python may be touched meanwhile.
+/// Reserves a device for the current thread and releases the interpreter lock during its
+/// lifetime. Python objects must not be accessed while this object exists.
 class DeviceUse {
 public:
-    /// @throws UsageError where this thread uses the device already: a callback calls
-    /// what it was called from
+    /// Waits until the device is free.
+    /// @throws UsageError if this thread already uses the device, because a callback
+    /// calls a function of the same device
     explicit DeviceUse(OpenDevice& device);
     ~DeviceUse();
     DeviceUse(const DeviceUse&) = delete;
@@ -44,11 +46,14 @@ public:
 
 private:
     OpenDevice& device_;
-    py::gil_scoped_release others_run_;  ///< first: who waits for a device must not hold the interpreter
+    /// Declared first, so that the interpreter lock is released before the thread waits
+    /// for the device.
+    py::gil_scoped_release others_run_;
     std::unique_lock<std::mutex> lock_;
 };
 
-/// Something made on a device, which is kept open for it and is free when it goes.
+/// An object made on a device. Keeps the device open and reserves it while the object is
+/// destroyed.
 template <class Made>
 class OnDevice {
 public:
@@ -63,7 +68,7 @@ public:
     }
     ~OnDevice() {
         if (!made_ || device_->user == std::this_thread::get_id())
-            return;  // a callback of a training drops a renderer: nothing runs just now
+            return;  // A training callback destroys a renderer. The device is idle at this point.
         const DeviceUse use(*device_);
         made_.reset();
     }

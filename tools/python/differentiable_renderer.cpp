@@ -18,11 +18,11 @@
 namespace relidar::python {
 namespace {
 
-/// The renderer with what shapes the arrays it takes and gives.
+/// A renderer with the sizes that determine the shapes of its arrays.
 struct HeldRenderer {
     OnDevice<DifferentiableRenderer> renderer;
-    std::vector<InstancePose> placed;  ///< [instances]
-    std::size_t n_rays = 0;            ///< of the last forward pass
+    std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
+    std::size_t n_rays = 0;            ///< Number of rays of the last forward pass.
 };
 
 std::unique_ptr<HeldRenderer> make_renderer(const Scene& scene, const std::optional<Config>& config,
@@ -59,9 +59,9 @@ void place(HeldRenderer& held, const py::object& poses, const py::object& view_o
                                         found, placed.size()));
     };
     if (!poses.is_none()) {
-        const std::vector<Pose> given = poses_of(poses, "poses");
-        check_count(given.size(), "poses");
-        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = given[i];
+        const std::vector<Pose> model_poses = poses_of(poses, "poses");
+        check_count(model_poses.size(), "poses");
+        for (std::size_t i = 0; i < placed.size(); ++i) placed[i].world_from_model = model_poses[i];
     }
     if (present) {
         check_count(present->size(), "present");

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits of a run, one after the other: run.edit().remove("0").move("1",
-// pose).save("edited").
+// Chained edits of a run: run.edit().remove("0").move("1", pose).save("edited").
 #include <filesystem>
 #include <functional>
 
@@ -21,26 +20,28 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A copy of a run with the edits so far.
+/// A copy of a run with all edits so far.
 struct Edits {
     Run run;
     SharedDevice device;
-    std::string origin;  ///< absolute path of the run that is edited; empty where it has none
+    std::string origin;  ///< Absolute path of the original run. Empty if it has no folder.
 
     explicit Edits(const LoadedRun& start) : run(start.run), device(start.device) {
         if (!run.folder.empty()) origin = fs::absolute(run.folder).lexically_normal().string();
         run.folder.clear();
     }
 
-    /// @param said  how the edit is told in scene.json
+    /// Applies an edit and adds it to the history.
+    /// @param said text of the edit in scene.json
     Edits& apply(const std::string& said, const std::function<DrivingScene(DrivingScene)>& edit) {
-        run.replace(edit(run.driving()));  // of a copy: a refused edit leaves what was there
+        // The edit works on a copy, so that a rejected edit changes nothing.
+        run.replace(edit(run.driving()));
         run.edits.push_back({origin, said});
         return *this;
     }
 
-    /// The same of an edit of an actor's times: warns of frames in which it is absent
-    /// afterwards.
+    /// Applies an edit of an actor's times, and warns about frames in which the actor is
+    /// now absent.
     Edits& apply_times(const std::string& said, const std::string& track,
                        const std::function<DrivingScene(DrivingScene)>& edit) {
         const BoxTrack* box = find_box(run.sequence, track);
@@ -98,7 +99,8 @@ std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool
 }  // namespace
 
 void add_edit(py::module_& module) {
-    const auto same = py::return_value_policy::reference;  // the same object again: edits are chained
+    // Each edit returns the same object, so that edits can be chained.
+    const auto same = py::return_value_policy::reference;
     py::class_<Edits>(module, "Edit",
                       "A copy of a run that is being edited. Each edit gives the same object back; run() or "
                       "save() ends it. Raises "

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The library's failures as Python exceptions, one to one. Each is also the built-in
-// exception that a caller would expect.
+// Translates each error of the library into a Python exception. Each exception is also a
+// subclass of the built-in exception that a caller would expect.
 #include <string>
 
 #include <relidar/base/error.hpp>
@@ -15,7 +15,7 @@ struct Types {
     py::object error, usage, data, device;
 };
 
-/// Never destroyed: exceptions may be raised until the interpreter has gone.
+/// Never destroyed, because exceptions may be raised until the interpreter has ended.
 Types& types() {
     static auto* const all = new Types;
     return *all;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Python module: the public faces of the library with numpy arrays. What the user
-// imports is relidar/__init__.py, which takes everything from here.
+// The Python module: the public interface of the library with numpy arrays. Users import
+// relidar/__init__.py, which re-exports everything.
 #include "module.hpp"
 
 PYBIND11_MODULE(_relidar, module) {

@@ -20,8 +20,8 @@ py::object get(const py::dict& scan, const char* name) {
     return scan[name];
 }
 
-/// The image of a scan, as Run.render() gives it or as a log has it: without drop_prob,
-/// where a range of 0 is a drop.
+/// Returns the image of a scan from Run.render() or from a log. A log's scan has no
+/// drop_prob; a range of 0 then means a dropped ray.
 RenderedScan image_of(const py::dict& scan) {
     const py::object range = get(scan, "range");
     check_array(range, "scan: range", py::dtype::of<float>(), {kAny, kAny});

@@ -12,9 +12,11 @@
 namespace relidar::python {
 namespace {
 
-constexpr double kRigid = 1e-4;  // what R^T R may differ from 1: files have six digits
+// Tolerance of R^T R relative to the identity, because files have six digits.
+constexpr double kRigid = 1e-4;
 
-/// @param m  16 numbers, row by row
+/// Returns the rigid pose of a 4x4 matrix and checks that its rotation is valid.
+/// @param m 16 numbers, row by row
 Pose rigid_pose(const double* m, const std::string& what) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
@@ -24,7 +26,8 @@ Pose rigid_pose(const double* m, const std::string& what) {
         fail("a matrix that is not finite");
     if (m[12] != 0.0 || m[13] != 0.0 || m[14] != 0.0 || m[15] != 1.0)
         fail(fmt::format("the last row {} {} {} {}", m[12], m[13], m[14], m[15]));
-    const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);  // GLM takes columns
+    // GLM expects columns.
+    const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
     const glm::dmat3 square = glm::transpose(rotation) * rotation;
     double worst = 0.0;
     for (int i = 0; i < 3; ++i)

@@ -26,7 +26,7 @@ namespace {
 namespace fs = std::filesystem;
 
 /// Arguments of Run.render().
-struct AskedScan {
+struct RenderArguments {
     py::object sensor, pose;
     std::optional<double> time;
     std::optional<py::dict> actors;
@@ -44,15 +44,16 @@ PointFrame frame_of(const std::string& name) {
     throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", name));
 }
 
-/// Poses of a LiDAR in the log, dataset's world.
+/// Returns the poses of a LiDAR of the log in the dataset's world frame.
 PoseTrack log_track(const Sequence& sequence, int lidar) {
     return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
-/// @throws UsageError for a time farther from all poses than some seconds: what moves
-/// would be extrapolated
+/// Checks that a time is near the poses of a track, because moving objects would be
+/// extrapolated.
+/// @throws UsageError if the time is more than `beside_s` outside the track
 void check_covered(const PoseTrack& track, double time_s, double beside_s, const std::string& what) {
-    // it stands, or the library refuses the time
+    // A single pose is constant, and the library rejects a time that is not finite.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - beside_s, end_s = track.time_s.back() + beside_s;
     if (time_s < begin_s || time_s > end_s)
@@ -61,7 +62,8 @@ void check_covered(const PoseTrack& track, double time_s, double beside_s, const
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {
-    constexpr double kBeside_s = 1.0;  // a sweep begins before and ends after its time
+    // Tolerance, because a sweep begins before and ends after its time.
+    constexpr double kBeside_s = 1.0;
     ActorPoses poses;
     for (const auto& [name, pose] : actors) {
         const std::string track = py::str(name);
@@ -72,7 +74,7 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
     return poses;
 }
 
-/// Number of the log's sweep that is nearest in time.
+/// Returns the number of the log's sweep that is nearest in time.
 int nearest_sweep(const Sequence& sequence, double time_s) {
     const auto farther = [&](const Frame& a, const Frame& b) {
         return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s);
@@ -80,7 +82,7 @@ int nearest_sweep(const Sequence& sequence, double time_s) {
     return std::min_element(sequence.frames.begin(), sequence.frames.end(), farther)->index;
 }
 
-ScanRequest request_of(const AskedScan& asked, const Run& run, int lidar) {
+ScanRequest request_of(const RenderArguments& asked, const Run& run, int lidar) {
     ScanRequest request;
     request.time_s = asked.time.value_or(run.sequence.frames.front().time_s);
     request.dataset_from_sensor =
@@ -91,7 +93,7 @@ ScanRequest request_of(const AskedScan& asked, const Run& run, int lidar) {
     return request;
 }
 
-py::dict render(LoadedRun& loaded, const AskedScan& asked) {
+py::dict render(LoadedRun& loaded, const RenderArguments& asked) {
     const Run& run = loaded.run;
     const int lidar = find_lidar(run.sequence, asked.lidar);
     const ScanRequest request = request_of(asked, run, lidar);
@@ -184,7 +186,7 @@ constexpr const char* kRenderHelp =
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
     "unknown names and weather.";
 
-/// What a run does.
+/// Adds the methods of a run.
 void add_calls(py::class_<LoadedRun>& type) {
     type.def_static(
             "load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
@@ -226,7 +228,7 @@ void add_calls(py::class_<LoadedRun>& type) {
              "The same run with other values of all surfels. Raises DataError for another number of them.");
 }
 
-/// What a run holds.
+/// Adds the properties of a run.
 void add_properties(py::class_<LoadedRun>& type) {
     type.def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
@@ -296,7 +298,7 @@ OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
         made = std::make_unique<ScanRenderer>(device->device, run);
     }
     OnDevice<ScanRenderer> fresh(device, std::move(made));
-    if (!renderer) renderer = std::move(fresh);  // another thread may have been faster
+    if (!renderer) renderer = std::move(fresh);  // Another thread may have created the renderer first.
     return renderer;
 }
 

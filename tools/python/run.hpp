@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run as Python holds it: with the device it renders on, and a renderer that is made
-// when the first scan is wanted.
+// A run as a Python object, with its device, and a renderer that is created when the
+// first scan is requested.
 #pragma once
 
 #include <optional>
@@ -13,15 +13,17 @@ namespace relidar::python {
 
 struct LoadedRun {
     Run run;
-    SharedDevice device;  ///< null: the default one
+    SharedDevice device;  ///< Null: the default device.
     OnDevice<ScanRenderer> renderer{};
 
-    /// The renderer of this run, which nothing else changes.
+    /// Returns the renderer of this run and creates it if necessary. No other object
+    /// modifies it.
     OnDevice<ScanRenderer>& ready_renderer();
 };
 
-/// Writes a run into a folder, which becomes its own. @throws UsageError where a run is
-/// there that is not to be overwritten, as save_run()
+/// Writes a run into a folder and sets `run.folder` to it.
+/// @throws UsageError if the folder holds a run that must not be overwritten, as
+/// save_run()
 void save_to(Run& run, const std::filesystem::path& folder, bool overwrite);
 
 }  // namespace relidar::python

@@ -17,8 +17,8 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
-/// The groups of Surfels with their shapes: calls take(name, vector, number of floats a
-/// surfel as a shape).
+/// Visits the parameter groups of surfels: calls take(name, vector, shape of the floats
+/// of one surfel).
 template <class Set, class Take>
 void for_each_group(Set& surfels, Take&& take) {
     take("mean", surfels.mean, Shape{3});
@@ -30,7 +30,7 @@ void for_each_group(Set& surfels, Take&& take) {
     take(kGait.data(), surfels.gait, Shape{5});
 }
 
-/// Whether surfels have a group.
+/// Returns true if the surfels have a parameter group.
 bool has_group(const Surfels& surfels, std::string_view name) {
     if (name == kGait) return surfels.bends;
     return name != kThirdScale || kind_of(surfels.primitive).third_scale;
@@ -42,7 +42,7 @@ Shape rows_of(py::ssize_t n, const Shape& row) {
     return shape;
 }
 
-/// Read-only arrays over the surfels of a scene.
+/// Returns read-only arrays over the surfels of a scene.
 py::dict view_of(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
@@ -59,8 +59,9 @@ std::uint32_t count_of(const py::dict& dict, const char* name, const char* what)
     return dict[name].cast<std::uint32_t>();
 }
 
-/// @param models  dicts of name, first, count; none: one of all surfels @param instances
-/// dicts of model, track; none: one of each model
+/// Creates a scene.
+/// @param models dicts of name, first and count; none: one model of all surfels
+/// @param instances dicts of model and track; none: one instance of each model
 Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::dict>>& models,
                  const std::optional<std::vector<py::dict>>& instances) {
     Scene scene = make_background_scene(surfels_of(surfels));
@@ -121,7 +122,8 @@ Surfels surfels_of(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text,
                                          did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
-    // a dict has the first primitive with the arrays that it holds
+    // The arrays of the dict determine the primitive: the first one that has exactly
+    // these arrays.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
     surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log as Python holds it: with the settings that it was read with, so that training
-// knows them.
+// A log as a Python object, with the settings that it was read with, because training
+// needs them.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -12,17 +12,18 @@ namespace relidar::python {
 
 struct Log {
     Sequence sequence;
-    Config config;  ///< config.dataset and config.sensor.rolling_shutter are those of the log
+    Config config;  ///< config.dataset and config.sensor.rolling_shutter are those of the log.
 };
 
-/// Frames and poses of a log or of a run's log, the same for both.
-pybind11::object times_of(const Sequence& sequence);          ///< [frames] float64
-pybind11::object frame_numbers_of(const Sequence& sequence);  ///< [frames] int32
-pybind11::object lidars_of(const Sequence& sequence);         ///< [frames] names
-/// (times, poses) of the vehicle, dataset's world
+/// Return the frames and poses of a log, or of the log of a run.
+pybind11::object times_of(const Sequence& sequence);          ///< Returns the frame times, [frames] float64.
+pybind11::object frame_numbers_of(const Sequence& sequence);  ///< Returns the frame numbers, [frames] int32.
+pybind11::object lidars_of(const Sequence& sequence);         ///< Returns the LiDAR name of each frame.
+/// Returns (times, poses) of the vehicle in the dataset's world frame.
 pybind11::object trajectory_of(const Sequence& sequence);
-pybind11::object mountings_of(const Sequence& sequence);  ///< dict of vehicle_from_sensor, by LiDAR
-/// dict of (times, poses) of box centres
+pybind11::object mountings_of(
+    const Sequence& sequence);  ///< Returns a dict of vehicle_from_sensor by LiDAR name.
+/// Returns a dict of (times, poses) of box centres.
 pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);
 
 }  // namespace relidar::python

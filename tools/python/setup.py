@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""`pip install tools/python`: the module's compiled part by CMake, in build/wheel of the repository.
+"""`pip install tools/python`: builds the compiled part of the module with CMake in
+build/wheel.
 
-RELIDAR_PYTHON_BUILD=FOLDER takes it from a CMake build that has it (tools/python/relidar there), and compiles nothing. The
-wheel uses the system's libraries (libpng, OpenEXR, SQLite and others): it is for machines with the distribution that it was built on.
+With RELIDAR_PYTHON_BUILD=FOLDER it uses an existing CMake build (its tools/python/relidar) and compiles
+nothing. The wheel uses libraries of the system (libpng, OpenEXR, SQLite and others), so it only works
+on machines with the same distribution.
 """
 import os
 import pathlib
@@ -25,7 +27,8 @@ def version():
 class CMakeBuild(build_ext):
     def build_extension(self, extension):
         folder = pathlib.Path(os.environ.get("RELIDAR_PYTHON_BUILD") or self.build_with_cmake())
-        suffix = self.get_ext_filename("_relidar")   # "_relidar.cpython-311-x86_64-linux-gnu.so": of this Python
+        # For example "_relidar.cpython-311-x86_64-linux-gnu.so" for this Python.
+        suffix = self.get_ext_filename("_relidar")
         built = folder / "tools" / "python" / "relidar" / suffix
         if not built.is_file():
             raise SystemExit(f"relidar: found no {built}, expected a build with -DRELIDAR_PYTHON=ON for {sys.executable}")

@@ -18,8 +18,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Arguments of train() beside the log.
-struct AskedTraining {
+/// Arguments of train() except the log.
+struct TrainArguments {
     std::optional<Config> config;
     std::optional<std::function<py::object(const TrainProgress&)>> callback;
     std::optional<std::function<void(const std::string&)>> note;
@@ -28,7 +28,7 @@ struct AskedTraining {
     SharedDevice device;
 };
 
-/// The wanted settings; what the log was read with stays.
+/// Returns the requested settings, but keeps the settings that the log was read with.
 Config config_of(const Log& log, const std::optional<Config>& wanted) {
     Config config = wanted.value_or(log.config);
     config.dataset = log.config.dataset;
@@ -40,7 +40,7 @@ Config config_of(const Log& log, const std::optional<Config>& wanted) {
     return config;
 }
 
-std::optional<Checkpoint> find_start(const AskedTraining& asked,
+std::optional<Checkpoint> find_start(const TrainArguments& asked,
                                      const std::function<void(const std::string&)>& note) {
     if (!asked.resume) return std::nullopt;
     if (!asked.checkpoints)
@@ -48,7 +48,7 @@ std::optional<Checkpoint> find_start(const AskedTraining& asked,
     return load_newest_checkpoint(*asked.checkpoints, note);
 }
 
-TrainResult trained(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls& python) {
+TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         python([&] {
             if (asked.note) (*asked.note)(line);
@@ -71,23 +71,23 @@ TrainResult trained(OpenDevice& open, Run& run, const AskedTraining& asked, Pyth
                  {asked.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
-/// Held-out scans on the trained scene.
+/// Aligns the held-out scans to the trained scene.
 void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     place_held_out(open.device, run, {{}, [&] { return !python.go_on(); }});
     python.raise_again();
 }
 
-/// How intensities scatter.
+/// Learns how intensities scatter.
 void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.go_on(); }});
     python.raise_again();
 }
 
-/// The ray-drop network. A log that has nothing to teach it is no error, and a checkpoint
-/// of another network none either.
-void refined(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls& python) {
+/// Trains the ray-drop network. A log without suitable training data and a checkpoint of
+/// another network are not errors.
+void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         if (asked.note) python([&] { (*asked.note)(line); });
     };
@@ -114,7 +114,7 @@ void refined(OpenDevice& open, Run& run, const AskedTraining& asked, PythonCalls
     if (!folder.empty()) remove_checkpoints(folder);
 }
 
-std::unique_ptr<LoadedRun> train_run(const Log& log, const AskedTraining& asked) {
+std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& asked) {
     const Config config = config_of(log, asked.config);
     Run run{{},
             config,
@@ -127,7 +127,7 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const AskedTraining& asked)
     try {
         result = trained(*device, run, asked, python);
     } catch (const Error&) {
-        python.raise_again();  // the library ended because Python wanted it to
+        python.raise_again();  // The library stopped because a Python callback raised an exception.
         throw;
     }
     python.raise_again();

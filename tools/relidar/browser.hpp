@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Shows a page to whoever sits at this machine.
+// Opens a web page or file in the user's browser.
 #pragma once
 
 #include <string>
 
 namespace relidar::cli {
 
-/// Opens an address or a file in the user's browser; says so where there is none.
+/// Opens a URL or a file with xdg-open. Prints a note with the address if xdg-open is
+/// missing.
 void open_in_browser(const std::string& address);
 
 }  // namespace relidar::cli

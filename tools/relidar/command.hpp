@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a command is: a function that adds a subcommand with its options to the parser,
-// and leaves in `call.run` what to do when the user chose it. A new command is a file, a
-// line here and a line in commands.cpp.
+// Interface of a command: a function that adds a subcommand and its options to the
+// parser. When the user chooses the command, its callback stores the function to run in
+// `call.run`. To add a command, write a file, add a line here and a line in commands.cpp.
 #pragma once
 
 #include <functional>
@@ -15,13 +15,13 @@ class App;
 
 namespace relidar::cli {
 
-/// What the user asked for.
+/// The command line and the command that the user chose.
 struct Call {
-    std::string command_line;   ///< as typed, for reports
-    std::function<void()> run;  ///< of the chosen command; failures are exceptions
+    std::string command_line;   ///< Command line as typed, for reports.
+    std::function<void()> run;  ///< Runs the chosen command. Throws an exception on failure.
 };
 
-/// Adds all of them.
+/// Adds all commands to the parser.
 void add_commands(CLI::App& app, Call& call);
 
 void add_list(CLI::App& app, Call& call);

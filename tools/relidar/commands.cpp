@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// All commands, in the order of `relidar --help`. main.cpp runs the one that the user
-// typed.
+// All commands, in the order that `relidar --help` lists them.
 #include "command.hpp"
 
 namespace relidar::cli {

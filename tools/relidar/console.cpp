@@ -14,18 +14,20 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};  // what is done sooner needs no line
+constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};  // Shorter work prints no progress.
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
-bool line_open = false;  // a progress line without its line break is on the terminal
+bool line_open = false;  // True if the terminal shows a progress line that has no line break yet.
 
-/// Columns a text takes on the terminal: its UTF-8 characters.
+/// Returns the number of terminal columns of a text, which is its number of UTF-8
+/// characters.
 std::size_t width(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(
         text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
 }
 
-/// A line that wraps could not be rewritten.
+/// Cuts a line to the width of the terminal, because a wrapped line cannot be
+/// overwritten.
 std::string cut_to_terminal(const std::string& text) {
     winsize size{};
     const bool known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;

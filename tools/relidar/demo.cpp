@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar demo: the whole way on a synthetic street, where the answer is known exactly:
-// log, training, held-out frames, and a sensor 2 m to the left and 1 m up, which no real
-// log could check.
+// relidar demo: runs all steps on a synthetic street whose exact geometry is known.
+// Writes a log, trains, and scores held-out frames. It also scores a sensor 2 m to the
+// left and 1 m up, which a real log could not check.
 #include <memory>
 
 #include <fmt/format.h>
@@ -25,7 +25,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};  // 2 m to the left, 1 m up
+// 2 m to the left and 1 m up.
+const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};
 constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
                                         "points/f_22cm",        "peer/depth_psnr_db",  "peer/depth_ssim"};
@@ -41,9 +42,11 @@ struct DemoOptions {
 Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
-    // 32 beams leave wider gaps between points than the 64 the preset is made for
+    // 32 beams leave wider gaps between points than the 64 beams that the preset is made
+    // for.
     config.init.scale_factor = 0.6;
-    config.train.iterations = 250;  // one to two minutes in all on two cores; preset quick has 540
+    // Keeps the demo at one to two minutes on two cores. Preset quick has 540 iterations.
+    config.train.iterations = 250;
     apply_sets(config, options.sets);
     config.dataset.path = absolute_dataset("synthetic:" + street.string());
     return config;
@@ -52,7 +55,7 @@ Config config_of(const DemoOptions& options, const fs::path& street) {
 Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);
-    std::vector<ScoredFrame> with_images;  // which are written as scans
+    std::vector<ScoredFrame> with_images;  // Frames whose scans are written to files.
     Evaluation evaluation =
         evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress),
                         [&](const ScoredFrame& frame) { with_images.push_back(frame); });
@@ -60,8 +63,8 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     return evaluation;
 }
 
-/// The held-out frames seen from the shifted sensor, against what that sensor would have
-/// measured.
+/// Renders the held-out frames from the shifted sensor and scores them against the exact
+/// scans of that sensor.
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);
@@ -116,10 +119,9 @@ void finish(Device& device, const Run& run, const SyntheticOptions& street, Repo
     report.same_scans = false;
     add_evaluation(report, held_out, run, {"held out", "real"});
     report.summary +=
-        " The shifted sensor stands 2 m to the left of the real one and 1 m higher; its exact scan comes "
-        "from casting rays into the street "
-        "itself, without noise. "
-        "Moving cars are actors: surfel sets of their own, placed by their tracked boxes.";
+        " The shifted sensor is 2 m to the left of the real one and 1 m higher. Its exact scan is made by "
+        "casting rays into the street, without noise. Moving cars are actors: each has its own surfels, "
+        "placed by its tracked box.";
     add_evaluation(report, shifted, run, {"shifted sensor", "exact"});
     write_report(run.folder / "report.html", report);
     write_report(out / "report.html", report);
@@ -165,22 +167,23 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);
 }
 
+constexpr const char* kDemoHelp =
+    R"(DIR receives report.html, street/ (the log), run/ (the scene), held_out/ and shifted/ (scans as
+npz, png, ply and exr). Training has 250 iterations; --set train.iterations=N changes the number.
+Example: relidar demo --out demo)";
+
 }  // namespace
 
 void add_demo(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("demo", "train, render, score and report on a synthetic street");
     const auto options = std::make_shared<DemoOptions>();
-    command->add_option("--out", options->out, "folder for everything (default: demo)")->type_name("DIR");
+    command->add_option("--out", options->out, "folder for all results (default: demo)")->type_name("DIR");
     command->add_option("--seed", options->seed, "seed of the street and of training (default: 1)")
         ->type_name("S");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "DIR gets report.html, street/ (the log), run/ (the scene), held_out/ and shifted/ (scans as npz, "
-        "png, ply, exr).\n"
-        "Training has 250 steps: --set train.iterations=N changes that.\n"
-        "Example: relidar demo --out demo");
+    command->footer(kDemoHelp);
     command->callback(
         [&call, options] { call.run = [&call, options] { run_demo(*options, call.command_line); }; });
 }

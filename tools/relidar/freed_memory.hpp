@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// What becomes of memory that was freed. Arrays of a whole log come and go in every
-// stage; pages that go back to the system between two of them are made anew, a fifth to a
-// third of the time that a registration takes. Only glibc is told; elsewhere both do
-// nothing. Tests run with the same limits (GLIBC_TUNABLES in CMakePresets.json).
+// Controls when freed memory returns to the system. Each stage allocates and frees arrays
+// as large as the log. If pages return to the system between stages, allocating them
+// again takes a fifth to a third of the time of a registration. The functions only have
+// an effect with glibc. Tests use the same limits (GLIBC_TUNABLES in CMakePresets.json).
 #pragma once
 
-#include <cstddef>  // defines __GLIBC__
+#include <cstddef>  // Any standard header defines __GLIBC__ on glibc systems.
 
 #ifdef __GLIBC__
 #include <malloc.h>
@@ -13,8 +13,8 @@
 
 namespace relidar::cli {
 
-/// From now on the process keeps it for what comes next, up to 256 MiB and what lies
-/// between other arrays. Called once, at the start.
+/// Lets the process keep up to 256 MiB of freed memory, and freed gaps between arrays,
+/// for later allocations. Called once at program start.
 inline void keep_freed_memory() {
 #ifdef __GLIBC__
     constexpr int kMiB = 1 << 20;
@@ -24,8 +24,8 @@ inline void keep_freed_memory() {
 #endif
 }
 
-/// What is kept goes back to the system: called before a stage that needs other memory,
-/// as a device that shares the host's does.
+/// Returns freed memory to the system. Called before a stage that needs other memory, for
+/// example on a device that shares the host's memory.
 inline void give_back_freed_memory() {
 #ifdef __GLIBC__
     malloc_trim(0);

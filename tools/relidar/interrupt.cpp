@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The handler notes the first signal and when it came; later ones end the program as if
-// nobody had asked for signals. What comes within a second of the first is that one
-// again: an engine that stops a job tells every process of it, and so does the process
-// that started them.
+// The signal handler records the time of the first signal. Signals within one second of
+// the first count as repetitions, because a batch system and mpirun may both signal the
+// same process. Any later signal ends the program as if no handler were installed.
 #include "interrupt.hpp"
 
 #include <atomic>
@@ -16,7 +15,7 @@ namespace {
 
 constexpr long long kSameSignal_ms = 1000;
 
-std::atomic<long long> first_signal_ms{0};  // 0: none yet
+std::atomic<long long> first_signal_ms{0};  // Time of the first signal; 0 if there was none.
 static_assert(std::atomic<long long>::is_always_lock_free, "a signal handler may not wait for a lock");
 
 extern "C" void remember_signal(int number) {

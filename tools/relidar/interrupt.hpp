@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ctrl-C ends long work in order: finished files stay, the rest stops at the next safe
-// point. Another Ctrl-C a second later or more ends at once.
+// Handles Ctrl-C during long work. Finished files stay, and the work stops at the next
+// safe point. A second Ctrl-C at least one second later ends the program immediately.
 #pragma once
 
 namespace relidar::cli {
 
-/// From now on SIGINT and SIGTERM are remembered instead of ending the program.
+/// Installs handlers for SIGINT and SIGTERM that record the signal instead of ending the
+/// program.
 void catch_interrupts();
 bool interrupted();
-/// @throws Error with exit code 130 where the user has interrupted
+/// Throws an error if the user has interrupted the program.
+/// @throws Error with exit code 130
 void stop_if_interrupted();
 
 }  // namespace relidar::cli

@@ -5,10 +5,10 @@
 
 namespace relidar::cli {
 
-/// Whether mpirun, or an engine in its place, has started this process with others:
-/// without them MPI is left alone, which may not even be set up on the machine.
+/// Returns true if mpirun, or a batch system, started this process together with others.
+/// Otherwise MPI is not initialised, because MPI may not be set up on the machine.
 inline bool launched_by_mpi() {
-    // Open MPI; MPICH, Intel MPI, and Slurm with either
+    // Variables of Open MPI; of MPICH and Intel MPI; Slurm sets them for either.
     for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE"})
         if (const char* size = std::getenv(name); size && std::atoi(size) > 1) return true;
     return false;

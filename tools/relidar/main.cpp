@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar on the command line.
+// Entry point of the command line program relidar.
 #include "program.hpp"
 
 int main(int argc, char** argv) {
     return relidar::cli::run_program(
-        {"relidar", "relidar: make a scene of surfels from a LiDAR log, and new LiDAR scans from it",
+        {"relidar", "relidar: trains a scene on a LiDAR log and renders new LiDAR scans of it",
          "A first run: `relidar demo`. With your own log:\n"
          "  relidar train LOG --out run && relidar eval run\n"
          "  relidar render run --out scans --frames all\n"

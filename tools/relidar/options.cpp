@@ -32,13 +32,13 @@ bool parse(const std::string& text, T& value) {
 void add_device_options(CLI::App& command, DeviceChoice& choice) {
     command
         .add_option("--device", choice.index,
-                    "Vulkan device by its number in `relidar list devices` (default: a GPU, one with ray "
-                    "query first; else a CPU device)")
+                    "number of the Vulkan device in `relidar list devices` (default: a GPU with ray query, "
+                    "else any GPU, else a CPU device)")
         ->type_name("N");
     command
         .add_option("--traversal", choice.traversal,
-                    "how rays find surfels: auto, ray_query or software; auto is ray_query on a GPU that has "
-                    "it, else software (default: auto)")
+                    "method to trace rays: auto, ray_query or software; auto uses ray_query if the GPU "
+                    "supports it, else software (default: auto)")
         ->type_name("HOW");
 }
 
@@ -61,33 +61,32 @@ std::vector<std::string> device_words(const DeviceChoice& choice) {
 
 void add_channels_option(CLI::App& command, std::optional<std::string>& channels) {
     command
-        .add_option("--channels", channels,
-                    fmt::format("what scans say of each ray beside the basic channels: some of {}, separated "
-                                "by commas; as --set "
-                                "render.channels=LIST",
-                                fmt::join(optional_channel_names(), ", ")))
+        .add_option(
+            "--channels", channels,
+            fmt::format(
+                "additional channels of scans, separated by commas: {}; short for --set render.channels=LIST",
+                fmt::join(optional_channel_names(), ", ")))
         ->type_name("LIST");
 }
 
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& which) {
     command
-        .add_option("--weather", weather,
-                    fmt::format("fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), "
-                                "wet=MILLIMETRES (of water on level "
-                                "ground), sun=AZIMUTH:ELEVATION[:KLUX] (degrees of the dataset's world) or "
-                                "bloom=REFLECTIVITY (stray "
-                                "light of reflectors), or several with commas between, in {} (default: "
-                                "clear); channel source says "
-                                "why there is a point",
-                                which))
+        .add_option(
+            "--weather", weather,
+            fmt::format(
+                "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), wet=MILLIMETRES (water on "
+                "level ground), sun=AZIMUTH:ELEVATION[:KLUX] (degrees in the dataset's world) or "
+                "bloom=REFLECTIVITY (stray light of reflectors), or several separated by commas; applies to "
+                "{} (default: clear); the channel `source` holds the cause of each point",
+                which))
         ->type_name("WEATHER");
 }
 
 void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
     command
-        .add_option(
-            "--set", sets,
-            "change one setting, as in loss.depth=0.2; repeatable; `relidar list settings` lists all keys")
+        .add_option("--set", sets,
+                    "change one setting, for example loss.depth=0.2; repeatable; `relidar list settings` "
+                    "lists all keys")
         ->type_name("KEY=VALUE")
         ->type_size(1)
         ->allow_extra_args(false);
@@ -96,10 +95,10 @@ void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
 void add_settings_options(CLI::App& command, Settings& settings) {
     command
         .add_option("--preset", settings.preset,
-                    "settings to start from: default, quick (minutes on a CPU), paper (its text) or released "
-                    "(its authors' settings)")
+                    "settings to start from: default, quick (minutes on a CPU), paper (as in the text of the "
+                    "paper) or released (as in its authors' code)")
         ->type_name("NAME");
-    command.add_option("--config", settings.file, "TOML file with settings, over the preset")
+    command.add_option("--config", settings.file, "TOML file with settings that replace those of the preset")
         ->type_name("FILE");
     add_set_option(command, settings.sets);
 }
@@ -141,7 +140,7 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
                 const std::string& command) {
     Config scratch;
     for (const std::string& set : sets) {
-        apply_sets(scratch, {set});  // a wrong key or value has its own message
+        apply_sets(scratch, {set});  // Throws its own error for a wrong key or value.
         const std::string key = set.substr(0, set.find('='));
         const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {
             return name.ends_with('.') ? key.starts_with(name) : key == name;
@@ -156,11 +155,11 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
 void add_log_part_options(CLI::App& command, LogPart& part) {
     command
         .add_option("--frames", part.frames,
-                    "frames of a log to read, first:end, by the dataset's own numbers (default: all)")
+                    "frames of the log to read, first:end, by the dataset's frame numbers (default: all)")
         ->type_name("A:B");
     command
         .add_option("--sequence", part.sequence,
-                    "which drive of a dataset that holds several, by its own name (default: the first)")
+                    "name of the drive if the dataset holds several (default: the first)")
         ->type_name("NAME");
 }
 
@@ -190,8 +189,8 @@ FrameRange parse_frames(const std::string& text) {
 
 void note_frames_beyond(const FrameRange& range, int last, const std::string& where) {
     if (range.end > last + 1)
-        note(fmt::format("frames {}:{}: {} ends with frame {}; the rest is left out", range.begin, range.end,
-                         where, last));
+        note(fmt::format("frames {}:{}: {} ends with frame {}; the missing frames are skipped", range.begin,
+                         range.end, where, last));
 }
 
 std::vector<double> parse_list(const std::string& option, const std::string& text) {
@@ -200,7 +199,7 @@ std::vector<double> parse_list(const std::string& option, const std::string& tex
         const std::string word = without_blanks(typed);
         double value = 0.0;
         if (!parse(word, value) || !std::isfinite(value))
-            throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers parted by commas",
+            throw UsageError(fmt::format("{}: found \"{}\" in \"{}\", expected numbers separated by commas",
                                          option, word, text));
         numbers.push_back(value);
     }
@@ -234,9 +233,9 @@ Sequence load_dataset(const Config& config, bool quiet, int most_scans) {
         note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end},
                            sequence.frames.back().index, sequence.source);
     if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)
-        note(fmt::format("{} of the scans lie in memory, {} in a file in {} (dataset.memory_mib)",
-                         byte_size(use.in_memory), byte_size(use.in_file),
-                         fs::temp_directory_path().string()));
+        note(fmt::format(
+            "{} of the scans are kept in memory, {} in a file in {} (setting dataset.memory_mib)",
+            byte_size(use.in_memory), byte_size(use.in_file), fs::temp_directory_path().string()));
     return sequence;
 }
 

@@ -31,21 +31,21 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::chrono::milliseconds kLockLook{50};
-/// mpirun and batch systems may start a job anew before the processes of the old one have
-/// ended.
+/// Time to wait for a lock. mpirun and batch systems may restart a job before the
+/// processes of the old job have ended.
 constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
 constexpr const char* kLockFile = ".lock";
 
-/// What a process that was killed at once may have left: its lock, which the system has
-/// let go, and half of a file.
+/// Returns true for files that a killed process may leave behind: a lock file, which no
+/// process holds any more, or a half-written file.
 bool is_left_over(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
 
-/// Nothing in it but such. A folder that cannot be looked into is told when it is
-/// written.
+/// Returns true if a folder contains only files of killed processes, or nothing. An
+/// unreadable folder counts as empty; writing to it reports the error later.
 bool holds_nothing(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
@@ -58,26 +58,28 @@ bool holds_nothing(const fs::path& folder) {
 void check_content(const fs::path& folder, Existing existing) {
     if (holds_nothing(folder)) return;
     if (is_dataset(folder))
-        throw UsageError(fmt::format("--out {}: the folder holds a log, expected another one for the run",
-                                     folder.string()));
-    if (!holds_run(folder))
-        throw UsageError(fmt::format("--out {}: the folder is not empty and holds no run, expected a new one",
-                                     folder.string()));
-    if (existing == Existing::refuse)
         throw UsageError(fmt::format(
-            "--out {}: the folder is not empty, expected a new one; --force overwrites the run in it",
-            folder.string()));
+            "--out {}: the folder holds a log, expected a different folder for the run", folder.string()));
+    if (!holds_run(folder))
+        throw UsageError(
+            fmt::format("--out {}: the folder is not empty and holds no run, expected a new or empty folder",
+                        folder.string()));
+    if (existing == Existing::refuse)
+        throw UsageError(
+            fmt::format("--out {}: the folder is not empty, expected a new or empty folder; --force "
+                        "overwrites the run in it",
+                        folder.string()));
 }
 
-/// What a killed process left half written in a folder that is locked now: of a run, its
-/// checkpoints too.
+/// Removes half-written files of a killed process from a locked folder and from its
+/// checkpoint folders.
 void remove_half_written(const fs::path& folder) {
     for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)})
         remove_temporaries(in);
 }
 
-/// Whether the name still leads to the file that is open: whoever let it go has removed
-/// it.
+/// Returns true if the path still names the open file. Another process removes the file
+/// when it releases its lock.
 bool is_same_file(int descriptor, const fs::path& file) {
     struct stat opened {
     }, named{};
@@ -87,10 +89,11 @@ bool is_same_file(int descriptor, const fs::path& file) {
 
 struct OpenLock {
     int descriptor;
-    bool exclusive;  ///< the file system knows locks
+    bool exclusive;  ///< False if the file system does not support locks.
 };
 
-/// Opens and locks a file. @return nothing where another process has locked it
+/// Opens and locks a file.
+/// @return no value if another process has locked the file
 std::optional<OpenLock> open_locked(const fs::path& file) {
     for (;;) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
@@ -115,7 +118,7 @@ OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
 
 OutputFolder::~OutputFolder() {
     std::error_code failed;
-    if (!was_there_) fs::remove(path_, failed);  // refuses where something is in it
+    if (!was_there_) fs::remove(path_, failed);  // Fails if the folder is not empty.
 }
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
@@ -127,8 +130,9 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
     for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_))
         std::this_thread::sleep_for(kLockLook);
     if (!lock)
-        throw DataError(fmt::format("{}: another relidar is writing this {}, expected one at a time",
-                                    folder.string(), holds_run(folder) ? "run" : "folder"));
+        throw DataError(
+            fmt::format("{}: another relidar is writing this {}, expected only one process at a time",
+                        folder.string(), holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
     if (lock->exclusive) remove_half_written(folder);
 }
@@ -150,13 +154,15 @@ bool FolderLock::is_held(const fs::path& folder) {
 }
 
 FolderLock::~FolderLock() {
-    // while it is held: nobody else can hold what is removed
+    // Removes the lock file while the lock is held, so that no other process can hold the
+    // removed file.
     if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
 RunFolder::RunFolder(const fs::path& path, Existing existing) {
-    if (!holds_run(path)) check_content(path, existing);  // nothing is written beside what is no run
+    // Checks first, so that no file is written into a folder that is not a run.
+    if (!holds_run(path)) check_content(path, existing);
     folder_.emplace(path);
     lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
     check_content(path, existing);
@@ -164,7 +170,7 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
 
 namespace {
 
-/// Whether a run's folder has nothing in it that a run does not write.
+/// Returns true if a folder contains only files that belong to a run.
 bool holds_run_alone(const fs::path& folder) {
     static const std::set<std::string> kNames{"config.toml",
                                               "scene.json",
@@ -201,7 +207,8 @@ void NewRun::save(Run& run) const {
             replace_folder(run);
             run.folder = path_;
             return;
-        } catch (const DataError&) {  // a mount point, or a folder that cannot be written above it
+            // The folder is a mount point, or its parent folder is not writable.
+        } catch (const DataError&) {
             run.folder = path_;
         }
     }
@@ -209,16 +216,16 @@ void NewRun::save(Run& run) const {
         remove_run_files(path_);
         remove_blocks(path_);
         std::error_code failed;
-        fs::remove_all(checkpoint_folder(path_), failed);  // training would go on from them
+        fs::remove_all(checkpoint_folder(path_), failed);  // A later training would resume from them.
     });
 }
 
 bool holds_run(const fs::path& folder) {
     if (is_run(folder) || !list_checkpoints(checkpoint_folder(folder)).empty()) return true;
-    const std::string ours = to_toml({}).substr(0, to_toml({}).find('\n'));
+    const std::string header_line = to_toml({}).substr(0, to_toml({}).find('\n'));
     std::string line;
     std::ifstream config(folder / "config.toml");
-    return std::getline(config, line) && line == ours;
+    return std::getline(config, line) && line == header_line;
 }
 
 void remove_run_files(const fs::path& folder) {
@@ -243,7 +250,8 @@ fs::path network_checkpoint_folder(const fs::path& run) {
 void remove_network_checkpoints(const fs::path& run) {
     remove_checkpoints(network_checkpoint_folder(run));
     std::error_code failed;
-    fs::remove(checkpoint_folder(run), failed);  // refuses where the scene's are in it
+    // Fails if the folder still holds checkpoints of the scene.
+    fs::remove(checkpoint_folder(run), failed);
 }
 
 }  // namespace relidar::cli

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Folders for results, checked before the long work begins and not left behind empty
-// where that work fails.
+// Output folders. They are checked before long work starts, and removed if the work fails
+// and leaves them empty.
 #pragma once
 
 #include <chrono>
@@ -14,11 +14,12 @@ struct Run;
 
 namespace relidar::cli {
 
-/// Makes a folder and proves that it can be written. Destruction removes it where it was
-/// made here and is still empty.
+/// Creates a folder and checks that it is writable. The destructor removes the folder if
+/// the constructor created it and it is still empty.
 class OutputFolder {
 public:
-    /// @throws DataError where it cannot be made or written
+    /// Creates the folder if it does not exist.
+    /// @throws DataError if the folder cannot be created or written
     explicit OutputFolder(const std::filesystem::path& path);
     ~OutputFolder();
     OutputFolder(const OutputFolder&) = delete;
@@ -31,23 +32,25 @@ private:
     bool was_there_;
 };
 
-/// Only one process at a time writes a folder. The system releases a lock when the
-/// process that holds it ends. On a file system without locks nobody is kept out. The
-/// constructor removes what a killed process has left half written.
+/// Lock that lets only one process at a time write a folder. The system releases the lock
+/// when its process ends. On a file system without locks, the lock has no effect. The
+/// constructor removes half-written files that a killed process has left behind.
 class FolderLock {
 public:
-    /// @param patience  how long it waits for another process that holds it
-    /// @throws DataError where another process holds it still, or the folder cannot be
-    /// written
+    /// Locks a folder.
+    /// @param patience longest time to wait for another process to release the lock
+    /// @throws DataError if another process still holds the lock after that time, or the
+    /// folder cannot be written
     explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds patience = {});
     ~FolderLock();
     FolderLock(const FolderLock&) = delete;
     FolderLock& operator=(const FolderLock&) = delete;
 
-    /// @return nothing where another process holds it @throws DataError where the folder
-    /// cannot be written
+    /// Locks a folder if no other process holds the lock. Does not wait.
+    /// @return a null pointer if another process holds the lock
+    /// @throws DataError if the folder cannot be written
     static std::unique_ptr<FolderLock> take_if_free(const std::filesystem::path& folder);
-    /// Whether some process holds it. Writes nothing.
+    /// Returns true if any process holds the lock. Writes nothing.
     static bool is_held(const std::filesystem::path& folder);
 
 private:
@@ -57,70 +60,74 @@ private:
     int descriptor_;
 };
 
-/// A folder for results that this process alone writes.
+/// An output folder that only this process may write.
 class LockedFolder {
 public:
-    /// @throws DataError if another process writes it, or it cannot be made or written
+    /// Creates the folder if it does not exist, and locks it.
+    /// @throws DataError if another process is writing the folder, or the folder cannot
+    /// be created or written
     explicit LockedFolder(const std::filesystem::path& path) : folder_(path), lock_(path) {}
 
     const std::filesystem::path& path() const { return folder_.path(); }
 
 private:
     OutputFolder folder_;
-    FolderLock lock_;  ///< goes first: an empty folder can be removed
+    FolderLock lock_;  ///< Destroyed first, so that an empty folder can be removed.
 };
 
-/// Whether a folder holds a run, or what one leaves that was killed before it had a
-/// scene.
+/// Returns true if a folder holds a run, or the files of a training that was killed
+/// before it saved a scene.
 bool holds_run(const std::filesystem::path& folder);
 
-/// What may be in the folder of a run that is about to be written.
+/// What a run's folder may contain before the run is written.
 enum class Existing {
-    refuse,  ///< nothing
-    keep,    ///< nothing, or a run that goes on
-    replace  ///< nothing, or a run that is given up
+    refuse,  ///< The folder must be empty.
+    keep,    ///< The folder may hold a run, which is continued.
+    replace  ///< The folder may hold a run, which is overwritten.
 };
 
-/// The folder of a run, written by this process alone for as long as this lives.
+/// A run's folder that only this process may write during the lifetime of this object.
 class RunFolder {
 public:
-    /// @throws UsageError where something else is in it, DataError where another process
-    /// writes it or it cannot be made
+    /// Checks the content of the folder, creates it if it does not exist, and locks it.
+    /// @throws UsageError if the folder holds anything that `existing` does not permit;
+    /// DataError if another process is writing the folder or it cannot be created
     RunFolder(const std::filesystem::path& path, Existing existing);
 
     const std::filesystem::path& path() const { return folder_->path(); }
 
 private:
     std::optional<OutputFolder> folder_;
-    std::optional<FolderLock> lock_;  ///< goes first: an empty folder can be removed
+    std::optional<FolderLock> lock_;  ///< Destroyed first, so that an empty folder can be removed.
 };
 
 /// Saves a run as a folder. A new folder appears complete or not at all. An earlier run
-/// in it stays until all files are written.
-/// @throws UsageError if the folder holds something else, or a run that is not to be
-/// replaced; DataError if another process writes it, or it cannot be written
+/// in the folder stays until all new files are written.
+/// @throws UsageError if the folder holds other files, or a run that must not be
+/// replaced; DataError if another process is writing the folder or it cannot be written
 class NewRun {
 public:
     NewRun(const std::filesystem::path& path, bool replace);
-    /// Makes the folder the run's own.
+    /// Saves the run and sets `run.folder` to this folder.
     void save(Run& run) const;
 
 private:
     std::filesystem::path path_;
-    std::optional<RunFolder> earlier_;  ///< of a folder that exists already
+    std::optional<RunFolder> earlier_;  ///< Lock on the folder if it exists already.
 };
 
-/// Removes the files of an earlier run but its settings and checkpoints, so that none is
-/// mistaken for one of this run.
+/// Removes the files of an earlier run except its settings and checkpoints, so that they
+/// are not mistaken for results of this run.
 void remove_run_files(const std::filesystem::path& folder);
-/// Removes the blocks of a long scene, trained or begun.
+/// Removes all blocks of a long scene, finished or not.
 void remove_blocks(const std::filesystem::path& folder);
-/// Where a run keeps its blocks, each a run of its own.
+/// Returns the folder of a run's blocks. Each block is a complete run.
 std::filesystem::path blocks_folder(const std::filesystem::path& run);
-/// Where a run keeps its checkpoints, and those of its ray-drop network.
+/// Returns the folder of a run's checkpoints. The next function returns the folder for
+/// the checkpoints of its ray-drop network.
 std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
 std::filesystem::path network_checkpoint_folder(const std::filesystem::path& run);
-/// Removes those of the network.
+/// Removes the checkpoints of the ray-drop network.
 void remove_network_checkpoints(const std::filesystem::path& run);
 
 }  // namespace relidar::cli

@@ -24,10 +24,12 @@ std::string command_line_text(const std::string& name, int argc, char** argv) {
 
 void flush_output() {
     if (std::fflush(stdout) != 0 || std::ferror(stdout))
-        throw DataError("writing to standard output: it cannot take all of the text");
+        throw DataError(
+            "cannot write all text to standard output: the disk is full or the reader has closed the pipe");
 }
 
-/// The help of the program: a line for each command, so that it fits on one screen.
+/// Returns the help of the program, with one line for each command so that it fits on one
+/// screen.
 std::string program_help(const CLI::App& app) {
     std::string text = fmt::format("{}\nUsage: {} COMMAND [OPTIONS], COMMAND --help or --version\n\n",
                                    app.get_description(), app.get_name());
@@ -48,7 +50,7 @@ void run(const Program& program, int argc, char** argv) {
     try {
         app.parse(argc, argv);
     } catch (const CLI::Success& help) {
-        app.exit(help);  // prints it
+        app.exit(help);  // Prints the help text.
         return flush_output();
     } catch (const CLI::ParseError& error) {
         throw UsageError(usage_message(app, error.what()));
@@ -75,16 +77,15 @@ int run_program(const Program& program, int argc, char** argv) {
         return report(error.code(), error.what());
     } catch (const std::bad_alloc&) {
         return report(ExitCode::data,
-                      "out of memory: the machine cannot hold this log or scene; take fewer frames (--frames "
-                      "a:b) or larger voxels (--set "
-                      "init.voxel_m=...)");
-        // what the system refuses is no fault of ours
+                      "out of memory: the memory is too small for this log or scene; use fewer frames "
+                      "(--frames a:b) or larger voxels (--set init.voxel_m=...)");
+        // A file system error comes from the system. It is not a bug of relidar.
     } catch (const std::filesystem::filesystem_error& error) {
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
-        return report(ExitCode::bug, std::string("a fault of relidar itself: ") + error.what());
+        return report(ExitCode::bug, std::string("internal error of relidar: ") + error.what());
     } catch (...) {
-        return report(ExitCode::bug, "a fault of relidar itself: an unknown exception");
+        return report(ExitCode::bug, "internal error of relidar: unknown exception");
     }
 }
 

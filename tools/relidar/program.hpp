@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs a program that consists of commands: parses the command line, prints help, and
-// turns each failure into one line on stderr and an exit code (error.hpp).
+// Runs a program that consists of commands. Parses the command line, prints help, and
+// turns each failure into one line on stderr and an exit code (see error.hpp).
 #pragma once
 
 #include <string>
@@ -9,15 +9,16 @@
 
 namespace relidar::cli {
 
-/// A program of several commands: relidar or relidar-dev.
+/// Describes a program with several commands: relidar or relidar-dev.
 struct Program {
-    std::string name;         ///< as typed
-    std::string description;  ///< one line
-    std::string footer;       ///< what its help prints after the list of commands
+    std::string name;         ///< Name of the program as the user types it.
+    std::string description;  ///< One-line description.
+    std::string footer;       ///< Text after the list of commands in the help.
     void (*add_commands)(CLI::App& app, Call& call);
 };
 
-/// Runs the command that the user typed. @return the exit code of the process
+/// Runs the command that the user typed.
+/// @return the exit code of the process
 int run_program(const Program& program, int argc, char** argv);
 
 }  // namespace relidar::cli

@@ -19,14 +19,14 @@
 namespace relidar::cli {
 namespace {
 
-/// MPI_Wait would spin.
+/// Polls with pauses, because MPI_Wait would spin.
 void sleep_until(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// FNV-1a of the program's own file: what tells one build from another. 0 where it cannot
-/// be read.
+/// Returns the FNV-1a hash of the program file, which identifies the build. Returns 0 if
+/// the file cannot be read.
 unsigned long long build_number() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
     unsigned long long hash = 14695981039346656037ull;
@@ -37,35 +37,37 @@ unsigned long long build_number() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Two builds may number settings and arrays otherwise. @throws UsageError in a process
-/// that is not the build of the first
+/// Checks that all processes run the same build, because two builds may number settings
+/// and arrays differently.
+/// @throws UsageError in a process whose build differs from the build of the first
+/// process
 void check_build(int rank) {
-    const unsigned long long own = build_number();
-    unsigned long long first = own;
-    MPI_Bcast(&first, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
-    if (own != first)
+    const unsigned long long build = build_number();
+    unsigned long long first_build = build;
+    MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
+    if (build != first_build)
         throw UsageError(
-            fmt::format("started by mpirun: process {} is another build of relidar than the first one, "
-                        "expected the same program",
+            fmt::format("started by mpirun: process {} is another build of relidar than the first process, "
+                        "expected the same build",
                         rank));
 }
 
-/// Texts of all processes one after the other, in all of them.
-std::string gather_in_all(const std::string& own, int size) {
-    const auto n = static_cast<unsigned long long>(own.size());
+/// Concatenates the texts of all processes and returns the result in every process.
+std::string gather_in_all(const std::string& text, int size) {
+    const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
     MPI_Request request;
     MPI_Iallgather(&n, 1, MPI_UNSIGNED_LONG_LONG, sizes.data(), 1, MPI_UNSIGNED_LONG_LONG, MPI_COMM_WORLD,
                    &request);
     sleep_until(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int
+    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int.
         throw Error(ExitCode::bug,
-                    "collecting results of several processes: found more than 2 GiB of them, expected less");
+                    "collecting results of several processes: found more than 2 GiB, expected at most 2 GiB");
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
     std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
     std::string all(total, '\0');
-    MPI_Iallgatherv(own.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(),
+    MPI_Iallgatherv(text.data(), static_cast<int>(n), MPI_CHAR, all.data(), counts.data(), places.data(),
                     MPI_CHAR, MPI_COMM_WORLD, &request);
     sleep_until(request);
     return all;
@@ -78,7 +80,7 @@ Ranks::Ranks() {
     MPI_Init(nullptr, nullptr);
     MPI_Comm_rank(MPI_COMM_WORLD, &group_.rank);
     MPI_Comm_size(MPI_COMM_WORLD, &group_.size);
-    group_.all_gather = [size = group_.size](const std::string& own) { return gather_in_all(own, size); };
+    group_.all_gather = [size = group_.size](const std::string& text) { return gather_in_all(text, size); };
     MPI_Comm on_this_machine;
     MPI_Comm_split_type(MPI_COMM_WORLD, MPI_COMM_TYPE_SHARED, group_.rank, MPI_INFO_NULL, &on_this_machine);
     MPI_Comm_rank(on_this_machine, &local_rank_);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The processes that mpirun has started together.
+// The group of processes that mpirun has started.
 #pragma once
 
 #include <cstddef>
@@ -12,29 +12,33 @@
 
 namespace relidar::cli {
 
-/// One of several processes that share a job and its folder, or the only one: then
-/// everything here does nothing. Where an exception leaves it, the process ends without a
-/// word to the others, and mpirun ends them.
+/// One of several processes that share a job and its output folder. With a single
+/// process, all functions do nothing. If an exception destroys this object, the process
+/// ends without notifying the others, and mpirun terminates them.
 class Ranks {
 public:
-    /// Joins the others. @throws UsageError where mpirun has started a program that was
-    /// built without MPI, or several builds
+    /// Joins the process group.
+    /// @throws UsageError if mpirun started a program that was built without MPI, or
+    /// different builds
     Ranks();
     ~Ranks();
     Ranks(const Ranks&) = delete;
     Ranks& operator=(const Ranks&) = delete;
 
     int size() const { return group_.size; }
-    /// Of them, the one that prints, and writes what they share.
+    /// Returns true for the process that prints and writes the shared files.
     bool is_first() const { return group_.is_first(); }
-    /// For the library's work that they share.
+    /// Returns the group that library functions use to share work.
     const ProcessGroup& group() const { return group_; }
-    /// Brings a text of each process to the first. @return [size] there, in order of
-    /// ranks; elsewhere nothing
+    /// Sends a text from each process to the first process.
+    /// @return in the first process: the texts in order of ranks; in the others: an empty
+    /// list
     std::vector<std::string> gather(const std::string& text) const;
-    /// Returns once all have come here. Takes no time of the processor.
+    /// Waits until all processes have called this function. Waiting uses no processor
+    /// time.
     void wait_for_all() const;
-    /// A GPU for each process of a machine, in turn, where none was chosen.
+    /// Assigns the GPUs of a machine to its processes in turn, unless the user has chosen
+    /// a device.
     DeviceChoice device(DeviceChoice chosen) const;
 
 private:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// In the place of ranks.cpp where MPI was not there to build with: one process, and
-// mpirun is told what is missing.
+// Replaces ranks.cpp in builds without MPI. Supports a single process only. Under mpirun,
+// the program stops with an error that names the missing package.
 #include "ranks.hpp"
 
 #include <relidar/base/error.hpp>
@@ -11,9 +11,8 @@ namespace relidar::cli {
 Ranks::Ranks() {
     if (launched_by_mpi())
         throw UsageError(
-            "started by mpirun: this program was built without MPI, expected one with it: install "
-            "libopenmpi-dev, then build "
-            "again");
+            "started by mpirun: this program was built without MPI, expected a build with MPI; install "
+            "libopenmpi-dev and build again");
 }
 Ranks::~Ranks() = default;
 std::vector<std::string> Ranks::gather(const std::string& text) const { return {text}; }

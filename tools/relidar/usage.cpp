@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parser leaves words it did not expect in the (sub)command that met them; the first
-// of them is what the user mistyped.
+// The parser stores unexpected words in the command or subcommand that read them. The
+// first unexpected word is the user's mistake.
 #include "usage.hpp"
 
 #include <vector>
@@ -29,8 +29,8 @@ std::vector<std::string> option_names(const CLI::App& command) {
     return names;
 }
 
-/// "Could not convert: --device = x" is the one message of the parser that does not say
-/// what it wants.
+/// Rewrites the parser message "Could not convert: --device = x", the only parser message
+/// that does not name the expected value.
 std::string in_our_words(const std::string& what) {
     const std::string start = "Could not convert: ", middle = " = ";
     const std::size_t at = what.find(middle);

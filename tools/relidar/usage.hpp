@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What to say about a command line that cannot be parsed: one line, with the nearest
-// known command or option.
+// Builds the error message for a command line that cannot be parsed. The message is one
+// line and suggests the most similar command or option.
 #pragma once
 
 #include <string>
@@ -11,7 +11,9 @@ class App;
 
 namespace relidar::cli {
 
-/// @param app as the failed parse left it @param what the parser's own message
+/// Returns the error message for a failed parse.
+/// @param app parser in the state after the failed parse
+/// @param what message of the parser
 std::string usage_message(const CLI::App& app, const std::string& what);
 
 }  // namespace relidar::cli

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What many copies of an actor cost: a scan, a training step, and moving all of them.
+// Measures the cost of many copies of an actor: rendering a scan, a training step, and
+// moving all copies.
 #pragma once
 
 #include <cstdint>
@@ -10,24 +11,27 @@
 
 namespace relidar::cli {
 
-/// So many copies of an actor of kActorSurfels surfels around a sensor of 64 x 1024 rays.
+/// Results for `n_actors` copies of an actor with kActorSurfels surfels around a sensor
+/// of 64 x 1024 rays.
 struct ActorTimes {
     int n_actors = 0;
-    /// a model each, harmonics once a surfel; else one model for all, harmonics along the
-    /// ray
+    /// True: each actor has its own model, and harmonics are evaluated once per surfel.
+    /// False: all actors share one model, and harmonics are evaluated along each ray.
     bool own_models = false;
-    double build_ms = 0.0;     ///< wall time: all bottom levels and the top level, once
-    Spread move_ms{};          ///< wall time: poses to the device and top level, waits included
-    std::uint64_t builds = 0;  ///< bottom-level builds and refits recorded during all the moves
-    Spread scan_ms{};          ///< wall time: activation, refit, forward
-    Spread step_ms{};          ///< wall time: a training iteration
-    std::uint64_t memory = 0;  ///< bytes on the device while training
+    double build_ms = 0.0;     ///< Wall time to build all bottom levels and the top level once.
+    Spread move_ms{};          ///< Wall time to upload poses and rebuild the top level, including waits.
+    std::uint64_t builds = 0;  ///< Number of bottom-level builds and refits recorded during all moves.
+    Spread scan_ms{};          ///< Wall time of activation, refit and forward pass.
+    Spread step_ms{};          ///< Wall time of a training iteration.
+    std::uint64_t memory = 0;  ///< Bytes of device memory while training.
 
     std::uint64_t n_surfels() const;
 };
 inline constexpr std::uint32_t kActorSurfels = 1000;
 
-/// @throws DeviceError where a ray reaches the cap of passes, or without timestamps
+/// Measures all times.
+/// @throws DeviceError if a ray reaches the limit of passes, or the device has no
+/// timestamps
 ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const BenchSettings& settings);
 
 std::string actors_text(const std::vector<ActorTimes>& times);

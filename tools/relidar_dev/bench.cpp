@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar-dev bench: milliseconds a kernel, rays a second and memory of a training
-// iteration, on a street that is the same everywhere or on a run.
+// relidar-dev bench: measures kernel times, rays per second and memory of a training
+// iteration, on a fixed street or on a run.
 #include <memory>
 #include <optional>
 
@@ -30,14 +30,16 @@ constexpr int kMaxRepeat = 100000;
 
 struct BenchOptions {
     BenchChoice choice;
-    bool describes_street = false;  ///< --scene, --surfels or --rays was given
+    bool describes_street = false;  ///< True if --scene, --surfels or --rays was given.
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    std::string actors;  ///< "1,10,100": scenes of so many actors are timed instead
+    /// Numbers of actors, such as "1,10,100". Scenes with these actors are measured
+    /// instead.
+    std::string actors;
     ServeBench service;
     ScanBench scans;
-    int n_steps = 0;  ///< of training; 0: not asked for
+    int n_steps = 0;  ///< Number of training steps. 0: not measured.
     DeviceChoice device;
 };
 
@@ -115,13 +117,14 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (options.n_steps != 0) return bench_steps(options, device, command_line);
     const DevCase bench = make_case(options.choice);
     BenchResult result = measure(device, bench, settings);
-    result.copy_bytes_per_s = copy_bytes_per_s(device);  // now that the case has left the memory
+    // Measured after the memory of the case was freed.
+    result.copy_bytes_per_s = copy_bytes_per_s(device);
     end_progress_line();
     if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
     if (!settings.quiet) print(bench_text(bench, result, device));
 }
 
-/// What a training step does beside the forward pass.
+/// Adds the options of a training step except its forward pass.
 void add_training_options(CLI::App& command, BenchChoice& choice) {
     command
         .add_option("--keep-hits", choice.keep_hits,
@@ -137,7 +140,8 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
                      "gather gradients in a fixed order instead of adding them with atomics");
 }
 
-/// What times whole scans instead, of many actors, of a run or from a service.
+/// Adds the options for measurements of complete scans: with many actors, of a run or
+/// from a service.
 void add_scan_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,
@@ -177,7 +181,7 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
 }
 
-/// Adds the options of how rays are traced.
+/// Adds the options of ray tracing.
 void add_trace_options(CLI::App& command, BenchChoice& choice) {
     command
         .add_option("--chunk", choice.chunk,

@@ -22,10 +22,11 @@
 namespace relidar::cli {
 namespace {
 
-// a channel number has 16 bits
+// Limits. A channel number has 16 bits.
 constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;
-constexpr float kFaintLogit = -2.19722458f;            // opacity 0.1
-constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;  // HDL-64E, as the kitti rays
+constexpr float kFaintLogit = -2.19722458f;  // Logit of opacity 0.1.
+// Elevations of the HDL-64E, as for the kitti rays.
+constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;
 
 struct ImageSize {
     long long rows = 0;
@@ -37,7 +38,7 @@ bool parse_count(const std::string& text, long long& value) {
     return error == std::errc() && stop == text.data() + text.size() && value >= 1;
 }
 
-/// "64x1024"; nothing where the text is the name of a sensor.
+/// Parses "64x1024". Returns no value for the name of a sensor.
 std::optional<ImageSize> parse_rays(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
     const std::vector<std::string> words = split(text, 'x');
@@ -53,7 +54,8 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
     return size;
 }
 
-/// The image model of the paper, as the streets are described; a run has its own.
+/// Applies the options to the settings. Streets use the image model of the paper; a run
+/// has its own.
 void apply(const BenchChoice& choice, Config& config) {
     if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
     if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
@@ -62,16 +64,18 @@ void apply(const BenchChoice& choice, Config& config) {
     if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
 }
 
-/// Place of a word among those of an option. @throws UsageError for another one
+/// Returns the index of a word among the values of an option.
+/// @throws UsageError for an unknown word
 std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
-    const auto found = std::find(words.begin(), words.end(), word);
-    if (found == words.end())
+    const auto match = std::find(words.begin(), words.end(), word);
+    if (match == words.end())
         throw UsageError(
             fmt::format("{}: found \"{}\", expected one of {}", option, word, fmt::join(words, ", ")));
-    return std::size_t(found - words.begin());
+    return std::size_t(match - words.begin());
 }
 
-/// In the order of Proxy, of Walk and of HitOrder. @throws UsageError
+/// Parse the values of options. Their order is the order of Proxy, Walk and HitOrder.
+/// @throws UsageError for an unknown word
 Proxy proxy_of(const BenchChoice& choice) {
     return choice.proxy.empty() ? Proxy::automatic
                                 : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));

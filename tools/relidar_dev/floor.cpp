@@ -8,27 +8,29 @@
 namespace relidar::cli {
 namespace {
 
-// Bytes of what the kernels exchange (shaders/shared).
+// Sizes in bytes of the records that kernels exchange (shaders/shared).
 constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36,
                  kTarget = 12, kUpstream = 20, kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
-constexpr double kFewestNodes = 1.0 / 28.0;  // wide nodes a surfel: 8 children, leaves of 4
-constexpr double kNodeOperations = 150, kSurfelOperations = 40;  // shaders/diff/traversal/software_bvh.glsl
+// Minimum number of wide nodes per surfel: 8 children per node, 4 surfels per leaf.
+constexpr double kFewestNodes = 1.0 / 28.0;
+// Counted in shaders/diff/traversal/software_bvh.glsl.
+constexpr double kNodeOperations = 150, kSurfelOperations = 40;
 
 double sh(const FloorSizes& s) { return 4 * 3 * s.n_sh; }
 double sh_along_ray(const FloorSizes& s) { return s.sh_per_surfel ? 0.0 : sh(s); }
 double sh_a_surfel(const FloorSizes& s) { return s.sh_per_surfel ? sh(s) : 0.0; }
 
-/// Digits of 8 bits that n different keys have, at least.
+/// Returns the minimum number of 8-bit digits of n different keys.
 double digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
 
 double refit(const FloorSizes& s) {
     return s.n_surfels * (kBox + kIndex) + kFewestNodes * s.n_surfels * (28 + kNode + kBox);
 }
 
-/// Boxes in; keys out; a sort of 39 bits and the model: keys read twice, values once,
-/// both written, a digit; the binary tree out and its topology in; leaf order and wide
-/// nodes out.
+/// Returns the bytes of a build. Reads boxes and writes keys. Sorts 39 bits plus the
+/// model: each digit reads keys twice and values once, and writes both. Writes the binary
+/// tree and reads its topology. Writes the leaf order and the wide nodes.
 double build(const FloorSizes& s) {
     const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
@@ -43,13 +45,15 @@ double backward_trace(const FloorSizes& s) {
            s.n_touched * (kRecord + sh_along_ray(s)) + sums;
 }
 
-/// Record gradients in, marks of the touched surfels out; of these parameters in,
-/// gradients out.
+/// Returns the bytes of the activation's derivative. Reads record gradients and writes
+/// marks of the touched surfels. Reads the parameters of these surfels and writes their
+/// gradients.
 double activate_vjp(const FloorSizes& s) {
     return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s));
 }
 
-/// Marks and the gradients that are not zero in; values and both moments in and out.
+/// Returns the bytes of Adam. Reads marks and nonzero gradients. Reads and writes values
+/// and both moments.
 double adam(const FloorSizes& s) {
     const double updated = s.only_touched ? s.n_touched : s.n_surfels;
     return s.n_surfels * kMark + (s.n_touched + 6 * updated) * (kGeometry + sh(s));
@@ -63,7 +67,8 @@ struct Row {
     double (*bytes)(const FloorSizes&);
 };
 
-/// One row a kernel. Surfels met are those with a gradient: others need not be loaded.
+/// One row per kernel. Only surfels with a gradient are counted as hit, because other
+/// surfels need not be loaded.
 constexpr Row kFloorRows[] = {
     {"scene/activate", When::always,
      [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
@@ -126,9 +131,10 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
         bytes["diff/forward/trace"] = search + shading;
     }
     if (!s.training) return bytes;
-    // share of the hits
+    // Share of the hits that are searched again.
     const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;
-    const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);  // 16 float atomics a hit
+    // 16 float atomics per hit.
+    const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);
     bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
     return bytes;
 }

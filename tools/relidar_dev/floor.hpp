@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The least a kernel can take: the bytes it must move once, over what the device's own
-// copy moves in the same run. Left out: latency, divergence, what a cache of finite size
-// loads twice, and arithmetic. A floor says which kernel has the most to gain, not what
-// can be had; a case that fits the caches can even lie below it.
+// Lower bound for the time of each kernel: the bytes that it must move once, divided by
+// the copy bandwidth of the device in the same run. Ignores latency, divergence, repeated
+// loads of a finite cache, and arithmetic. The bound shows which kernel has the most room
+// for improvement. A case that fits into the caches can be faster than its bound.
 #pragma once
 
 #include <cstdint>
@@ -11,37 +11,39 @@
 
 namespace relidar::cli {
 
-/// What the bytes of a repetition follow from.
+/// Sizes that determine the bytes of one repetition.
 struct FloorSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
-    double n_touched = 0.0;  ///< surfels with a gradient; 0 where there is no backward pass
+    double n_touched = 0.0;  ///< Number of surfels with a gradient. 0 without a backward pass.
     double n_rays = 0.0;
-    double n_hits = 0.0;          ///< blended, of all rays
-    double n_hits_written = 0.0;  ///< those that the forward pass keeps
-    double n_hits_kept = 0.0;     ///< those that the backward pass reads instead of searching them again
-    double n_sh = 16.0;           ///< active harmonics a channel
+    double n_hits = 0.0;          ///< Number of blended hits of all rays.
+    double n_hits_written = 0.0;  ///< Number of hits that the forward pass stores.
+    /// Number of stored hits that the backward pass reads instead of searching again.
+    double n_hits_kept = 0.0;
+    double n_sh = 16.0;  ///< Active spherical harmonics per channel.
     bool sh_per_surfel = true;
     bool training = true;
-    bool lists = false;   ///< of hits, in the forward pass
-    bool gather = false;  ///< hit records instead of atomics
+    bool lists = false;   ///< True: the forward pass writes lists of hits.
+    bool gather = false;  ///< True: hit records replace atomics.
     bool only_touched = false;
-    bool boxes = true;          ///< proxies
-    bool software = true;       ///< traversal; the driver's structures are its own business
-    double nodes_opened = 0.0;  ///< by all rays of the forward pass, 0 = not known
+    bool boxes = true;          ///< True: proxies of surfels are boxes.
+    bool software = true;       ///< True: software traversal. The driver's structures are not modelled.
+    double nodes_opened = 0.0;  ///< Number of nodes opened by all rays of the forward pass. 0: unknown.
     double surfels_tested = 0.0;
 };
 
-/// Bytes of each row of a bench that must move once: in from memory where the kernel did
-/// not make them, out where another reads them. Rows without a floor (the driver's, and
-/// those too small to matter) are not in it.
+/// Returns, for each row of a benchmark, the bytes that must move once. They are reads of
+/// data that the kernel did not produce and writes that another kernel reads. Rows
+/// without a bound are left out: those of the driver, and those too small to matter.
 std::map<std::string, double> floor_bytes(const FloorSizes& sizes);
 
-/// What the tracing kernels ask of the caches: every visit and every hit counts. Empty
-/// where visits are not counted.
+/// Returns the bytes that the tracing kernels load from the caches, counting every visit
+/// and every hit. Returns an empty map if visits are not counted.
 std::map<std::string, double> cache_bytes(const FloorSizes& sizes);
 
-/// Arithmetic of the forward pass's search, operations; 0 where visits are not counted.
+/// Returns the number of arithmetic operations of the search in the forward pass, or 0 if
+/// visits are not counted.
 double search_operations(const FloorSizes& sizes);
 
 }  // namespace relidar::cli

@@ -30,7 +30,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using Samples = std::map<std::string, std::vector<double>>;
 
-/// Kernels are compiled in the first moments, and a GPU raises its clocks.
+/// Returns the warm-up time, because the first launches compile kernels and a GPU raises
+/// its clocks only under load.
 double warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
 constexpr const char* kOrder[] = {"scene/activate",
@@ -51,8 +52,8 @@ constexpr const char* kOrder[] = {"scene/activate",
                                   "scene/activate_vjp",
                                   "diff/optimizer/adam"};
 
-/// Row that a kernel counts in. Those of the software tree go together, under the names
-/// of the driver's builds; so do prefix sums and sorts.
+/// Returns the row of a kernel. Kernels of the software tree are grouped under the names
+/// of the driver's builds. Prefix sums and sorts are grouped too.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("diff/accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
@@ -75,7 +76,7 @@ RendererOptions training_options(const DevCase& bench, std::uint32_t keep_hits) 
     return options;
 }
 
-/// Hits of a ray that a training keeps in the end.
+/// Returns the number of hits per ray that a training finally stores.
 std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
@@ -88,7 +89,7 @@ std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t
     return keep;
 }
 
-/// Memory of the parts of a case, each made once for it.
+/// Returns the memory of each part of a case. Each part is created once to measure it.
 BenchMemory memory_of_parts(Device& device, const DevCase& bench, bool training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
@@ -113,7 +114,8 @@ public:
           allocated_before_(device.allocated_bytes()),
           rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
 
-    /// The first image; with it the targets and all that training needs.
+    /// Renders the first image, and from it creates the targets and the state of a
+    /// training.
     void prepare(bool training) {
         memory_ = memory_of_parts(device_, case_, training);
         image_ =
@@ -136,7 +138,8 @@ public:
                                            noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
-    /// One repetition: rebuild, a whole iteration, an instance moved and put back.
+    /// Runs one repetition: a rebuild, a complete iteration, and moving an instance away
+    /// and back.
     void repeat() {
         Renderer& r = renderer();
         Stream& stream = r.stream();
@@ -161,10 +164,10 @@ public:
         r.accel().move(stream, r.scene());
         stream.finish();
         take("move", rebuild_kernels_);
-        r.scene().place(stream, before);  // takes effect in the next iteration
+        r.scene().place(stream, before);  // Takes effect in the next iteration.
     }
 
-    /// Without timestamps: forward alone between two waits.
+    /// Runs only the forward pass between two waits, for devices without timestamps.
     void repeat_by_wall_clock() {
         Renderer& r = renderer();
         r.place(case_.placed, case_.view_origin_m);
@@ -188,8 +191,8 @@ private:
     const DevCase& case_;
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
-    BenchMemory memory_;               ///< of the parts
-    std::unique_ptr<Renderer> image_;  ///< one of the two
+    BenchMemory memory_;               ///< Memory of each part.
+    std::unique_ptr<Renderer> image_;  ///< Only one of the two is used.
     std::unique_ptr<TrainingStep> training_;
     FloorSizes sizes_;
     Samples kernels_, rebuild_kernels_, phases_;
@@ -204,7 +207,7 @@ private:
                 training_ ? &training_->targets : nullptr};
     }
 
-    /// Sums the times since the last call by kernel.
+    /// Sums the times since the last call for each kernel.
     void take(const std::string& phase, Samples& kernels) {
         double total = 0.0;
         std::map<std::string, double> sums;
@@ -239,7 +242,7 @@ BenchResult Bench::result() {
             fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, "
                         "expected every ray to end",
                         rays_.size(), capped));
-    kernels_.merge(rebuild_kernels_);  // those that an iteration has not
+    kernels_.merge(rebuild_kernels_);  // Adds the kernels that only a rebuild uses.
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
     result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});
@@ -264,7 +267,7 @@ BenchResult Bench::result() {
     return result;
 }
 
-/// What the floors of this case follow from.
+/// Returns the sizes that determine the lower bounds of this case.
 FloorSizes Bench::sizes(const BenchResult& result) {
     FloorSizes s = sizes_;
     s.n_surfels = renderer().scene().size();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar-dev pipelines: compiles every pipeline of the program on a device and prints
-// what the driver's compiler says of it.
+// the statistics of the driver's compiler.
 #include <memory>
 #include <set>
 
@@ -29,17 +29,18 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
     return device.pipelines();
 }
 
-/// Compiles for the requested traversals; "both" means those that the device has. Lists
-/// each pipeline once.
+/// Compiles for the requested traversals. "both" compiles for all traversals that the
+/// device supports. Lists each pipeline once.
 std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;
-    std::set<std::string> known;
+    std::set<std::string> pipeline_names;
     const auto add = [&](const char* name, Traversal traversal, bool has) {
         if (options.traversal != name && !(options.traversal == "both" && has)) return;
         for (PipelineStatistics& p : compiled(info.index, traversal)) {
             if (p.kernel.find(options.kernel) == std::string::npos) continue;
-            if (known.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size)).second)
+            if (pipeline_names.insert(fmt::format("{} {} {}", p.kernel, p.constants, p.workgroup_size))
+                    .second)
                 all.push_back(std::move(p));
         }
     };

@@ -20,10 +20,10 @@ namespace relidar::cli {
 namespace {
 
 constexpr int kMostInOneGo = 1'000'000;
-// the device has work while others are taken
+// Half of the limit, so that the device has work while finished scans are read.
 constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
-/// A sensor, or those of a rig in turn, on the log's own way.
+/// A sensor, or the sensors of a rig in turn, on the log's path.
 class Drive {
 public:
     Drive(const Run& run, const ScanBench& bench) {
@@ -61,7 +61,7 @@ double kernel_ms(const KernelTimes& times) {
     return sum;
 }
 
-/// Processor time that this thread has had.
+/// Returns the processor time of this thread.
 double thread_ms() {
     timespec t{};
     clock_gettime(CLOCK_THREAD_CPUTIME_ID, &t);
@@ -92,7 +92,7 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         }
         return end - first;
     };
-    for (int n = ask(0); n > 0; --n) renderer.take_points();  // finds memory
+    for (int n = ask(0); n > 0; --n) renderer.take_points();  // The first scans allocate memory.
     ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
                      .n_scans = bench.n_scans,
                      .together = together,
@@ -107,7 +107,8 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         const auto begun = std::chrono::steady_clock::now();
         const int n_taken = n_asked;
         first += n_taken;
-        // the device has work while the points of these are taken
+        // Submits further scans, so that the device has work while the points of these
+        // are read.
         n_asked = first < bench.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_taken; ++i) {
             scan = renderer.take_points(std::move(scan.points));

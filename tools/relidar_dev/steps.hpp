@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar-dev bench --run RUN --steps N`: a training step on the run's own batches, and
-// the time between its kernels.
+// `relidar-dev bench --run RUN --steps N`: measures training steps on batches of a run,
+// and the time between their kernels.
 #pragma once
 
 #include <string>
@@ -9,7 +9,9 @@
 
 namespace relidar::cli {
 
-/// @param run  folder, whose log is where it was when the run was trained
+/// Runs and measures training steps.
+/// @param run run folder. Its log must still be at the path that the run was trained
+/// from.
 StepTimes measure_steps(Device& device, const std::string& run, int n_steps, bool quiet);
 
 std::string steps_text(const StepTimes& times, const Device& device);

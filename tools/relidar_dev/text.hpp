@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A bench result for people and as JSON, with the same numbers.
+// Formats a benchmark result as text and as JSON, with the same numbers.
 #pragma once
 
 #include <string>
@@ -16,7 +16,8 @@ struct BenchSettings;
 
 std::string bench_text(const DevCase& bench, const BenchResult& result, const Device& device);
 
-/// @param command_line  as typed
+/// Returns the result as JSON.
+/// @param command_line command line as typed
 std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result,
                        const Device& device, const std::string& command_line);
 

@@ -26,9 +26,10 @@
 namespace relidar::serve {
 namespace {
 
-constexpr std::chrono::milliseconds kPause{50};  // until the system may have descriptors again
-constexpr int kMostDescriptors = 16384;          // of the process, connections included
-constexpr int kReservedDescriptors = 256;        // descriptors that are kept for files and the driver
+constexpr std::chrono::milliseconds kPause{50};  // Pause after the system has run out of descriptors.
+// Maximum number of descriptors of the process, including connections.
+constexpr int kMostDescriptors = 16384;
+constexpr int kReservedDescriptors = 256;  // Descriptors reserved for files and the driver.
 
 std::string message_of(int error) { return std::generic_category().message(error); }
 
@@ -70,12 +71,13 @@ void set_option(int socket, int level, int name, int value) {
     (void)::setsockopt(socket, level, name, &value, sizeof(value));
 }
 
-/// @return the listening socket, or -1 with errno
+/// Opens a socket that listens at an address.
+/// @return the listening socket, or -1 with errno set
 int listen_at(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
     set_option(listener, SOL_SOCKET, SO_REUSEADDR, 1);
-    set_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);  // its connections have it too
+    set_option(listener, IPPROTO_TCP, TCP_NODELAY, 1);  // Accepted connections inherit this option.
     if (address.ai_family == AF_INET6) set_option(listener, IPPROTO_IPV6, IPV6_V6ONLY, 0);
     if (::bind(listener, address.ai_addr, address.ai_addrlen) == 0 && ::listen(listener, SOMAXCONN) == 0)
         return listener;
@@ -85,8 +87,8 @@ int listen_at(const addrinfo& address) {
     return -1;
 }
 
-/// Connections have lower descriptors than this. The system always assigns the lowest one
-/// that is free.
+/// Returns the first descriptor that a connection must not have. The system always
+/// assigns the lowest free descriptor.
 int first_spare_descriptor() {
     rlimit limit{};
     const bool is_known =
@@ -98,20 +100,20 @@ int first_spare_descriptor() {
 }  // namespace
 
 Acceptor::Acceptor(const std::string& text) {
-    const HostPort wanted = parse_host_port(text, "--listen", 0);
-    const Addresses all = addresses_of(wanted.host, text);
+    const HostPort host_port = parse_host_port(text, "--listen", 0);
+    const Addresses all = addresses_of(host_port.host, text);
     int error = EADDRNOTAVAIL;
-    port_ = wanted.port;
+    port_ = host_port.port;
     for (const addrinfo* address = all.get(); address; address = address->ai_next) {
         set_port(*address->ai_addr, port_);
         const int listener = listen_at(*address);
         if (listener < 0) error = errno;
-        if (listener < 0 && error == EADDRINUSE && wanted.port != 0) break;
-        if (listener < 0) continue;  // a family that this machine does not have
+        if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
+        if (listener < 0) continue;  // The machine does not support this address family.
         listeners_.push_back(listener);
         port_ = port_of(listener);
     }
-    const bool is_taken = error == EADDRINUSE && wanted.port != 0;
+    const bool is_taken = error == EADDRINUSE && host_port.port != 0;
     if (listeners_.empty() || is_taken || ::pipe2(wake_, O_CLOEXEC) != 0) {
         close_all();
         fail(text, is_taken ? "it is taken" : message_of(error));
@@ -140,7 +142,8 @@ void Acceptor::stop() {
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
     thread_.join();
-    for (const int listener : listeners_) ::close(listener);  // clients are refused from now on
+    // From here on the system refuses connections.
+    for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
 }
 
@@ -160,7 +163,7 @@ void Acceptor::accept_one(int listener) {
     const bool is_full =
         connection < 0 && (errno == EMFILE || errno == ENFILE || errno == ENOBUFS || errno == ENOMEM);
     if (is_full) std::this_thread::sleep_for(kPause);
-    if (connection < 0) return;  // the client has left already
+    if (connection < 0) return;  // The client has already disconnected.
     if (connection >= first_spare_descriptor()) ::close(connection);
     else receive_(listener, connection);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Listens and accepts connections for gRPC, because gRPC's own listener (1.51) ends for
-// good when no descriptor is free.
+// Listens and accepts connections for gRPC, because the listener of gRPC 1.51 stops
+// permanently when no file descriptor is free.
 #pragma once
 
 #include <functional>
@@ -12,29 +12,28 @@ namespace relidar::serve {
 
 class Acceptor {
 public:
-    /// Receives a connection and owns its descriptor from then on. Is called on the
+    /// Receives a connection and takes ownership of its descriptor. Called on the
     /// acceptor's thread.
     using Receive = std::function<void(int listener, int connection)>;
 
-    /// Listens at all addresses of the host. @param address  HOST:PORT, port 0: a free
-    /// one
-    /// @throws UsageError if the text is no HOST:PORT, or this machine cannot listen
-    /// there
+    /// Listens at all addresses of the host.
+    /// @param address HOST:PORT; port 0 selects a free port
+    /// @throws UsageError if the text is not HOST:PORT, or the address is not available
     explicit Acceptor(const std::string& address);
     ~Acceptor();
     Acceptor(const Acceptor&) = delete;
     Acceptor& operator=(const Acceptor&) = delete;
 
     int port() const { return port_; }
-    /// Accepts connections from now on. Closes new ones while so many are open that few
-    /// descriptors are left.
+    /// Starts to accept connections. Closes new connections while few free descriptors
+    /// are left.
     void start(Receive receive);
-    /// Accepts no more. Returns when no connection is being received.
+    /// Stops accepting. Returns when no call of the callback is in progress.
     void stop();
 
 private:
     std::vector<int> listeners_;
-    int wake_[2] = {-1, -1};  ///< a pipe that ends the thread's wait
+    int wake_[2] = {-1, -1};  ///< Pipe that wakes the waiting thread.
     int port_ = 0;
     Receive receive_;
     std::thread thread_;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans and scenes as messages.
+// Converts scans and scenes to messages.
 #pragma once
 
 #include <relidar/run/run.hpp>
@@ -10,17 +10,20 @@
 
 namespace relidar::serve {
 
-/// @param config  of the run: which ranges points have
+/// Writes a scan.
+/// @param config settings of the run, which select the range of points
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
                 v1::LidarScan& message);
 /// The same without an image.
 void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarScan& message);
 
-/// @param run  without surfels
+/// Writes the description of a scene.
+/// @param run run without surfels
 void write_scene(const std::string& name, const Run& run, v1::Scene& message);
 
-/// Poses of the log in the dataset's world. @param actors  names; none: all of them
-/// @throws Refusal for one that is not there
+/// Writes poses of the log in the dataset's world frame.
+/// @param actors names of actors; empty: all actors
+/// @throws Refusal for an unknown actor
 void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
                   v1::GetTracksResponse& message);
 

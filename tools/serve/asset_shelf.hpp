@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The assets that clients may put into scenes.
+// Catalogue of the assets that clients can insert into scenes.
 #pragma once
 
 #include <string>
@@ -9,21 +9,22 @@
 
 namespace relidar::serve {
 
-/// Never changes.
+/// Immutable after construction, so that any thread may read it.
 class AssetShelf {
 public:
-    /// Reads what assets say of themselves: many of them are never used. Who puts one
-    /// into a scene reads the rest.
-    /// @param folders  of `relidar assets` @throws DataError where one cannot be read,
-    /// UsageError for a name that two assets have
+    /// Reads only the descriptions of assets, because many are never used. The surfels
+    /// are read when an asset is inserted.
+    /// @param folders folders of `relidar assets`
+    /// @throws DataError if a folder cannot be read; UsageError if two assets have the
+    /// same name
     explicit AssetShelf(const std::vector<std::string>& folders);
 
     struct Entry {
-        std::filesystem::path folder;  ///< of the asset
+        std::filesystem::path folder;  ///< Folder of the asset.
         AssetFacts facts;
     };
     const std::vector<Entry>& entries() const { return entries_; }
-    /// Null where there is none of that name.
+    /// Returns an asset, or null if the name is unknown.
     const Entry* find(const std::string& name) const;
 
 private:

@@ -12,8 +12,8 @@ namespace relidar::serve {
 
 std::shared_ptr<grpc::Channel> connect(const std::string& address) {
     grpc::ChannelArguments arguments;
-    arguments.SetMaxReceiveMessageSize(-1);  // a scan of a million rays has 50 MB
-    // a connection of its own, as another process would have
+    arguments.SetMaxReceiveMessageSize(-1);  // No limit: a scan of a million rays has 50 MB.
+    // Opens a separate connection, as another process would.
     arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
     return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
 }

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The other end of the line: what tests and `relidar-dev bench --serve` call a service
-// with.
+// Client of a service, for tests and for `relidar-dev bench --serve`.
 #pragma once
 
 #include <memory>
@@ -12,11 +11,11 @@
 
 namespace relidar::serve {
 
-/// A channel of its own, without TLS, that takes scans of any size.
+/// Opens a separate channel without TLS, with no limit on the size of scans.
 std::shared_ptr<grpc::Channel> connect(const std::string& address);
 
-/// Calls that wait for their answer. @throws DataError with code and message of a status
-/// that is not OK
+/// Makes synchronous calls.
+/// @throws DataError with code and message if a status is not OK
 class ScanClient {
 public:
     explicit ScanClient(std::string address);

@@ -10,8 +10,10 @@
 namespace relidar::serve {
 namespace {
 
-constexpr double kFarthest = 1e10;          // metres, seconds: what ScanRenderer takes
-constexpr double kDoublePrecision = 1e-12;  // a quaternion this close to unit length keeps every bit
+constexpr double kFarthest = 1e10;  // Limit in metres and seconds that ScanRenderer accepts.
+// A quaternion whose length is this close to 1 is not normalised, so that it is not
+// rounded.
+constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;
 
 double read_number(double value, const std::string& field) {

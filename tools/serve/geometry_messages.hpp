@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses and times between messages and relidar's own types. Whatever a client sends is
-// looked at here.
+// Converts poses and times between messages and relidar's types. Messages are untrusted
+// input and are checked here.
 #pragma once
 
 #include <string>
@@ -13,17 +13,21 @@
 
 namespace relidar::serve {
 
-/// How far the length of a unit vector or quaternion may be from 1: of one that was sent
-/// in single precision, or rounded in a text.
+/// Tolerance for the length of a unit vector or quaternion, which may have been sent in
+/// single precision or rounded in a text.
 inline constexpr double kUnitSlack = 1e-3;
 
-/// @param field  its name in the request, for messages @throws Refusal for what is not
-/// finite, too large, or no unit quaternion
+/// Reads a pose.
+/// @param field name of the field in the request, for messages
+/// @throws Refusal for values that are not finite, too large, or not a unit quaternion
 Pose read_pose(const v1::Pose& message, const std::string& field);
-/// @throws Refusal too for no pose, too many, or times that do not rise
+/// Reads a track of poses.
+/// @throws Refusal as read_pose(), for no or too many poses, and for times that do not
+/// increase
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& field);
-/// @throws Refusal for what is not finite or beyond 1e10
+/// Returns a time after checking its value.
+/// @throws Refusal for a value that is not finite or exceeds 1e10
 double read_time(double time_s, const std::string& field);
 
 void write_pose(const Pose& pose, v1::Pose& message);

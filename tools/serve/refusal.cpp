@@ -27,7 +27,7 @@ void refuse_unknown(const std::string& field, const std::string& name,
 std::string quoted(const std::string& word) {
     constexpr std::size_t kMost = 80;
     std::size_t n = std::min(word.size(), kMost);
-    // no half of a character of UTF-8
+    // Does not cut inside a UTF-8 character.
     while (n < word.size() && n > 0 && (static_cast<unsigned char>(word[n]) & 0xc0) == 0x80) --n;
     std::string shown = word.substr(0, n);
     std::replace_if(
@@ -50,7 +50,7 @@ grpc::Status answered(const std::function<void()>& answer) {
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
                 fmt::format("{}; this server ends, expected a new one", error.what())};
-        // of the device, of a run folder that has changed, of ourselves
+        // Errors of the device, of a modified run folder, or of relidar itself.
     } catch (const std::exception& error) {
         return {grpc::StatusCode::INTERNAL, error.what()};
     }

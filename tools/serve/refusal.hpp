@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Why a request is not answered, as a gRPC status.
+// Errors of requests, as gRPC statuses.
 #pragma once
 
 #include <functional>
@@ -21,18 +21,22 @@ private:
     grpc::StatusCode code_;
 };
 
-/// Of a field of a request that makes no sense. @throws Refusal, always
+/// Rejects an invalid field of a request.
+/// @throws Refusal always
 [[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected);
 
-/// Of a name that nothing has. @param known  where there is anything to be meant instead
-/// @throws Refusal, always
+/// Rejects an unknown name.
+/// @param known names that the message can suggest
+/// @throws Refusal always
 [[noreturn]] void refuse_unknown(const std::string& field, const std::string& name,
                                  const std::vector<std::string>& known);
 
-/// A client's word as messages show it: cut where it is long, in one line.
+/// Returns a text of a client for use in messages: on one line, and shortened if it is
+/// long.
 std::string quoted(const std::string& word);
 
-/// Runs what answers a request, and turns whatever it throws into a status of one line.
+/// Runs the function that answers a request. Converts its exceptions to a status with a
+/// one-line message.
 grpc::Status answered(const std::function<void()>& answer);
 
 }  // namespace relidar::serve

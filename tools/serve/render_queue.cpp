@@ -10,8 +10,8 @@
 namespace relidar::serve {
 namespace {
 
-/// How often somebody who waits looks whether the client is still there. What was left in
-/// between is noticed before it is begun.
+/// Interval at which a waiting call checks that its client is still connected. The check
+/// is repeated before its job starts.
 constexpr std::chrono::milliseconds kLook{10};
 
 }  // namespace
@@ -75,8 +75,8 @@ void RenderQueue::wait(Job& job, std::unique_lock<std::mutex>& lock) {
                      [&] { return job.state == Job::State::done || job.state == Job::State::unwanted; });
 }
 
-/// The next job that is wanted; null where none is there. @param before  only one that
-/// may be begun right after it
+/// Returns the next job whose client still waits, or null.
+/// @param before only returns a job that may start immediately after this job
 RenderQueue::Job* RenderQueue::next(const Job* before) {
     while (!line_.empty()) {
         Job* job = line_.front();
@@ -89,7 +89,7 @@ RenderQueue::Job* RenderQueue::next(const Job* before) {
     return nullptr;
 }
 
-/// Does a part of a job, and ends it with the last one, or with what it throws.
+/// Runs a part of a job. The job ends after its last part or with an exception.
 void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_last,
                           std::unique_lock<std::mutex>& lock) {
     lock.unlock();
@@ -111,15 +111,15 @@ void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_l
     job.changed.notify_one();
 }
 
-/// Begins a job, and those behind it that go to the device with it. @return those that
-/// have not ended
+/// Starts a job and the following jobs that are submitted to the device together.
+/// @return jobs that have not ended
 std::vector<RenderQueue::Job*> RenderQueue::begin(Job* job, std::unique_lock<std::mutex>& lock) {
     std::vector<Job*> begun;
     for (std::size_t n = 1; job; ++n) {
         Job* with_it = job->work.finish && n < together_ ? next(job) : nullptr;
         do_part(
             *job, [&] { job->work.begin(!with_it); }, !job->work.finish, lock);
-        // else it has ended, and goes with who waits for it
+        // Otherwise the job has ended, and its waiting thread may have destroyed it.
         if (job->state == Job::State::runs) begun.push_back(job);
         job = with_it;
     }
@@ -132,7 +132,7 @@ void RenderQueue::finish(const std::vector<Job*>& jobs, std::unique_lock<std::mu
 
 void RenderQueue::serve() {
     std::unique_lock lock(mutex_);
-    std::vector<Job*> begun;  // the device works for them
+    std::vector<Job*> begun;  // Jobs that the device is working on.
     while (true) {
         Job* job = next();
         if (!job && begun.empty()) {

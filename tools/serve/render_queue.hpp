@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One thread that owns a device, and the line in front of it: who does not get in is told
-// so at once, who has left is not served.
+// A render thread that owns a device, and its queue. If the queue is full, requests fail
+// immediately. Jobs of disconnected clients are skipped.
 #pragma once
 
 #include <condition_variable>
@@ -15,42 +15,44 @@
 
 namespace relidar::serve {
 
-/// How a piece of work ended.
+/// Result of a job.
 enum class WorkEnd { done, unwanted };
 
-/// Work that has a device do something, and goes on when that is done. While the device
-/// is busy with one, the next of its kind is begun.
+/// A job in two parts: it submits work to the device, and continues when the work is
+/// done. While the device is busy, the next job of the same kind can start.
 struct WorkInTwo {
-    /// is_last: no other of its kind is begun right after it, to go to the device with it
+    /// is_last: true if no other job of this kind starts immediately afterwards to be
+    /// submitted together.
     std::function<void(bool is_last)> begin;
     std::function<void()> finish;
-    std::size_t kind = 0;  ///< of work that may be begun while other work of its kind is not finished
+    std::size_t kind = 0;  ///< Jobs of the same kind may start before earlier ones have finished.
 };
 
 class RenderQueue {
 public:
-    /// @param waiting  how many may wait, beside the one that is served
+    /// Starts the render thread.
+    /// @param waiting maximum number of waiting requests, not counting the current one
     explicit RenderQueue(std::size_t waiting);
-    /// Nobody may hold a place any more.
+    /// All Place objects must be destroyed first.
     ~RenderQueue();
     RenderQueue(const RenderQueue&) = delete;
     RenderQueue& operator=(const RenderQueue&) = delete;
 
-    /// A place in the line; who holds it can always have work done. Given back on
-    /// destruction.
+    /// A place in the queue. Its owner can always run jobs. The destructor releases the
+    /// place.
     class Place {
     public:
         Place(Place&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }
         Place& operator=(Place&&) = delete;
         ~Place();
-        /// Has work done on the render thread, in the order of calls, and waits for it.
-        /// @param is_wanted  asked now and then, never at the same time as itself: work
-        /// that has not begun is left out where it says no; where it has, this waits for
-        /// its end
-        /// @throws what the work throws
+        /// Runs a job on the render thread, in the order of calls, and waits for it.
+        /// @param is_wanted polled from time to time, never concurrently. If it returns
+        /// false before the job has started, the job is skipped. If the job has started,
+        /// this call waits until it is finished.
+        /// @throws all exceptions of the job
         WorkEnd run(const std::function<void()>& work, const std::function<bool()>& is_wanted);
-        /// The same of work in two parts, which are done in order, and in the order of
-        /// all others of its kind.
+        /// Runs a job in two parts. Both parts run in the order of all jobs of the same
+        /// kind.
         WorkEnd run(const WorkInTwo& work, const std::function<bool()>& is_wanted);
 
     private:
@@ -58,19 +60,19 @@ public:
         explicit Place(RenderQueue* queue) : queue_(queue) {}
         RenderQueue* queue_;
     };
-    /// Nothing where all places are taken.
+    /// Returns a place, or no value if the queue is full.
     std::optional<Place> enter();
     std::size_t places() const { return places_; }
-    /// What the error said after which the device cannot work any more; nothing while it
-    /// works.
+    /// Returns the error message after which the device became unusable, or no value
+    /// while it works.
     std::optional<std::string> device_loss();
-    /// From now on so many pieces of work of one kind are begun before any of them is
-    /// finished, where so many wait; at first 1.
+    /// Sets the number of waiting jobs of one kind that are started together before any
+    /// of them is finished. Initially 1.
     void begin_together(std::size_t n);
 
 private:
     struct Job {
-        const WorkInTwo& work;  ///< no `finish`: it has one part
+        const WorkInTwo& work;  ///< Without `finish`, the job has only one part.
         const std::function<bool()>& is_wanted;
         enum class State { waits, runs, done, unwanted } state = State::waits;
         std::exception_ptr failure = {};
@@ -81,7 +83,8 @@ private:
     std::mutex mutex_;
     std::condition_variable more_;
     std::optional<std::string> device_loss_;
-    std::deque<Job*> line_;  ///< those that wait; each lives on the stack of who waits for it
+    /// Waiting jobs. Each is stored on the stack of the thread that waits for it.
+    std::deque<Job*> line_;
     std::size_t taken_ = 0, together_ = 1;
     bool closed_ = false;
     std::thread thread_;

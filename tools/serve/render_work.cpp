@@ -25,8 +25,8 @@ bool is_late(const grpc::ServerContext& context) {
     return std::chrono::system_clock::now() >= context.deadline();
 }
 
-/// What a scene's renderer does for a request, which has been looked at: the run's folder
-/// is at fault where it fails.
+/// Calls a function with the scene's renderer for a checked request. Errors are
+/// attributed to the run's folder.
 SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted,
                    const std::function<void(ScanRenderer&)>& work) {
     try {
@@ -36,21 +36,22 @@ SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted,
     }
 }
 
-/// Has a scan made on the queue's thread. @param finish  none: the work has one part
+/// Makes a scan on the queue's thread.
+/// @param finish empty: the job has one part
 template <class Scan>
 Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context,
                   const std::function<void(Scan&, bool is_last)>& begin,
                   const std::function<void(Scan&)>& finish = {}, std::size_t kind = 0) {
-    const Clock::time_point asked = Clock::now();
-    Clock::time_point begun = asked;
+    const Clock::time_point requested_at = Clock::now();
+    Clock::time_point started_at = requested_at;
     Timed<Scan> result;
-    const auto take_time = [&] { result.rendered_ms = ms_between(begun, Clock::now()); };
+    const auto take_time = [&] { result.rendered_ms = ms_between(started_at, Clock::now()); };
     WorkInTwo work{
-        [&](bool is_last) { begun = Clock::now(), begin(result.scan, is_last), take_time(); }, {}, kind};
+        [&](bool is_last) { started_at = Clock::now(), begin(result.scan, is_last), take_time(); }, {}, kind};
     if (finish) work.finish = [&] { finish(result.scan), take_time(); };
     const WorkEnd end = place.run(work, [&] { return is_wanted(context); });
     if (end == WorkEnd::unwanted || !is_wanted(context)) give_up(context);
-    result.queued_ms = ms_between(asked, begun);
+    result.queued_ms = ms_between(requested_at, started_at);
     return result;
 }
 
@@ -90,8 +91,8 @@ Timed<std::vector<RenderedPoints>> render_points(RenderQueue::Place& place, Scen
     using Send = ScanRenderer::Send;
     std::size_t n_asked = 0;
     SceneSet::Load load{};
-    // told when those before it have been taken: their places in the renderer's line are
-    // theirs
+    // An error is reported only after the earlier scans are read, because their results
+    // come first in the renderer's queue.
     std::exception_ptr failure;
     const auto begin = [&](std::vector<RenderedPoints>&, bool is_last) {
         try {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How a call gets its scans: a place in the line, work on the render thread, and a
-// refusal where the client has left.
+// Renders scans for calls: gets a place in the queue, runs a job on the render thread,
+// and fails if the client has disconnected.
 #pragma once
 
 #include <span>
@@ -15,29 +15,31 @@ namespace relidar::serve {
 
 class SceneSet;
 
-/// Whether anybody still waits for the answer.
+/// Returns false if the client has disconnected or the deadline has passed.
 bool is_wanted(const grpc::ServerContext& context);
-/// Of a call that nobody waits for. @throws Refusal, always
+/// Ends a call whose client no longer waits.
+/// @throws Refusal always
 [[noreturn]] void give_up(const grpc::ServerContext& context);
 
-/// A place in the line. @throws Refusal where all are taken
+/// Returns a place in the queue.
+/// @throws Refusal if the queue is full
 RenderQueue::Place enter(RenderQueue& queue);
 
-/// A scan, and what it took.
+/// A scan with its waiting time and rendering time.
 template <class Scan>
 struct Timed {
     Scan scan;
     double queued_ms = 0.0, rendered_ms = 0.0;
 };
 
-/// Renders a scan on the queue's thread. @throws Refusal where nobody waits for it any
-/// more, or the run's folder cannot be read
+/// Renders a scan on the queue's thread.
+/// @throws Refusal if the client no longer waits, or the folder of the run cannot be read
 Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted,
                                 const grpc::ServerContext& context);
-/// How many scans one call may send to the device at once.
+/// Maximum number of scans that one call submits to the device together.
 inline constexpr std::size_t kMostAtOnce = 8;
-/// How many calls may have theirs go together: twice as many scans are in flight, since
-/// the next ones are begun before these are taken.
+/// Maximum number of calls whose scans are submitted together. Twice as many scans can be
+/// pending, because the next scans are submitted before these are read.
 inline constexpr std::size_t kCallsTogether = 4;
 static_assert(2 * kCallsTogether * kMostAtOnce <= ScanRenderer::kScansInFlight);
 

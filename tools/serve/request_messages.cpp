@@ -21,9 +21,10 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kMostSensors = 64;                // of a rig
-constexpr std::size_t kLongestSpawnName = 200;  // bytes, of spawned actors
-// a sweep may begin before its path and end after it; more is a mistake of times
+constexpr int kMostSensors = 64;                // Maximum number of sensors of a rig.
+constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of the name of a spawned actor.
+// A sweep may begin before its path and end after it. A larger difference is an error of
+// the times.
 constexpr double kBeyondPath_s = 1.0;
 
 bool is_far_beyond(double time_s, const PoseTrack& path) {
@@ -32,7 +33,7 @@ bool is_far_beyond(double time_s, const PoseTrack& path) {
            (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
-/// A moment on the sensor's path, or not far beyond it.
+/// Reads a time on the sensor's path or slightly outside it.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
     if (is_far_beyond(time_s, path))
@@ -48,7 +49,8 @@ std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors)
     return names;
 }
 
-/// @throws Refusal for poses that end long before the scan, or begin long after it
+/// Reads the actors of a request.
+/// @throws Refusal for poses that end long before the scan or begin long after it
 std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s) {
     std::vector<ActorWish> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
@@ -98,23 +100,23 @@ RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector
 
 std::size_t RequestReader::find_scene(const std::string& name, const std::string& field) const {
     if (name.empty() && sources_.size() == 1) return 0;
-    std::vector<std::string> known;
+    std::vector<std::string> names;
     for (const SceneSource& source : sources_) {
-        if (source.name == name) return known.size();
-        known.push_back(source.name);
+        if (source.name == name) return names.size();
+        names.push_back(source.name);
     }
-    refuse_unknown(field, name, known);
+    refuse_unknown(field, name, names);
 }
 
 int RequestReader::find_lidar(std::size_t scene, const std::string& name) const {
     const std::vector<Lidar>& lidars = outlines_[scene].sequence.lidars;
     if (name.empty()) return 0;
-    std::vector<std::string> known;
+    std::vector<std::string> names;
     for (const Lidar& lidar : lidars) {
-        if (lidar.name == name) return int(known.size());
-        known.push_back(lidar.name);
+        if (lidar.name == name) return int(names.size());
+        names.push_back(lidar.name);
     }
-    refuse_unknown("lidar", name, known);
+    refuse_unknown("lidar", name, names);
 }
 
 std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::upload(
@@ -127,7 +129,7 @@ std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::uploa
     return {handle, sensor};
 }
 
-/// By name, its rays made once.
+/// Returns a sensor by name. Its rays are made only once.
 std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::string& name, std::size_t scene,
                                                                 int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, name);
@@ -163,41 +165,42 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish&
     return std::make_shared<const SensorChoice>(std::move(placed));
 }
 
-/// Those of the run, and those that clients have put there.
+/// Returns the actors of the run and the spawned actors.
 std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
-    std::vector<PlacedActor> known;
+    std::vector<PlacedActor> actors;
     for (const Instance& instance : run.scene.instances) {
         if (instance.track.empty()) continue;
         const auto box = std::ranges::find(run.sequence.boxes, instance.track, &BoxTrack::id);
-        known.push_back({instance.track, instance.track,
-                         box == run.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m,
-                         run.scene.models[instance.model].count});
+        actors.push_back({instance.track, instance.track,
+                          box == run.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m,
+                          run.scene.models[instance.model].count});
     }
     for (const SpawnedActors::Place& place : spawned_.taken(scene))
-        known.push_back(
+        actors.push_back(
             {place.actor.name, track_of_place(place.position), place.actor.size_m, place.actor.surfels});
-    return known;
+    return actors;
 }
 
 void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const {
-    const std::vector<PlacedActor> known = known_actors(wanted.scene);
-    std::map<std::string_view, const PlacedActor*> by_name;  // there may be thousands
-    for (const PlacedActor& actor : known) by_name.emplace(actor.name, &actor);
+    const std::vector<PlacedActor> known_placed = known_actors(wanted.scene);
+    // A map, because there may be thousands of actors.
+    std::map<std::string_view, const PlacedActor*> by_name;
+    for (const PlacedActor& actor : known_placed) by_name.emplace(actor.name, &actor);
     ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
     for (const ActorWish& wish : wishes) {
-        const auto found = by_name.find(wish.name);
-        if (found == by_name.end()) refuse_unknown(wish.field, wish.name, names_of_placed(known));
-        if (!poses.emplace(found->second->track, wish.dataset_from_actor).second)
+        const auto match = by_name.find(wish.name);
+        if (match == by_name.end()) refuse_unknown(wish.field, wish.name, names_of_placed(known_placed));
+        if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
             refuse(wish.field, quoted(wish.name) + " again", "each actor once");
-        wanted.placed.push_back(*found->second);
+        wanted.placed.push_back(*match->second);
     }
 }
 
 std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
                                                   std::size_t scene) const {
     if (message.actors().empty()) refuse("actors", "none", "one actor at least");
-    const std::vector<std::string> of_run = actor_names(outlines_[scene]);
+    const std::vector<std::string> run_actors = actor_names(outlines_[scene]);
     const std::vector<PlacedActor> known = known_actors(scene);
     std::vector<SpawnWish> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
@@ -206,7 +209,7 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
         if (spawn.name().empty() || spawn.name().size() > kLongestSpawnName)
             refuse(field + ".name", quoted(spawn.name()),
                    fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
-        if (std::ranges::find(of_run, spawn.name()) != of_run.end())
+        if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
                           fmt::format("reading {}.name: found {}, which is an actor of the run, expected "
                                       "another name",
@@ -219,10 +222,10 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
             continue;
         }
         if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
-        const auto actor = std::ranges::find(of_run, spawn.actor());
-        if (actor == of_run.end()) refuse_unknown(field + ".actor", spawn.actor(), of_run);
-        // those of the run come first
-        const PlacedActor& model = known[std::size_t(actor - of_run.begin())];
+        const auto actor = std::ranges::find(run_actors, spawn.actor());
+        if (actor == run_actors.end()) refuse_unknown(field + ".actor", spawn.actor(), run_actors);
+        // The actors of the run come first.
+        const PlacedActor& model = known[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }
     return wishes;
@@ -260,7 +263,7 @@ std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message)
         refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()),
                fmt::format("1 to {}", kMostSensors));
     std::vector<WantedScan> scans;
-    std::set<std::string_view> names;  // sensors without a name are known by their order
+    std::set<std::string_view> names;  // Sensors without a name are identified by their order.
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Requests for scans, looked at and turned into what a renderer takes. For any thread.
+// Checks requests for scans and converts them to requests of a renderer. May be used from
+// any thread.
 #pragma once
 
 #include <cstdint>
@@ -23,61 +24,66 @@ class SceneSet;
 class SpawnedActors;
 struct SpawnWish;
 
-/// An actor that a request places.
+/// An actor that a request places in the scene.
 struct PlacedActor {
-    std::string name;   ///< as the request calls it
-    std::string track;  ///< as the scene that is rendered does
+    std::string name;   ///< Name in the request.
+    std::string track;  ///< Track in the rendered scene.
     glm::dvec3 size_m{0.0};
     std::size_t surfels = 0;
 };
 
-/// An actor as a request names it, and where it wants it.
+/// Name and poses of an actor in a request.
 struct ActorWish {
-    std::string field;  ///< of its name, for messages
+    std::string field;  ///< Field of the actor's name, for messages.
     std::string name;
     PoseTrack dataset_from_actor;
 };
 
-/// A scan that is wanted and can be rendered.
+/// A valid request for a scan.
 struct WantedScan {
-    std::size_t scene = 0;  ///< index into the outlines
+    std::size_t scene = 0;  ///< Index into the outlines.
     std::shared_ptr<const SensorChoice> sensor;
     ScanRequest request;
-    std::vector<PlacedActor> placed;  ///< those of request.dataset_from_actor
+    std::vector<PlacedActor> placed;  ///< The actors of request.dataset_from_actor.
     std::optional<std::uint64_t> sample;
-    std::optional<Weather> weather;  ///< none: as the scene is served
+    std::optional<Weather> weather;  ///< No value: the weather that the server was started with.
     double points_at_s = 0.0;
     bool points = true, range_image = false, drop_probability = false;
 };
 
-/// Tracks of the actors of a run, as clients name them.
+/// Returns the tracks of the actors of a run, which are the names for clients.
 std::vector<std::string> actor_names(const Run& run);
 
-/// Holds no state of a request; what it looks things up in outlives it.
+/// Reads requests. Stores no state of a request. The objects given to the constructor
+/// must outlive it.
 class RequestReader {
 public:
-    /// @param scenes  of which what is for all threads is looked at
+    /// Creates a reader for the scenes of a device.
+    /// @param scenes only its thread-safe members are used
     explicit RequestReader(SceneSet& scenes);
-    /// The same without a device behind it.
+    /// Creates a reader without a device.
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetShelf& assets, const SpawnedActors& spawned);
 
-    /// Index of a scene. @param field  its name in the request, for messages @throws
-    /// Refusal
+    /// Returns the index of a scene.
+    /// @param field name of the field in the request, for messages
+    /// @throws Refusal for an unknown scene
     std::size_t find_scene(const std::string& name, const std::string& field = "scene") const;
     int find_lidar(std::size_t scene, const std::string& name) const;
-    /// Keeps a sensor that a client describes. @return its handle, and what it is @throws
-    /// Refusal
+    /// Stores a sensor that a client describes.
+    /// @return handle of the sensor, and the sensor
+    /// @throws Refusal for an invalid sensor
     std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
-    /// The actors to be spawned in a scene. @throws Refusal for names that make no sense,
-    /// and for an actor or asset that is not there
+    /// Returns the actors to spawn in a scene.
+    /// @throws Refusal for invalid names, and for an unknown actor or asset
     std::vector<SpawnWish> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
-    /// @throws Refusal naming the field that makes no sense
+    /// Reads a request for a scan.
+    /// @throws Refusal that names an invalid field
     WantedScan read(const v1::RenderLidarRequest& message);
-    /// One for each sensor.
+    /// Returns one request for each sensor.
     std::vector<WantedScan> read(const v1::RenderRigRequest& message);
-    /// Has these actors in a scan, and no others. @throws Refusal for one that is not
-    /// there, or that is there twice
+    /// Sets the actors of a scan; all other actors are absent.
+    /// @throws Refusal for an unknown actor, or an actor that is given twice
     void place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const;
 
 private:
@@ -95,8 +101,9 @@ private:
     std::shared_ptr<const SensorChoice> find_sensor(const SensorWish& wish, std::size_t scene, int lidar);
     std::shared_ptr<const SensorChoice> known_sensor(const std::string& name, std::size_t scene, int lidar);
     std::vector<PlacedActor> known_actors(std::size_t scene) const;
-    /// @param path_from_sensor  of a sensor of a rig; none: the path is the sensor's own,
-    /// and keeps every bit
+    /// Reads a request for one sensor.
+    /// @param path_from_sensor mounting of the sensor in a rig. No value: the path
+    /// belongs to the sensor itself and is used without rounding.
     WantedScan read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish,
                          const std::optional<Pose>& path_from_sensor);
 };

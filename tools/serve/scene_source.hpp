@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which runs are served, and what clients call them by.
+// Maps the names that clients use to the served runs.
 #pragma once
 
 #include <filesystem>
@@ -15,19 +15,22 @@ struct Run;
 
 namespace relidar::serve {
 
-/// A run to be served, and the name that clients call it by.
+/// A served run and its name for clients.
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
-    std::optional<std::string> channels = {};  ///< of its scans; none: as the run is configured
-    Weather weather = {};                      ///< of its scans where a request does not say
+    /// Channels of its scans. No value: those of the run's settings.
+    std::optional<std::string> channels = {};
+    Weather weather = {};  ///< Weather of scans whose request sets none.
 
-    /// The run as it is served. @throws as load_run(); UsageError for unknown channels
+    /// Loads the run with these settings.
+    /// @throws as load_run(); UsageError for unknown channels
     Run load() const;
 };
 
-/// From words "RUN" or "NAME=RUN"; the name is the folder's where none is given. @throws
-/// UsageError for a name that is used twice
+/// Parses words of the form "RUN" or "NAME=RUN". Without a name, the name of the folder
+/// is used.
+/// @throws UsageError if two runs have the same name
 std::vector<SceneSource> scene_sources(const std::vector<std::string>& words,
                                        const std::optional<std::string>& channels = {},
                                        const Weather& weather = {});

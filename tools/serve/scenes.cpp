@@ -14,15 +14,15 @@ namespace {
 
 constexpr double kMiB = 1024.0 * 1024.0;
 
-/// What the rest of the service looks at: everything but the large arrays.
+/// Returns the parts of a run that the service needs: everything except the large arrays.
 Run outline_of(Run run) {
     run.scene = layout_of(run.scene);
     run.drop_network = {};
     return run;
 }
 
-/// One ray ahead from where the log begins: whatever a scan needs beside its rays is on
-/// the device afterwards.
+/// Returns a sensor with one forward ray. Rendering it at the start of the log uploads
+/// all data of a scan except its rays.
 SensorChoice one_ray() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
@@ -67,7 +67,7 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
         renderer.set_weather(weather.value_or(sources_[scene].weather));
         work(renderer);
     });
-    make_room(scene, 0);  // arrays grow with the rays of a sensor
+    make_room(scene, 0);  // Arrays grow with the number of rays of a sensor.
     return loaded_[scene].load;
 }
 
@@ -83,7 +83,9 @@ void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&
     try {
         count_growth(scene, [&] { work(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
-        loaded_[scene].renderer.reset();  // what it holds is not known; the next request loads it again
+        // The state of the renderer is unknown, so the next request loads the scene
+        // again.
+        loaded_[scene].renderer.reset();
         throw;
     }
 }
@@ -98,13 +100,13 @@ void SceneSet::load(std::size_t scene, const Run& run) {
         loaded.renderer->render(one_ray(), first_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    // none in the place of another scene
+    // Parallel copies must not displace another scene.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->side_by_side();
     loaded.renderer->side_by_side(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
 }
 
-/// The run as it is now, with the actors that clients have put into it.
+/// Loads the run with the actors that clients have spawned.
 void SceneSet::load_with_places(std::size_t scene) {
     const std::vector<SpawnedActors::Place> places = spawned_.places(scene);
     Run run = sources_[scene].load();
@@ -119,7 +121,7 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
     std::vector<SpawnedActors::Place> places = spawned_.take(scene, wishes);
     if (loaded.renderer && loaded.n_places == spawned_.count_places(scene)) return places;
     const auto undo = [&] {
-        loaded.renderer.reset();  // the next request loads the scene as it was before
+        loaded.renderer.reset();  // The next request loads the scene without the new actors.
         spawned_.undo(scene, places, n_before);
     };
     try {
@@ -152,8 +154,8 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
                               wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
-/// Forgets the scenes used longest ago, but this one, until all fit with so many more
-/// bytes, or no other is left.
+/// Unloads the least recently used scenes except this one, until all scenes and the given
+/// number of bytes fit or no other scene is loaded.
 void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     while (device_.allocated_bytes() + bytes > memory_bytes_) {
         Loaded* oldest = nullptr;
@@ -165,7 +167,7 @@ void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     }
 }
 
-/// Books what a piece of work allocates on a scene.
+/// Adds the memory that some work allocates to the size of a scene.
 void SceneSet::count_growth(std::size_t scene, const std::function<void()>& work) {
     const std::uint64_t before = device_.allocated_bytes();
     work();

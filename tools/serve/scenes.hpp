@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The runs that are served: what is known of each is kept, the surfels of those used last
-// are on the device.
+// The served runs. The outline of each run stays in memory; surfels of recently used runs
+// stay on the device.
 #pragma once
 
 #include <cstdint>
@@ -17,53 +17,54 @@
 
 namespace relidar::serve {
 
-/// Serves one thread at a time, that of its device; outlines(), assets() and spawned()
-/// are for all.
+/// Must be used from the device's thread only, except outlines(), assets() and spawned(),
+/// which any thread may call.
 class SceneSet {
 public:
-    /// Loads each run, to see that it can be and how large it is.
-    /// @param memory_bytes  device memory that scenes may hold together; beyond it the
-    /// one used longest ago goes
-    /// @param assets  that may be spawned; it outlives this
-    /// @throws DataError for a run that cannot be read, or is larger than that alone
+    /// Loads each run once to check it and to measure its size.
+    /// @param memory_bytes device memory for all scenes together. Above it, the least
+    /// recently used scene is unloaded.
+    /// @param assets assets that can be spawned; must outlive this object
+    /// @throws DataError if a run cannot be read or a single run exceeds this memory
     SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
              const AssetShelf& assets);
 
-    /// Runs without their surfels and ray-drop networks, in the order given. Never
+    /// Returns the runs without surfels and ray-drop networks, in the order given. Never
     /// changes.
     const std::vector<Run>& outlines() const { return outlines_; }
     const std::vector<SceneSource>& sources() const { return sources_; }
     const AssetShelf& assets() const { return assets_; }
     SpawnedActors& spawned() { return spawned_; }
 
-    /// Puts actors into a scene, which is loaded anew where there is no place for them.
-    /// @return in the order of the wishes
-    /// @throws Refusal where a name is taken or an asset does not fit, and where the
-    /// device's memory does not do: nothing has changed then
+    /// Spawns actors in a scene. Loads the scene again if it has no free places for them.
+    /// @return places in the order of the requests
+    /// @throws Refusal if a name is in use, an asset does not fit, or the device memory
+    /// is too small. The scene is then unchanged.
     std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnWish>& wishes);
 
-    /// Number of times that a scene had been loaded: later ones do not know what an
-    /// earlier one was asked for.
+    /// Number of loads of a scene. A renderer of a later load does not know requests to
+    /// an earlier one.
     enum class Load : std::uint64_t {};
-    /// Has a scene's renderer do something; loads the scene where it is not there. @param
-    /// scene  index into outlines()
-    /// @param weather  none: that of its source
+    /// Calls a function with a scene's renderer. Loads the scene if necessary.
+    /// @param scene index into outlines()
+    /// @param weather no value: the weather of its source
     Load use(std::size_t scene, const std::optional<Weather>& weather,
              const std::function<void(ScanRenderer&)>& work);
-    /// Has it do what is left of that, before another scene is used. @throws DeviceError
-    /// where it was lost in between
+    /// Completes the work of a previous use(). Must be called before another scene is
+    /// used.
+    /// @throws DeviceError if the device was lost since
     void use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
 
-    /// Whether its surfels are on the device now.
+    /// Returns true if the surfels of the scene are on the device.
     bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
 
 private:
     struct Loaded {
-        std::unique_ptr<ScanRenderer> renderer;  ///< null where it is not loaded
-        std::uint64_t bytes = 0;                 ///< on the device, when it was there last
-        std::uint64_t used = 0;                  ///< by a clock that counts uses
-        Load load{};                             ///< the last one
-        std::size_t n_places = 0;                ///< of spawned actors, that it was loaded with
+        std::unique_ptr<ScanRenderer> renderer;  ///< Null if the scene is not loaded.
+        std::uint64_t bytes = 0;                 ///< Device memory of the most recent load.
+        std::uint64_t used = 0;                  ///< Time of the last use, counted in uses.
+        Load load{};                             ///< Number of the most recent load.
+        std::size_t n_places = 0;                ///< Number of places for spawned actors in the loaded scene.
     };
 
     Device& device_;

@@ -40,7 +40,7 @@ double read_between(const std::string& field, double value, double low, double h
     return value;
 }
 
-/// Values of an array that has so many for each ray, or none at all.
+/// Reads an array that has a fixed number of values per ray, or is empty.
 template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
@@ -98,7 +98,7 @@ RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     return rays;
 }
 
-/// Adds a beam by the rules of beam tables in files.
+/// Adds a beam with the same checks as for tables of beams in files.
 void read_beam(const v1::Beam& message, const std::string& field, SpinningSensor& sensor) {
     const Beam beam{read_between(field + ".elevation_rad", message.elevation_rad(), -kPi / 2, kPi / 2),
                     read_between(field + ".azimuth_offset_rad", message.azimuth_offset_rad(), -kPi, kPi),
@@ -113,7 +113,7 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     SpinningSensor sensor;
     for (const v1::Beam& beam : message.beams())
         read_beam(beam, fmt::format("{}.beams[{}]", field, sensor.beams.size()), sensor);
-    // Neighbours may change places by a little, as those of a log's own sensor do.
+    // Neighbouring beams may be slightly out of order, as in sensors of logs.
     if (const auto& beams = sensor.beams;
         !beams.empty() && beams.back().elevation_rad > beams.front().elevation_rad)
         refuse(field + ".beams",
@@ -123,7 +123,7 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;  // azimuth 0 is the middle of the turn
+    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;  // Azimuth 0 is the middle of the turn.
     return sensor;
 }
 
@@ -137,7 +137,7 @@ ScanningWindow read_window(const v1::ScanningWindow& message, const std::string&
             .left_rad = read_between(field + ".left_rad", message.left_rad(), -2 * kPi, 2 * kPi),
             .right_rad = read_between(field + ".right_rad", message.right_rad(), -2 * kPi, 2 * kPi),
             .top_rad = top_rad,
-            // row 0 is the highest
+            // Row 0 is the highest.
             .bottom_rad = read_between(field + ".bottom_rad", message.bottom_rad(), -kPi / 2, top_rad),
             .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
@@ -154,8 +154,8 @@ Rosette read_rosette(const v1::Rosette& message, const std::string& field) {
             .period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s)};
 }
 
-/// "VLP-16:900x20" without what follows the colon; the whole where that is no number of
-/// columns and rate.
+/// Returns "VLP-16" for "VLP-16:900x20". Returns the full name if the part after the
+/// colon is not a number of columns and a rate.
 std::string base_name(const std::string& name) {
     const std::size_t colon = name.rfind(':');
     const bool sized =
@@ -221,7 +221,7 @@ SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
 
 FiringSpan firing_span(const SensorChoice& sensor) {
     const ScanArray<float>& times = sensor.rays.time_offset_s;
-    if (times.empty()) {  // a Rosette, or one that is known by its scans alone
+    if (times.empty()) {  // A Rosette, or a sensor that is known only from its scans.
         const double period_s = sensor.pattern ? period_of(*sensor.pattern) : 0.0;
         return {-0.5 * period_s, 0.5 * period_s};
     }

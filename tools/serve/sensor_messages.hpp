@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors as clients send them. Whatever a client sends is looked at here, before rays
-// are made of it.
+// Reads sensors from messages. Messages are untrusted input and are checked before rays
+// are made.
 #pragma once
 
 #include <string>
@@ -11,25 +11,28 @@
 
 namespace relidar::serve {
 
-/// Of one scan of any sensor: a scan of so many takes seconds on a CPU.
+/// Maximum number of rays of a scan. A scan of this size takes seconds on a CPU.
 inline constexpr std::size_t kMostRaysOfScan = std::size_t(1) << 20;
 
-/// @param field  its name in the request, for messages @throws Refusal naming the field
-/// that makes no sense
+/// Reads a sensor.
+/// @param field name of the field in the request, for messages
+/// @throws Refusal that names an invalid field
 SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field);
 
-/// A sensor by name: "native", or a built-in one. Never a file: clients have no business
-/// with those of the server.
-/// @param run  without surfels @throws Refusal for another name, or too many rays
+/// Returns the sensor "native" or a built-in sensor. Names of files are rejected, because
+/// clients must not access files of the server.
+/// @param run run without surfels
+/// @throws Refusal for another name, or too many rays
 SensorChoice named_sensor(const std::string& name, const Run& run, int lidar);
 
-/// When the first or last ray of a sensor's scan is fired, seconds from the scan's time.
+/// Firing times of the first and last ray of a scan, in seconds relative to the scan's
+/// time.
 struct FiringSpan {
     double first_s = 0.0, last_s = 0.0;
 };
 FiringSpan firing_span(const SensorChoice& sensor);
 
-/// Of one scan.
+/// Returns the number of rays of one scan.
 std::size_t count_rays(const SensorChoice& sensor);
 
 }  // namespace relidar::serve

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors whose rays are made already: uploaded ones by handle, and known ones by name. A
-// shelf is bounded: what was used longest ago makes room.
+// Cache of sensors with their rays: uploaded sensors by handle, known sensors by name.
+// Its size is limited; the least recently used sensor is removed.
 #pragma once
 
 #include <cstdint>
@@ -15,16 +15,18 @@ struct SensorChoice;
 
 namespace relidar::serve {
 
-/// For any thread.
+/// May be used from any thread.
 class SensorShelf {
 public:
     static constexpr std::size_t kMostSensors = 64;
-    static constexpr std::size_t kMostRays = std::size_t(1) << 22;  ///< of all together: 120 MB
+    /// Maximum number of rays of all sensors, about 120 MB.
+    static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
-    /// @return a new key
+    /// Adds an uploaded sensor.
+    /// @return a new handle
     std::string add(SensorChoice sensor);
     std::shared_ptr<const SensorChoice> put(const std::string& key, SensorChoice sensor);
-    /// Null where it is not there, or no longer.
+    /// Returns a sensor, or null if it is unknown or was removed.
     std::shared_ptr<const SensorChoice> find(const std::string& key);
 
 private:

@@ -19,19 +19,19 @@ namespace {
 constexpr double kMicrosecond = 1e-6;
 constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 
-/// A LiDAR of the wire as relidar knows it.
+/// Maps a LiDAR type of the messages to a sensor of relidar.
 struct WireLidar {
     sensorsim::LidarType type;
     const char* name;
-    double period_s;  ///< of its sweep, as find_sensor() has it
+    double period_s;  ///< Period of its sweep, as in find_sensor().
 };
 constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sensorsim::AT128, "AT128", 0.1}};
 
 const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
-    const auto found = std::ranges::find(kLidars, type, &WireLidar::type);
-    if (found == std::end(kLidars))
+    const auto match = std::ranges::find(kLidars, type, &WireLidar::type);
+    if (match == std::end(kLidars))
         refuse("lidar.lidar_type", fmt::format("{}", int(type)), "0 (PANDAR128) or 1 (AT128)");
-    return *found;
+    return *match;
 }
 
 bool same(const Pose& a, const Pose& b) { return a.translation == b.translation && a.rotation == b.rotation; }
@@ -115,7 +115,7 @@ WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
                       read_time(double(end_us) * kMicrosecond, "frame_end_us"),
                       outlines_[wanted.scene].sequence.world_offset_m};
     wanted.sensor = sensor(message);
-    // the middle of the sweep is time 0 of the rays
+    // Time 0 of the rays is the middle of the sweep.
     wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     wanted.points_at_s = frame.end_s;

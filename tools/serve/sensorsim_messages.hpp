@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Requests and answers of sensorsim.proto. Its world is relidar's, near the log, because
-// its numbers are single; the dataset's world may lie thousands of kilometres away.
+// Reads requests and writes answers of sensorsim.proto. Its world frame is relidar's
+// world near the log, because its numbers have single precision. The origin of the
+// dataset's world may be thousands of kilometres away.
 #pragma once
 
 #include <memory>
@@ -18,21 +19,23 @@ namespace relidar::serve {
 
 namespace sensorsim = nre::grpc::protos::sensorsim;
 
-/// For any thread.
+/// May be used from any thread.
 class SensorsimReader {
 public:
-    /// @param outlines  of the scenes that `reader` knows; both outlive this @param order
-    /// of the parts of every pose
+    /// Creates a reader for the messages of sensorsim.proto.
+    /// @param outlines outlines of the scenes of `reader`; both must outlive this object
+    /// @param order order of rotation and translation in every pose
     SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
-    /// Index of a scene. @throws Refusal
+    /// Returns the index of a scene.
+    /// @throws Refusal for an unknown scene
     std::size_t find_scene(const std::string& scene_id) const {
         return reader_.find_scene(scene_id, "scene_id");
     }
-    /// The sensor's sweep fills the frame: its first ray is fired when that begins, its
-    /// last one when it ends.
-    /// @throws Refusal naming the field that makes no sense
+    /// Reads a request. The sweep of the sensor fills the frame: its first ray is fired
+    /// at the start of the frame, its last ray at the end.
+    /// @throws Refusal that names an invalid field
     WantedScan read(const sensorsim::LidarRenderRequest& message);
 
 private:
@@ -54,8 +57,9 @@ private:
 /// Points of a scan that has been rendered as read() says.
 void write_points(const Points& points, sensorsim::LidarRenderReturn& message);
 
-/// Of the log's vehicle, then of its LiDARs. @throws Refusal for a log that began before
-/// time 0, which the wire cannot say
+/// Writes the trajectories of the log's vehicle and of its LiDARs.
+/// @throws Refusal for a log that starts before time 0, which the messages cannot
+/// represent
 void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message);
 
 }  // namespace relidar::serve

@@ -11,7 +11,7 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kMostScans = 64;  // of one call, as of a rig
+constexpr int kMostScans = 64;  // Maximum number of scans per call, the same as the sensors of a rig.
 
 [[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
     throw Refusal(
@@ -94,7 +94,7 @@ grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
         if (request->lidar_size() > kMostScans)
             refuse("lidar", fmt::format("{} scans", request->lidar_size()),
                    fmt::format("at most {} in a call", kMostScans));
-        RenderQueue::Place place = enter(queue_);  // for all of them
+        RenderQueue::Place place = enter(queue_);  // One place for all scans of the call.
         std::vector<WantedScan> wanted;
         for (const sensorsim::LidarRenderRequest& lidar : request->lidar())
             wanted.push_back(reader_->read(lidar));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The calls of sensorsim.proto, beside ours and on the same render thread.
+// Implements the calls of sensorsim.proto on the render thread of relidar's own service.
 #pragma once
 
 #include <memory>
@@ -18,7 +18,8 @@ struct WantedScan;
 
 class SensorsimService final : public sensorsim::SensorsimService::Service {
 public:
-    /// Both outlive the service. @param scenes  renders on the queue's thread alone
+    /// Both arguments must outlive the service.
+    /// @param scenes used only on the queue's thread
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order);
     ~SensorsimService() override;
 

@@ -25,13 +25,15 @@
 namespace relidar::serve {
 namespace {
 
-// bytes: a table of the most rays, 30 bytes each, and room for what is around it
+// Size in bytes of a sensor with the maximum number of rays, 30 bytes each, with some
+// margin.
 constexpr int kLargestRequest = 40 << 20;
-// beside those that wait in the queue: for calls that are answered at once
+// Threads for calls that do not render, in addition to those waiting in the queue.
 constexpr std::size_t kOtherThreads = 32;
-constexpr int kKeepalive_ms = 20'000;     // a client that vanished without a word is noticed after that
-constexpr int kHandshake_ms = 10'000;     // a connection that does not speak gRPC by then is closed
-constexpr int kLongestIdle_ms = 600'000;  // of a connection; clients connect again when they need to
+constexpr int kKeepalive_ms = 20'000;  // Time after which a vanished client is detected.
+constexpr int kHandshake_ms = 10'000;  // A connection that has not started gRPC by then is closed.
+// Idle connections are closed after this time. Clients reconnect when necessary.
+constexpr int kLongestIdle_ms = 600'000;
 
 std::string read_pem(const std::string& file) {
     std::ifstream in(file, std::ios::binary);
@@ -48,13 +50,13 @@ std::shared_ptr<grpc::ServerCredentials> credentials(const ServerOptions& option
     return grpc::SslServerCredentials(tls);
 }
 
-/// gRPC's own log goes to stderr in a form of its own; what matters of it is said by
-/// exceptions and statuses. Protobuf has a line for each text of a client that is no
-/// UTF-8: whoever can connect could fill a disk.
+/// Turns off the log of gRPC, whose messages on stderr only repeat exceptions and
+/// statuses. Also turns off the log of Protobuf, which prints a line for each invalid
+/// UTF-8 text of a client. Any client could otherwise fill the disk.
 void silence_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
-#if GOOGLE_PROTOBUF_VERSION < 4022000  // from then on by absl, which says nothing unless it is asked to
+#if GOOGLE_PROTOBUF_VERSION < 4022000  // Later versions log through absl, which is silent by default.
     google::protobuf::SetLogHandler(nullptr);
 #endif
 }
@@ -68,12 +70,14 @@ std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {
 struct ScanServer::Impl {
     RenderQueue queue;
     std::optional<AssetShelf> assets;
-    std::optional<Device> device;  ///< this and the scenes: made, used and destroyed on the queue's thread
+    /// The device and the scenes are created, used and destroyed on the queue's thread.
+    std::optional<Device> device;
     std::optional<SceneSet> scenes;
     std::optional<RenderService> service;
     std::optional<SensorsimService> sensorsim;
     std::optional<Acceptor> acceptor;
-    std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;  ///< of the server
+    /// Connections of the server.
+    std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;
     std::unique_ptr<grpc::Server> server;
 
     explicit Impl(std::size_t waiting) : queue(waiting) {}
@@ -127,7 +131,8 @@ void ScanServer::Impl::set_serving(bool serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), serving);
     if (sensorsim) health.SetServingStatus(sensorsim::SensorsimService::service_full_name(), serving);
-    if (!serving) health.SetServingStatus("", false);  // the server as a whole
+    // The empty name is the status of the complete server.
+    if (!serving) health.SetServingStatus("", false);
 }
 
 ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Impl>(options.waiting)) {

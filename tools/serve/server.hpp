@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A server of scans that listens: the render thread with its device and scenes, and gRPC
-// in front of it. No type of gRPC here: the command line sees this header alone.
+// A server of scans: the render thread with its device and scenes, and gRPC. This header
+// uses no type of gRPC, because the command line program includes only this header.
 #pragma once
 
 #include <chrono>
@@ -15,32 +15,36 @@
 
 namespace relidar::serve {
 
-/// How a pose of SensorsimService takes a point p of the child's frame to its parent's.
+/// Order in which a pose of SensorsimService transforms a point p of the child frame to
+/// the parent frame.
 enum class PoseOrder {
-    rotation_first,     ///< R p + t, as everywhere else
+    rotation_first,     ///< R p + t, as everywhere else.
     translation_first,  ///< R (p + t)
 };
 
 struct ServerOptions {
-    std::vector<std::string> runs;           ///< "RUN" or "NAME=RUN"
-    std::vector<std::string> assets;         ///< folders of `relidar assets`
-    std::optional<std::string> channels;     ///< of scans, in place of each run's own setting render.channels
-    Weather weather = {};                    ///< of scans whose request does not say
-    std::optional<PoseOrder> sensorsim;      ///< of SensorsimService, which is offered too; none: it is not
-    std::string listen = "127.0.0.1:50051";  ///< port 0: a free one
-    std::uint64_t memory_mib = 0;   ///< device memory that scenes may hold together; 0: half of the device's
-    std::size_t waiting = 64;       ///< requests that may wait, beside the one that is served
-    std::string tls_cert, tls_key;  ///< files in PEM; empty: no TLS
+    std::vector<std::string> runs;    ///< Runs, each as "RUN" or "NAME=RUN".
+    std::vector<std::string> assets;  ///< Folders of `relidar assets`.
+    /// Channels of scans, which replace the setting render.channels of each run.
+    std::optional<std::string> channels;
+    Weather weather = {};  ///< Weather of scans whose request sets none.
+    /// Pose order of SensorsimService. No value: that service is not offered.
+    std::optional<PoseOrder> sensorsim;
+    std::string listen = "127.0.0.1:50051";  ///< Port 0 selects a free port.
+    /// Device memory for all scenes together. 0: half of the device memory.
+    std::uint64_t memory_mib = 0;
+    std::size_t waiting = 64;       ///< Maximum number of waiting requests, not counting the current one.
+    std::string tls_cert, tls_key;  ///< PEM files. Empty: no TLS.
     DeviceOptions device;
 };
 
 class ScanServer {
 public:
     /// Loads all runs, then listens.
-    /// @throws UsageError for an address that cannot be listened at, DataError for a run
-    /// or key that cannot be read, DeviceError
+    /// @throws UsageError if the address is not available; DataError if a run or key
+    /// cannot be read; DeviceError
     explicit ScanServer(const ServerOptions& options);
-    /// Stops at once where stop() was not called.
+    /// Stops immediately unless stop() was called.
     ~ScanServer();
     ScanServer(const ScanServer&) = delete;
     ScanServer& operator=(const ScanServer&) = delete;
@@ -48,11 +52,12 @@ public:
     int port() const;
     const std::string& device_name() const;
     std::vector<std::string> scenes() const;
-    /// What the device's driver answered when it lost the device; nothing while it works.
-    /// From then on the health service says NOT_SERVING, and calls that render get
+    /// Returns the driver's error after the device was lost, or no value while it works.
+    /// After the loss the health service reports NOT_SERVING, and render calls fail with
     /// UNAVAILABLE.
     std::optional<std::string> device_loss();
-    /// No new calls; those there are have so long to end, then they are cancelled.
+    /// Rejects new calls and waits for pending calls.
+    /// @param patience longest time to wait; remaining calls are then cancelled
     void stop(std::chrono::milliseconds patience);
 
 private:

@@ -82,7 +82,9 @@ grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::
         const WorkEnd end =
             in_line.run([&] { places = scenes_.spawn(scene, wishes); }, [&] { return is_wanted(*context); });
         if (end == WorkEnd::unwanted) give_up(*context);
-        if (!is_wanted(*context)) {  // whoever is not told that they are there would never take them out
+        // Removes the actors again, because a client that receives no answer would never
+        // remove them.
+        if (!is_wanted(*context)) {
             scenes_.spawned().give_back(scene, names_of_spawned(places));
             give_up(*context);
         }
@@ -126,7 +128,7 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return answered([&] {
-        // for all of them: a rig that has begun is not turned away in the middle
+        // One place for all scans, so that a rig is not rejected after some of its scans.
         RenderQueue::Place place = enter(queue_);
         const std::vector<WantedScan> wanted = reader_.read(*request);
         for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The calls of render.proto: each reads its request, has the render thread do what is
-// wanted, and writes the answer, all on gRPC's own threads but the rendering itself.
+// Implements the calls of render.proto. Each call reads its request, renders on the
+// render thread, and writes the answer. All steps except the rendering run on threads of
+// gRPC.
 #pragma once
 
 #include <functional>
@@ -16,7 +17,8 @@ namespace relidar::serve {
 
 class RenderService final : public v1::RenderService::Service {
 public:
-    /// Both outlive the service. @param scenes  renders on the queue's thread alone
+    /// Both arguments must outlive the service.
+    /// @param scenes used only on the queue's thread
     RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 
     grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request,

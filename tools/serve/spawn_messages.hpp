@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assets and spawned actors as messages.
+// Converts assets and spawned actors to messages.
 #pragma once
 
 #include <relidar/simulate/assets.hpp>
@@ -13,7 +13,8 @@ namespace relidar::serve {
 
 void write_asset(const AssetFacts& facts, v1::Asset& message);
 
-/// @param run  of the scene, without surfels
+/// Writes a spawned actor.
+/// @param run run of the scene, without surfels
 void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message);
 
 /// Says which actors that the request placed are too coarse for where they stand.

@@ -14,7 +14,8 @@
 namespace relidar::serve {
 namespace {
 
-// places made at once: with image.sh_direction=surfel each has surfels of its own
+// Maximum number of places that are added together. With image.sh_direction=surfel each
+// place has separate surfels.
 constexpr std::size_t kMostSpare = 8;
 
 using SpawnedPlaces = std::vector<SpawnWish>;
@@ -23,7 +24,8 @@ auto find_spawned(SpawnedPlaces& places, const std::string& name) {
     return std::ranges::find(places, name, &SpawnWish::name);
 }
 
-/// A free place of the same source; where there is none, the first of new ones.
+/// Returns a free place of the same source. If there is none, adds places and returns the
+/// first of them.
 std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
     const auto is_free = [&](const SpawnWish& p) { return p.name.empty() && p.source == wish.source; };
     const auto free = std::ranges::find_if(places, is_free);
@@ -80,8 +82,8 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                                       const std::vector<SpawnWish>& wishes) {
     const std::lock_guard lock(mutex_);
-    SpawnedPlaces places = scenes_[scene];  // a copy: a refusal changes nothing
-    std::vector<Place> given;
+    SpawnedPlaces places = scenes_[scene];  // A copy, so that a rejected request changes nothing.
+    std::vector<Place> new_places;
     for (const SpawnWish& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
@@ -89,10 +91,10 @@ std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                       quoted(wish.name)));
         const std::size_t position = free_place(places, wish);
         places[position] = wish;
-        given.push_back({position, wish});
+        new_places.push_back({position, wish});
     }
     scenes_[scene] = std::move(places);
-    return given;
+    return new_places;
 }
 
 void SpawnedActors::give_back(std::size_t scene, const std::vector<std::string>& names) {
@@ -119,12 +121,13 @@ void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, st
 std::string track_of_place(std::size_t position) { return fmt::format("\x01spawned {}", position); }
 
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets) {
-    std::map<std::string, std::uint32_t> models;  // of assets
+    std::map<std::string, std::uint32_t> models;  // Models of assets.
     for (const SpawnedActors::Place& place : places) {
         const SpawnSource& source = place.actor.source;
         std::uint32_t model = 0;
         if (!source.is_asset) model = model_of_actor(run.scene, source.name);
-        else if (const auto known = models.find(source.name); known != models.end()) model = known->second;
+        else if (const auto model_entry = models.find(source.name); model_entry != models.end())
+            model = model_entry->second;
         else model = models[source.name] = add_asset(run.scene, assets.find(source.name)->folder);
         run.scene.instances.push_back({model, track_of_place(place.position)});
     }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that clients have put into scenes. For any thread.
+// Actors that clients have spawned in scenes. May be used from any thread.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ namespace relidar::serve {
 
 class AssetShelf;
 
-/// What is spawned: an actor of the scene's run, or an asset.
+/// Source of a spawned actor: an actor of the scene's run, or an asset.
 struct SpawnSource {
     bool is_asset = false;
     std::string name;
@@ -25,56 +25,58 @@ struct SpawnSource {
     bool operator==(const SpawnSource&) const = default;
 };
 
-/// What a client wants, and gets.
+/// An actor to spawn.
 struct SpawnWish {
-    std::string name;  ///< the client's own
+    std::string name;  ///< Name chosen by the client.
     SpawnSource source;
     glm::dvec3 size_m{0.0};
     std::size_t surfels = 0;
 };
 
-/// The places of spawned actors: instances behind those of a scene's run. A place keeps
-/// its source for as long as the server lives, and waits for the next actor of that
-/// source when its own is gone: what has been read of a request stays right, and a scene
-/// need not be loaded anew for each actor.
+/// Places of spawned actors: instances that follow those of the scene's run. A place
+/// keeps its source during the lifetime of the server and is reused for the next actor of
+/// this source. Requests that were already read therefore stay valid, and a scene need
+/// not be loaded again for each actor.
 class SpawnedActors {
 public:
-    static constexpr std::size_t kMostPlaces = 4096;  ///< of a scene
+    static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of places per scene.
 
     explicit SpawnedActors(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A place, by its position among those of its scene.
+    /// A place and its index in the scene.
     struct Place {
         std::size_t position = 0;
-        SpawnWish actor;  ///< name empty: it is free
+        SpawnWish actor;  ///< An empty name marks a free place.
     };
     std::vector<Place> places(std::size_t scene) const;
-    /// Those that are taken.
+    /// Returns the places in use.
     std::vector<Place> taken(std::size_t scene) const;
 
-    /// Finds a place for each. Where there is no free one as many more are made as there
-    /// are of that source, 8 at most.
-    /// @return in the order of the wishes @throws Refusal where a name is taken, or no
-    /// more places can be had: then nothing has changed
+    /// Assigns a place to each actor. If no place of its source is free, the number of places
+    /// of that source is doubled, but at most 8 places are added.
+    /// @return places in the order of the requests
+    /// @throws Refusal if a name is in use or the limit of places is reached; nothing is
+    /// changed then
     std::vector<Place> take(std::size_t scene, const std::vector<SpawnWish>& wishes);
-    /// All of them, or none. @throws Refusal for a name that is not there
+    /// Releases the places of all named actors.
+    /// @throws Refusal for an unknown name; no place is released then
     void give_back(std::size_t scene, const std::vector<std::string>& names);
-    /// Undoes take(): the names are free, and so many places are left.
+    /// Reverts take(): frees the names and restores the previous number of places.
     void undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before);
     std::size_t count_places(std::size_t scene) const;
 
 private:
     mutable std::mutex mutex_;
-    std::vector<std::vector<SpawnWish>> scenes_;  ///< by position
+    std::vector<std::vector<SpawnWish>> scenes_;  ///< Places of each scene, indexed by scene and place.
 };
 
-/// The track of a place in the scene that is rendered: no run has such a name.
+/// Returns the track of a place in the rendered scene. No track of a run has such a name.
 std::string track_of_place(std::size_t position);
 
-/// Adds an instance for each place to a run that is about to be rendered, and the models
-/// of assets, once each.
-/// @throws DataError for an asset that cannot be read, or is made of another primitive
-/// than the run
+/// Adds an instance for each place to a run before it is rendered, and the model of each
+/// asset once.
+/// @throws DataError if an asset cannot be read, or its primitive differs from that of
+/// the run
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets);
 
 }  // namespace relidar::serve

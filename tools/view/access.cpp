@@ -20,7 +20,8 @@ bool is_port(std::string_view text) {
            std::all_of(text.begin(), text.end(), [](char c) { return c >= '0' && c <= '9'; });
 }
 
-/// The host of "host", "host:port" or "[address]:port"; empty where it is none of them.
+/// Returns the host part of "host", "host:port" or "[address]:port". Returns an empty
+/// text for other forms.
 std::string_view without_port(std::string_view host) {
     std::size_t end = host.find(':');
     if (host.starts_with('[')) {
@@ -55,7 +56,9 @@ bool is_own_origin(std::string_view origin, std::string_view host) {
 
 bool same_secret(std::string_view a, std::string_view b) {
     unsigned differs = a.size() == b.size() ? 0u : 1u;
-    for (std::size_t i = 0; i < b.size(); ++i) {  // over all of b, which is ours, whatever a is
+    // Always compares all characters of b, our secret, so that the time does not depend
+    // on a.
+    for (std::size_t i = 0; i < b.size(); ++i) {
         const char shown = i < a.size() ? a[i] : '\0';
         differs |= static_cast<unsigned char>(shown) ^ static_cast<unsigned char>(b[i]);
     }

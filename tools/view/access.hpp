@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Who may ask: host names, origins, tokens. Pure functions of a request's header fields.
-// Private to the server.
+// Access control: checks host names, origins and tokens. All functions depend only on the
+// header fields of a request. Private to the server.
 #pragma once
 
 #include <string>
@@ -8,26 +8,30 @@
 
 namespace relidar::view {
 
-/// What a request says of where it comes from.
+/// Header fields of a request that identify its sender.
 struct Credentials {
-    std::string_view host;    ///< header Host
-    std::string_view origin;  ///< header Origin; empty: none
-    std::string_view cookie;  ///< header Cookie
-    std::string_view query;   ///< of the target, after '?'
+    std::string_view host;    ///< Value of the header Host.
+    std::string_view origin;  ///< Value of the header Origin. Empty: the header is missing.
+    std::string_view cookie;  ///< Value of the header Cookie.
+    std::string_view query;   ///< Part of the request target after '?'.
 };
 
-/// Whether a Host names this machine in a way that no foreign DNS can: an address,
-/// "localhost", or `own_name`; with any port, since a forwarded one is another.
+/// Returns true if a Host header names this machine in a way that a foreign DNS server
+/// cannot control: an IP address, "localhost", or `own_name`. Any port is accepted,
+/// because a forwarded port differs.
 bool is_own_host(std::string_view host, std::string_view own_name);
-/// Whether an Origin is the server that is asked as `host`; none is: only browsers send
-/// one, and always with a WebSocket.
+/// Returns true if the Origin header names the server itself or is missing. Only browsers
+/// send an Origin, and they always send it with a WebSocket.
+/// @param host Host header of the request
 bool is_own_origin(std::string_view origin, std::string_view host);
-/// Compares in a time that does not tell how much was right.
+/// Compares two secrets in constant time, so that the duration does not show how many
+/// characters match.
 bool same_secret(std::string_view a, std::string_view b);
-/// Value of a name in "a=1&b=2" (separator '&') or "a=1; b=2" (separator ';'), empty
-/// where there is none.
+/// Returns the value of a name in "a=1&b=2" (separator '&') or "a=1; b=2" (separator
+/// ';'). Returns an empty text if the name is missing.
 std::string_view value_of(std::string_view list, std::string_view name, char separator);
-/// Whether the token is shown, in the query as "token" or as the cookie of that name.
+/// Returns true if the request contains the token, in the query as "token" or as the
+/// cookie `cookie_name`.
 bool shows_token(const Credentials& request, std::string_view token, std::string_view cookie_name);
 
 }  // namespace relidar::view

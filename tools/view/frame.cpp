@@ -23,7 +23,7 @@ std::uint8_t as_byte(float share) {
     return static_cast<std::uint8_t>(std::lround(255.0f * std::clamp(share, 0.0f, 1.0f)));
 }
 
-/// Arrays one behind the other, and what the header says of them.
+/// Concatenates arrays and collects their descriptions for the header.
 class Arrays {
 public:
     template <class T>

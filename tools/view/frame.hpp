@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans as binary messages. This is the one place that says how they look; page/frame.js
-// reads them.
+// Encodes scans as binary messages. Only this file defines the format; page/frame.js
+// reads it.
 //   bytes 0..3   "RLV1"
 //   bytes 4..7   length h of the header, little-endian, a multiple of 4
-//   h bytes      JSON, padded with blanks: what the scan is, and "arrays": [{name, type, components, count, offset}]
-//   the rest     the arrays, each at `offset` from the end of the header, a multiple of 4; type f32, i32, u8 or u16, little-endian
+//   h bytes      JSON, padded with spaces: description of the scan, and
+//                "arrays": [{name, type, components, count, offset}]
+//   the rest     the arrays, each at `offset` from the end of the header, a multiple of 4;
+//                type f32, i32, u8 or u16, little-endian
 #pragma once
 
 #include <cstdint>
@@ -27,8 +29,8 @@ struct Frame;
 
 namespace relidar::view {
 
-/// Columns of one scan, entry i of each of ray i. Probabilities and intensities are in
-/// steps of 1/255.
+/// Columns of one scan. Entry i of each array belongs to ray i. Probabilities and
+/// intensities are in steps of 1/255.
 struct ScanColumns {
     int rows = 0, columns = 0;                 ///< rows = 1: no image
     std::vector<glm::vec3> position_m = {};    ///< [n] relidar's world
@@ -42,17 +44,21 @@ struct ScanColumns {
     std::vector<ScanChannel> channels = {};  ///< [n] each; arrays "channel_NAME"
 };
 
-/// What was simulated. @param world_offset_m  of the dataset's world, see Sequence
+/// Returns the columns of a simulated scan.
+/// @param world_offset_m offset of the dataset's world, see Sequence
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
                               const glm::dvec3& world_offset_m);
-/// What the log measured. @param frame with its scan
+/// Returns the columns of a measured scan.
+/// @param frame frame with its scan
 ScanColumns measured_columns(const Sequence& sequence, const Frame& frame);
 
-/// 16 numbers of a matrix, a column after the other, as WebGL takes them.
+/// Returns the 16 numbers of a matrix in column-major order, as WebGL expects them.
 nlohmann::json matrix_json(const Pose& pose);
 
-/// @param header  of the scan, without "arrays" @param simulated,measured  or nothing;
-/// arrays of the latter are called "real_..."
+/// Encodes a message.
+/// @param header JSON header of the scan, without "arrays"
+/// @param simulated, measured columns or null; names of the measured arrays begin with
+/// "real_"
 std::string encode_frame(nlohmann::json header, const ScanColumns* simulated, const ScanColumns* measured);
 
 }  // namespace relidar::view

@@ -18,7 +18,7 @@ namespace http = boost::beast::http;
 namespace {
 
 constexpr std::size_t kDrainedAtOnce = 65536;
-constexpr int kMaxDrains = 16;  // reads of a refused request, whose bytes are forgotten
+constexpr int kMaxDrains = 16;  // Maximum number of reads that discard data of a refused request.
 constexpr std::chrono::milliseconds kDrainTime{500};
 
 std::string_view view(boost::beast::string_view text) { return {text.data(), text.size()}; }
@@ -29,7 +29,8 @@ std::string_view query_of(std::string_view target) {
     return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
 
-/// What a request that could not be read is told; nothing where nobody is left to tell.
+/// Returns the HTTP status for a request that could not be read, or no value if the
+/// client has disconnected.
 std::optional<http::status> status_of(const boost::system::error_code& failed) {
     if (failed == http::error::body_limit || failed == http::error::unexpected_body)
         return http::status::payload_too_large;
@@ -46,7 +47,7 @@ std::optional<http::status> status_of(const boost::system::error_code& failed) {
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
-/// Ends reading or writing that takes longer.
+/// Starts the timer that cancels a slow read or write.
 void HttpSession::limit(std::chrono::milliseconds time) {
     late_ = false;
     timer_.expires_after(time);
@@ -61,7 +62,7 @@ void HttpSession::limit(std::chrono::milliseconds time) {
 void HttpSession::read() {
     parser_.emplace();
     parser_->header_limit(static_cast<std::uint32_t>(hub_.options.max_header_bytes));
-    parser_->body_limit(0);  // nothing here takes one
+    parser_->body_limit(0);  // No request of this server has a body.
     limit(hub_.options.request_time);
     http::async_read(stream_, buffer_, *parser_,
                      [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
@@ -74,15 +75,16 @@ void HttpSession::on_read(Error failed) {
     if (const std::optional<Status> status = status_of(failed)) refuse(*status);
 }
 
-/// Why a request is not answered, in the order in which it must not learn more.
+/// Returns the reason to refuse a request. The checks are ordered so that an unauthorised
+/// client learns as little as possible.
 std::optional<HttpSession::Status> HttpSession::objection(const Request& request) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
-    const Credentials shown{view(request[http::field::host]), view(request[http::field::origin]),
-                            view(request[http::field::cookie]), query_of(view(request.target()))};
-    if (!is_own_host(shown.host, hub_.own_name)) return Status::forbidden;
-    if (request.count(http::field::origin) > 1 || !is_own_origin(shown.origin, shown.host))
+    const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
+                                  view(request[http::field::cookie]), query_of(view(request.target()))};
+    if (!is_own_host(credentials.host, hub_.own_name)) return Status::forbidden;
+    if (request.count(http::field::origin) > 1 || !is_own_origin(credentials.origin, credentials.host))
         return Status::forbidden;
-    if (!hub_.options.token.empty() && !shows_token(shown, hub_.options.token, hub_.cookie_name))
+    if (!hub_.options.token.empty() && !shows_token(credentials, hub_.options.token, hub_.cookie_name))
         return Status::unauthorized;
     if (request.method() != http::verb::get && request.method() != http::verb::head)
         return Status::method_not_allowed;
@@ -94,7 +96,7 @@ void HttpSession::answer(const Request& request) {
     const std::string_view target = view(request.target()), path = path_of(target);
     if (path == kSocketPath) {
         if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
-        // frames before the handshake is answered
+        // The client has sent frames before the handshake was answered.
         if (buffer_.size() > 0) return refuse(Status::bad_request);
         std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)->start(request);
         return;
@@ -110,13 +112,15 @@ void HttpSession::answer(const Request& request) {
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
     response_->prepare_payload();
-    if (request.method() == http::verb::head) response_->body().clear();  // its length is told all the same
+    // The header still states the length of the body.
+    if (request.method() == http::verb::head) response_->body().clear();
     response_->keep_alive(request.keep_alive());
     write();
 }
 
-/// @param host  as it was checked, for browsers that do not count ws: among 'self';
-/// empty: unknown
+/// Creates a response.
+/// @param host checked Host header. The security policy needs it for browsers that do not
+/// count ws: as 'self'. Empty: unknown.
 HttpSession::Response HttpSession::response(Status status, const std::string& host) const {
     Response response{status, 11};
     response.set(http::field::server, "relidar");
@@ -163,8 +167,8 @@ void HttpSession::write() {
     });
 }
 
-/// Reads what a refused client goes on sending, for a while: a connection that is closed
-/// on unread bytes takes the answer with it.
+/// Reads and discards further data of a refused client for a short time. Closing a
+/// connection with unread data would discard the answer.
 void HttpSession::drain() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),

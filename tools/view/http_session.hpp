@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One connection that speaks HTTP: reads a request, checks who asks, answers with an
-// asset or a refusal, or hands the connection to a SocketSession. Private to the server.
+// One HTTP connection. Reads a request, checks access, and answers with an asset or an
+// error, or passes the connection to a SocketSession. Private to the server.
 #pragma once
 
 #include <memory>
@@ -24,7 +24,7 @@ class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub);
     void read();
-    /// Says that there is no room for one more, and closes.
+    /// Answers that the limit of connections is reached, and closes.
     void turn_away();
 
 private:
@@ -46,7 +46,7 @@ private:
     Counted counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
-    bool late_ = false;  ///< the timer has ended what went on
+    bool late_ = false;  ///< True if the timer has ended the current operation.
     int n_drains_ = 0;
     boost::beast::flat_buffer buffer_;
     std::optional<boost::beast::http::request_parser<boost::beast::http::empty_body>> parser_;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the sessions of a server share: its options, its clients, and the one thread's
-// io_context. Private to the server.
+// State that the sessions of a server share: options, clients, and the io_context of the
+// server's thread. Private to the server.
 #pragma once
 
 #include <map>
@@ -20,15 +20,17 @@ class SocketSession;
 struct Hub {
     ServerOptions options;
     Events events;
-    std::string cookie_name;  ///< of the token; browsers send cookies of one host to all its ports
-    std::string own_name;     ///< of this machine
+    /// Name of the token's cookie. It is specific to this server, because browsers send
+    /// the cookies of a host to all its ports.
+    std::string cookie_name;
+    std::string own_name;  ///< Name of this machine.
     std::size_t n_connections = 0;
     boost::asio::io_context io{1};
     std::map<ClientId, std::weak_ptr<SocketSession>> clients = {};
     ClientId last_client = 0;
 };
 
-/// One of the hub's connections, counted while it lives.
+/// Counts a connection of the hub during its lifetime.
 class Counted {
 public:
     explicit Counted(Hub& hub) : hub_(&hub) { ++hub.n_connections; }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The page of `relidar view`, compiled into the program: tools/view/page and the modules
-// of src/score/report/points.
+// The web page of `relidar view`, compiled into the program: tools/view/page and the
+// modules of src/score/report/points.
 #pragma once
 
 #include <vector>
@@ -9,7 +9,7 @@
 
 namespace relidar::view {
 
-/// All there is to serve. The texts live as long as the program.
+/// Returns all files of the page. Their texts live as long as the program.
 const std::vector<Asset>& page_assets();
 
 }  // namespace relidar::view

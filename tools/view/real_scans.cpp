@@ -11,7 +11,7 @@
 namespace relidar::view {
 namespace {
 
-/// A run without its surfels.
+/// Returns a copy of a run without its surfels.
 std::unique_ptr<Run> without_scene(const Run& run) {
     auto result = std::make_unique<Run>();
     result->folder = run.folder;
@@ -43,7 +43,7 @@ void RealScans::load() {
         std::iota(all.begin(), all.end(), 0);
         attach_scans(*frames_, all, log);
         state_ = State::ready;
-        // a log that is gone, whatever the reason, is no failure of the viewer
+        // An unreadable log is not an error of the viewer, whatever the reason.
     } catch (const std::exception& error) {
         why_ = error.what();
         state_ = State::missing;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The log's own scans, read in the background: the page is there at once, and a run whose
-// log is gone can be viewed all the same.
+// Reads the log's scans in the background, so that the page appears immediately. A run
+// whose log is missing can still be viewed.
 #pragma once
 
 #include <atomic>
@@ -19,23 +19,23 @@ class RealScans {
 public:
     enum class State { loading, ready, missing };
 
-    /// Begins to read the log that the run was trained on.
+    /// Starts to read the log that the run was trained on.
     explicit RealScans(const Run& run);
-    /// Waits for the reader, which stops at its next step.
+    /// Waits for the reader thread, which stops at its next step.
     ~RealScans();
     RealScans(const RealScans&) = delete;
     RealScans& operator=(const RealScans&) = delete;
 
     State state() const { return state_; }
-    /// Why they are missing, one line.
+    /// Returns a one-line reason why the scans are missing.
     std::string why() const;
-    /// The frames of the run with their scans; nothing while they are not ready.
+    /// Returns the frames of the run with their scans, or null until they are loaded.
     const Sequence* sequence() const;
 
 private:
     void load();
 
-    const std::unique_ptr<Run> frames_;  ///< settings and sequence, no scene
+    const std::unique_ptr<Run> frames_;  ///< Settings and sequence of the run, without its scene.
     std::string why_;
     std::atomic<State> state_ = State::loading;
     std::atomic<bool> stop_ = false;

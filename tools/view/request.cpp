@@ -14,22 +14,24 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr double kFar_m = 10'000.0;  // of places and moves: beyond it a number is a slip
-constexpr double kFarAway_m = 1e6;   // of places in relidar's world
+// Limit of positions and moves. Larger values are rejected as errors.
+constexpr double kFar_m = 10'000.0;
+constexpr double kFarAway_m = 1e6;  // Limit of positions in relidar's world frame.
 constexpr double kFast_mps = 200.0;
 constexpr double kLate_s = 1e10;
-constexpr std::size_t kMaxActors = 256;  // that are copied, moved, removed or hidden
+constexpr std::size_t kMaxActors = 256;  // Maximum number of copied, moved, removed or hidden actors.
 constexpr std::size_t kMaxName = 64;
-constexpr std::size_t kMaxRunName = 1024;  // as it was typed to `relidar view`, a path
+// Maximum length of a run's name, which is a path given to `relidar view`.
+constexpr std::size_t kMaxRunName = 1024;
 
 [[noreturn]] void refuse(const std::string& what, const std::string& expected) {
     throw UsageError(fmt::format("{}: expected {}", what, expected));
 }
 
 const Json& field(const Json& object, const char* name) {
-    const auto found = object.find(name);
-    if (found == object.end()) refuse(name, "it to be there");
-    return *found;
+    const auto member = object.find(name);
+    if (member == object.end()) refuse(name, "it to be there");
+    return *member;
 }
 
 double number(const Json& value, const std::string& what, double limit) {
@@ -51,10 +53,10 @@ std::string text(const Json& value, const char* what, std::size_t limit = kMaxNa
     return result;
 }
 
-/// Name of the run that has an actor; empty for the one that is shown.
+/// Returns the name of the run that contains an actor. Empty: the displayed run.
 std::string run_name(const Json& value) { return value == "" ? "" : text(value, "from", kMaxRunName); }
 
-/// Numbers of an array, each within its own limit.
+/// Reads the numbers of an array. Each number has its own limit.
 template <std::size_t N>
 std::array<double, N> numbers(const Json& value, const char* what, const std::array<double, N>& limits) {
     if (!value.is_array() || value.size() != N) refuse(what, fmt::format("{} numbers", N));
@@ -113,7 +115,8 @@ ScanWish parse_scan(const Json& json) {
     return wish;
 }
 
-/// A name that cannot leave the folder it is put in.
+/// Returns a folder name that contains no path, so that it stays inside its parent
+/// folder.
 std::string folder_name(const Json& value) {
     std::string name = text(value, "name");
     const auto plain = [](char c) {
@@ -130,17 +133,16 @@ std::string folder_name(const Json& value) {
 Request parse_request(const std::string& message) {
     const Json json = Json::parse(message, nullptr, false);
     if (!json.is_object()) throw UsageError("a message of the page: expected a JSON object");
-    const std::string wanted = text(field(json, "do"), "do");
-    if (wanted == "scan") return parse_scan(json);
-    if (wanted == "sensor")
+    const std::string kind = text(field(json, "do"), "do");
+    if (kind == "scan") return parse_scan(json);
+    if (kind == "sensor")
         return SensorFile{text(field(json, "file"), "file", 200),
                           text(field(json, "text"), "text", message.size())};
-    if (wanted == "save")
-        return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
-    if (wanted == "ground")
+    if (kind == "save") return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
+    if (kind == "ground")
         return GroundWish{text(field(json, "of"), "of"), run_name(field(json, "from")),
                           numbers<2>(field(json, "at"), "at", {kFarAway_m, kFarAway_m})};
-    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor, ground or save", wanted));
+    throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor, ground or save", kind));
 }
 
 }  // namespace relidar::view

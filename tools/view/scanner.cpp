@@ -21,26 +21,28 @@ namespace {
 using Json = nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t kMaxRays = std::size_t(1) << 20;  // of a live scan: 28 MB as a message
+// Maximum number of rays of a live scan, whose message has 28 MB.
+constexpr std::size_t kMaxRays = std::size_t(1) << 20;
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
-/// What choose_sensor() knows by name.
+/// Returns the sensors that choose_sensor() accepts by name.
 std::vector<std::string> known_sensors() {
     std::vector<std::string> names = sensor_names();
     names.insert(names.begin(), "native");
     return names;
 }
 
-/// What decides which surfels a scene has: copies of what, in their order.
+/// Returns run and track of each copy, in order. They determine which surfels a scene
+/// contains.
 std::vector<std::pair<std::string, std::string>> models_of(const std::vector<ActorEdits::Copy>& copies) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::Copy& copy : copies) models.emplace_back(copy.from, copy.of);
     return models;
 }
 
-/// Tells runs apart, for a page that outlives the program: the folder, as a hash since it
-/// is nobody's business (FNV-1a).
+/// Returns a hash (FNV-1a) of the run's folder. A page uses it to recognise its run after
+/// the program was restarted. The hash hides the path from clients.
 std::string identity_of(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -48,7 +50,7 @@ std::string identity_of(const Run& run) {
     return fmt::format("{:08x}", hash);
 }
 
-/// Actors that can be copied.
+/// Returns the actors that can be copied.
 Json actors_json(const Run& run) {
     Json actors = Json::array();
     for (const Instance& instance : run.scene.instances) {
@@ -68,10 +70,11 @@ bool is_identity(const Pose& pose) {
     return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0;
 }
 
-/// A private folder that goes with its file.
+/// A file in a private temporary folder. The destructor removes both.
 class UploadedFile {
 public:
-    /// @param ending  ".csv" or ".json"
+    /// Writes a text to a new temporary file.
+    /// @param ending ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
         if (mkdtemp(pattern.data()) == nullptr)
@@ -107,7 +110,7 @@ void check_size(const SensorChoice& sensor) {
 
 Json channels_json(const Config& config) {
     Json channels = Json::array();
-    // that one in weather
+    // The channel `source` exists only in weather.
     for (const ChannelInfo& channel : wanted_channels(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
@@ -162,9 +165,9 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     }
     const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
     if (!tab.sensor || tab.sensor->first != key) {
-        // names alone: never a path of the server's
-        const std::vector<std::string> known = known_sensors();
-        if (std::find(known.begin(), known.end(), wish.sensor) == known.end())
+        // Accepts only names, so that clients cannot read files of the server.
+        const std::vector<std::string> names = known_sensors();
+        if (std::find(names.begin(), names.end(), wish.sensor) == names.end())
             throw UsageError(fmt::format("sensor: found \"{}\", expected a name of the list", wish.sensor));
         tab.sensor.emplace(key, choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
         check_size(tab.sensor->second);
@@ -180,7 +183,8 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     SensorChoice sensor;
     try {
         sensor = sensor_choice(find_sensor(upload.path(ending).string()));
-    } catch (const Error& error) {  // the user knows the file by another name
+        // Replaces the temporary path in the message by the user's name of the file.
+    } catch (const Error& error) {
         std::string message = error.what();
         const std::string path = upload.path(ending).string();
         if (const std::size_t at = message.find(path); at != std::string::npos)
@@ -193,12 +197,12 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     return sensor_json(*tab.file_sensor, 0.0);
 }
 
-/// The renderer of a scene with these copies. Only copies need another one: what moves or
-/// goes is placed otherwise.
+/// Returns a renderer whose scene has these copies. Moves and removals only change poses,
+/// so that the renderer can be reused.
 ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
-    const auto wanted = models_of(traffic.edits().copies);
-    if (!renderer_ || rendered_ != wanted) {
-        renderer_.reset();  // gives its memory back first
+    const auto models = models_of(traffic.edits().copies);
+    if (!renderer_ || rendered_ != models) {
+        renderer_.reset();  // Frees its memory before the next renderer is created.
         if (traffic.edits().copies.empty()) {
             renderer_.emplace(device_, run_);
         } else {
@@ -207,13 +211,13 @@ ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
                                     traffic.edits().copies));
             renderer_.emplace(device_, run);
         }
-        rendered_ = wanted;
+        rendered_ = models;
         launches_.clear();
     }
     return *renderer_;
 }
 
-/// The scan of the log that was taken nearest to the wanted time by the wanted LiDAR.
+/// Returns the log's frame of the requested LiDAR that is nearest to the requested time.
 const Frame* Scanner::nearest_real(const ScanWish& wish) const {
     const Sequence* log = real_.sequence();
     if (!log || !wish.real) return nullptr;
@@ -237,8 +241,8 @@ RenderedScan Scanner::render(const Traffic& traffic, const ScanWish& wish, const
     return renderer.render(sensor, request);
 }
 
-/// Milliseconds of the last launch of each kernel that has run since they were asked for
-/// last. A list that is full no longer grows.
+/// Returns the time in milliseconds of the last launch of each kernel that has run since
+/// the previous call. The lists of times stop growing when they are full.
 Json Scanner::kernel_times() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();
@@ -253,7 +257,7 @@ Json Scanner::kernel_times() {
 
 std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
     const auto start = Clock::now();
-    SensorChoice sensor = sensor_for(tab, wish);  // throws before anything is rendered
+    SensorChoice sensor = sensor_for(tab, wish);  // Throws errors before anything is rendered.
     if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, others_, wish.edits);
     const Sequence& log = run_.sequence;
     const Frame* real = nearest_real(wish);

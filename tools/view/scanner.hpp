@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a run as the page wants them: simulated, measured, or both, with what the page
-// draws around them.
+// Makes the scans that the page shows: simulated, measured, or both, with the actors and
+// other objects that the page draws.
 #pragma once
 
 #include <cstddef>
@@ -22,30 +22,33 @@
 
 namespace relidar::view {
 
-/// What is kept for one tab from one scan to the next.
+/// State that is kept for one browser tab between scans.
 struct TabCache {
-    std::optional<SensorChoice> file_sensor = {};  ///< of its sensor file
+    std::optional<SensorChoice> file_sensor = {};  ///< Sensor of the tab's uploaded sensor file.
     std::optional<Traffic> traffic = {};
-    std::optional<std::pair<std::string, SensorChoice>> sensor = {};  ///< the last one, by "lidar/name"
+    /// Most recent sensor, with its key "lidar/name".
+    std::optional<std::pair<std::string, SensorChoice>> sensor = {};
 };
 
-/// Serves one thread.
+/// Renders scans of a run for the page. Must be used from one thread only.
 class Scanner {
 public:
-    /// @param others  runs whose actors can be inserted
+    /// Creates the scanner of a run.
+    /// @param others runs whose actors can be inserted
     Scanner(Run run, OtherRuns others, Device& device);
 
     const Run& run() const { return run_; }
     const OtherRuns& others() const { return others_; }
     const RealScans& real() const { return real_; }
-    /// What the page has to know once: run, frames, path, sensors, actors of other runs,
-    /// device.
+    /// Returns the data that the page needs once: run, frames, path, sensors, actors of
+    /// other runs, device.
     nlohmann::json describe() const;
-    /// A scan as frame.hpp has it. @throws UsageError, DataError for what cannot be
-    /// rendered
+    /// Renders a scan and encodes it as described in frame.hpp.
+    /// @throws UsageError or DataError if the request cannot be rendered
     std::string scan(TabCache& tab, const ScanWish& wish);
-    /// Reads a tab's sensor file. @return what it is @throws UsageError, DataError naming
-    /// what is wrong with it
+    /// Reads the sensor file of a tab.
+    /// @return a description of the sensor
+    /// @throws UsageError or DataError that names the error in the file
     nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
 
 private:
@@ -60,9 +63,10 @@ private:
     Device& device_;
     RealScans real_;
     std::optional<ScanRenderer> renderer_;
-    /// run and track of the copies that the renderer has
+    /// Run and track of each actor copy in the renderer's scene.
     std::vector<std::pair<std::string, std::string>> rendered_;
-    std::map<std::string, std::size_t> launches_;  ///< of kernels, as they were counted last
+    /// Number of launches of each kernel at the last query.
+    std::map<std::string, std::size_t> launches_;
 };
 
 }  // namespace relidar::view

@@ -23,8 +23,10 @@ namespace {
 using boost::asio::ip::tcp;
 using ErrorCode = boost::system::error_code;
 
-constexpr std::chrono::milliseconds kAcceptPause{50};  // where the system has no descriptor left
-constexpr std::chrono::milliseconds kCloseLook{5};     // between looks at who is still there
+// Pause after the system has run out of file descriptors.
+constexpr std::chrono::milliseconds kAcceptPause{50};
+// Interval at which close() checks for open connections.
+constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_address(const std::string& text) {
     ErrorCode failed;
@@ -59,7 +61,7 @@ std::string machine_name() {
 
 struct Server::Impl {
     Hub hub;
-    /// The thread goes on where close() has left nothing to do.
+    /// Keeps the server's thread running when no connection is open.
     boost::asio::executor_work_guard<boost::asio::io_context::executor_type> busy =
         boost::asio::make_work_guard(hub.io);
     tcp::acceptor acceptor;
@@ -75,7 +77,7 @@ struct Server::Impl {
 
     void accept() {
         acceptor.async_accept([this](ErrorCode failed, tcp::socket socket) {
-            if (!acceptor.is_open()) return;  // close() was called
+            if (!acceptor.is_open()) return;  // The acceptor is closed because close() was called.
             if (failed) {
                 pause.expires_after(kAcceptPause);
                 pause.async_wait([this](ErrorCode) {
@@ -93,9 +95,9 @@ struct Server::Impl {
 
     void send(ClientId client, std::string bytes, bool is_text) {
         boost::asio::post(hub.io, [this, client, is_text, bytes = std::move(bytes)]() mutable {
-            const auto found = hub.clients.find(client);
-            if (found == hub.clients.end()) return;
-            if (const auto session = found->second.lock()) session->send(std::move(bytes), is_text, !is_text);
+            const auto match = hub.clients.find(client);
+            if (match == hub.clients.end()) return;
+            if (const auto session = match->second.lock()) session->send(std::move(bytes), is_text, !is_text);
         });
     }
 };
@@ -110,7 +112,8 @@ void Server::close(std::chrono::milliseconds patience) {
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
-        const auto clients = impl.hub.clients;  // one that leaves at once changes the hub's
+        // A copy, because a session that ends immediately modifies the hub's list.
+        const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->leave();
     });
@@ -143,7 +146,7 @@ void Server::send_newest(ClientId client, std::string bytes) { impl_->send(clien
 void check_address(const std::string& address) { (void)parse_address(address); }
 
 std::string random_token() {
-    std::random_device source;  // the system's own
+    std::random_device source;  // Random source of the operating system.
     std::string token;
     for (int i = 0; i < 4; ++i) token += fmt::format("{:08x}", static_cast<std::uint32_t>(source()));
     return token;

@@ -1,12 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small HTTP and WebSocket server for one page: it serves what is in its table of
-// assets, and text and binary messages on one WebSocket. It knows nothing of LiDAR and
-// never opens a file. Who may connect:
-//   - on a loopback address everybody on this machine; elsewhere whoever shows the token, in the URL's query once, then as a cookie;
-//   - by an address, "localhost" or this machine's own name: another name may be anybody's DNS (rebinding);
-//   - from the page itself: an Origin that is not this server is refused.
-// All is bounded: connections, header and message bytes, time for a request, messages
-// that wait for a slow reader.
+// A small HTTP and WebSocket server for one page. It serves a fixed table of assets, and
+// text and binary messages on one WebSocket. It does not depend on LiDAR code and never
+// opens a file. Rules of access:
+// - On a loopback address, every user of this machine has access. On other addresses,
+//   clients must present the token: once in the URL, then as a cookie.
+// - The Host header must be an IP address, "localhost" or the name of this machine,
+//   because other names allow DNS rebinding.
+// - Requests whose Origin is not this server are refused.
+//
+// All resources are bounded: connections, bytes of headers and messages, time for a
+// request, and messages queued for a slow client.
 #pragma once
 
 #include <chrono>
@@ -20,61 +23,65 @@
 
 namespace relidar::view {
 
-/// One thing that can be asked for by its exact name.
+/// A file of the page. Clients request it by its exact path.
 struct Asset {
-    std::string_view path;  ///< "/main.js"; "/" is the page
-    std::string_view type;  ///< Content-Type
+    std::string_view path;  ///< Path such as "/main.js". "/" is the page itself.
+    std::string_view type;  ///< Value of the header Content-Type.
     std::string_view body;
 };
 
 struct ServerOptions {
-    std::string address = "127.0.0.1";  ///< to listen on, a literal IPv4 or IPv6 address
-    int port = 8080;                    ///< 0: any that is free
-    std::string token = {};             ///< every request has to show it; empty: none needed
+    std::string address = "127.0.0.1";  ///< Literal IPv4 or IPv6 address to listen on.
+    int port = 8080;                    ///< 0: any free port.
+    std::string token = {};  ///< Secret that every request must present. Empty: no token is needed.
     std::span<const Asset> assets = {};
     std::size_t max_connections = 64;
     std::size_t max_header_bytes = 8192;
-    std::size_t max_message_bytes = std::size_t(1) << 20;  ///< of one WebSocket message to the server
-    std::chrono::milliseconds request_time{5000};          ///< in which a request has to be complete
-    std::chrono::milliseconds idle_time{30000};  ///< after which a WebSocket that answers no ping is closed
+    /// Maximum size of a WebSocket message from a client.
+    std::size_t max_message_bytes = std::size_t(1) << 20;
+    std::chrono::milliseconds request_time{5000};  ///< Maximum time until a request is complete.
+    /// A WebSocket that answers no ping for this time is closed.
+    std::chrono::milliseconds idle_time{30000};
 };
 
 /// Path of the WebSocket.
 inline constexpr std::string_view kSocketPath = "/live";
 
-/// One open WebSocket, for as long as it lives.
+/// Identifies one open WebSocket during its lifetime.
 using ClientId = std::uint64_t;
 
-/// What happens on WebSockets. Called on the server's own thread, one at a time; what
-/// they throw is a bug.
+/// Callbacks for WebSocket events. They run on the server's thread, one at a time, and
+/// must not throw.
 struct Events {
     std::function<void(ClientId)> opened;
-    /// a text of at most max_message_bytes; binary ones are refused
+    /// Receives a text of at most max_message_bytes. Binary messages are refused.
     std::function<void(ClientId, std::string)> message;
     std::function<void(ClientId)> closed;
 };
 
 class Server {
 public:
-    /// Listens and answers from now on. @throws UsageError for an address or port that
-    /// cannot be had
+    /// Starts to listen and to answer requests.
+    /// @throws UsageError if the address or port is not available
     Server(const ServerOptions& options, Events events);
-    /// Closes every connection at once; close() before it does so in order.
+    /// Closes every connection immediately. Call close() first for an orderly shutdown.
     ~Server();
     Server(const Server&) = delete;
     Server& operator=(const Server&) = delete;
 
     int port() const;
-    /// Where a browser on this machine finds the page, token included.
+    /// Returns the URL of the page for a browser on this machine, including the token.
     std::string url() const;
 
-    /// Any thread may send; nothing happens where the client has gone.
+    /// Sends a text. May be called from any thread. Does nothing if the client has
+    /// disconnected.
     void send_text(ClientId client, std::string text);
-    /// Where an earlier one still waits to be sent, this one takes its place: of pictures
-    /// only the newest matters.
+    /// Sends a binary message and replaces an earlier one that is still queued, because
+    /// only the newest picture matters.
     void send_newest(ClientId client, std::string bytes);
-    /// Lets nobody in any more, and closes each WebSocket once what waits for it has been
-    /// sent. Waits for that, for so long at most.
+    /// Rejects new connections, and closes each WebSocket after its queued messages were
+    /// sent.
+    /// @param patience longest time to wait for this
     void close(std::chrono::milliseconds patience);
 
 private:
@@ -82,10 +89,12 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// @throws UsageError where it is no literal address, as ServerOptions::address must be
+/// Checks the address that the server listens on.
+/// @throws UsageError if the text is not a literal IP address, as ServerOptions::address
+/// requires
 void check_address(const std::string& address);
 
-/// A secret that nobody guesses: 32 hexadecimal digits.
+/// Returns a random secret of 32 hexadecimal digits.
 std::string random_token();
 
 }  // namespace relidar::view

@@ -11,7 +11,9 @@ namespace {
 
 using Json = nlohmann::json;
 
-constexpr std::size_t kMaxWaiting = 4;  // sensor files, places and saves of one tab; more is nobody's hand
+// Maximum number of queued sensor files, positions and saves of a tab. A person cannot
+// exceed it.
+constexpr std::size_t kMaxWaiting = 4;
 
 const char* about(const Request& request) {
     static constexpr const char* kNames[] = {"scan", "sensor", "save", "ground"};
@@ -59,9 +61,9 @@ void Session::receive(TabId id, const std::string& message) {
         why = error.what();
     }
     const std::lock_guard lock(mutex_);
-    const auto found = tabs_.find(id);
-    if (found == tabs_.end() || deaf_) return;
-    Tab& tab = *found->second;
+    const auto tab_entry = tabs_.find(id);
+    if (tab_entry == tabs_.end() || deaf_) return;
+    Tab& tab = *tab_entry->second;
     if (request && std::holds_alternative<ScanWish>(*request))
         tab.scan = std::get<ScanWish>(std::move(*request));
     else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));
@@ -69,8 +71,8 @@ void Session::receive(TabId id, const std::string& message) {
     arrived_.notify_one();
 }
 
-/// What a tab waits for, first things first; nothing where it waits for nothing. The lock
-/// is held.
+/// Returns the next job of a tab in order of priority, or no value if the tab has none.
+/// The caller must hold the lock.
 std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>& tab) {
     if (!tab->greeted) {
         tab->greeted = true;
@@ -109,7 +111,7 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
     return {};
 }
 
-/// Of the tab after the one that was served last.
+/// Returns a job of the next tab after the one that was served last.
 std::optional<Session::Job> Session::next_job(std::chrono::milliseconds patience) {
     std::optional<Job> job;
     const auto look = [&] {
@@ -141,7 +143,7 @@ bool Session::work(std::chrono::milliseconds patience) {
     try {
         job->run();
     } catch (const DeviceError&) {
-        throw;  // nobody gets a scan any more
+        throw;  // Without a device, no tab can receive a scan.
     } catch (const Error& error) {
         refuse(job->id, job->about, error.what());
     }
@@ -157,7 +159,8 @@ Json Session::answer(TabCache& cache, const Request& request) const {
 }
 
 Json Session::save(const SaveWish& wish) const {
-    Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);  // throws before there is a folder
+    // Throws before the folder is created.
+    Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;
     if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))

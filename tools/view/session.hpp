@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run that is looked at: one renderer, many tabs. Messages arrive on the server's
-// thread; whoever calls work() renders, and is the only one that touches the device. Of
-// the scans a tab asks for only the newest is rendered, and tabs take turns.
+// Connects many browser tabs to one renderer. Messages arrive on the server's thread. The
+// thread that calls work() renders, and only this thread uses the device. For each tab
+// only the newest requested scan is rendered, and tabs are served in turn.
 #pragma once
 
 #include <chrono>
@@ -23,43 +23,48 @@ namespace relidar::view {
 
 using TabId = std::uint64_t;
 
-/// Where answers go; called by work() alone. Texts are JSON, each with its "kind":
-///   hello (Scanner::describe), log {state, why}, sensor {name, rows, columns, rays}, ground {of, from, at}, saved {folder},
-///   error {about, text}
+/// Receives the answers. Only work() calls it. Texts are JSON objects with a "kind":
+///   hello (Scanner::describe), log {state, why}, sensor {name, rows, columns, rays},
+///   ground {of, from, at}, saved {folder}, error {about, text}
 struct Answers {
     std::function<void(TabId, std::string)> text;
-    std::function<void(TabId, std::string)> frame;  ///< see frame.hpp
+    std::function<void(TabId, std::string)> frame;  ///< Receives a binary message, see frame.hpp.
 };
 
 class Session {
 public:
-    /// @param others  runs whose actors can be inserted @param save_folder  in which
-    /// edited runs are made
+    /// Creates the session of a run.
+    /// @param others runs whose actors can be inserted
+    /// @param save_folder folder in which edited runs are saved
     Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);
 
     void open(TabId tab);
     void close(TabId tab);
     void receive(TabId tab, const std::string& message);
 
-    /// Does one thing that a tab waits for, if one comes within `patience`. @return
-    /// whether one came
-    /// @throws DeviceError where the device has failed
+    /// Waits up to `patience` for a request of a tab and executes one request.
+    /// @return true if a request was executed
+    /// @throws DeviceError if the device has failed
     bool work(std::chrono::milliseconds patience);
-    /// Hears nobody any more, and does all that tabs wait for now. @throws DeviceError
+    /// Ignores further messages and executes all pending requests.
+    /// @throws DeviceError if the device has failed
     void finish();
 
 private:
     struct Tab {
         bool greeted = false;
-        RealScans::State told = RealScans::State::loading;  ///< of the log
-        std::optional<ScanWish> scan = {};                  ///< the newest that is not rendered
-        std::deque<Request> others = {};          ///< sensor files, places on the ground and runs to save
-        std::optional<std::string> refused = {};  ///< why the last message was none
-        TabCache cache = {};                      ///< of the rendering thread alone
+        /// State of the log that was last sent to the tab.
+        RealScans::State told = RealScans::State::loading;
+        std::optional<ScanWish> scan = {};  ///< Newest requested scan that is not rendered yet.
+        /// Requests other than scans: sensor files, positions on the ground and runs to
+        /// save.
+        std::deque<Request> others = {};
+        std::optional<std::string> refused = {};  ///< Reason why the last message was invalid.
+        TabCache cache = {};                      ///< Used only by the rendering thread.
     };
     struct Job {
         TabId id;
-        const char* about;  ///< what errors call it
+        const char* about;  ///< Name of the request in error messages.
         std::function<void()> run;
     };
 
@@ -72,11 +77,11 @@ private:
     Scanner scanner_;
     const std::filesystem::path save_folder_;
     const Answers answers_;
-    std::mutex mutex_;  ///< of what follows, but for caches
+    std::mutex mutex_;  ///< Protects the members below, except the caches.
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<Tab>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;  ///< finish() was called
+    bool deaf_ = false;  ///< True after finish() was called.
 };
 
 }  // namespace relidar::view

@@ -11,15 +11,17 @@ namespace relidar::view {
 
 namespace websocket = boost::beast::websocket;
 
-constexpr std::size_t kMaxWaiting = 64;  // messages to a client that does not read; beyond it, it is gone
+// Maximum number of queued messages. A client that reads more slowly is disconnected.
+constexpr std::size_t kMaxWaiting = 64;
 
 SocketSession::SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub)
     : hub_(hub), counted_(std::move(counted)), stream_(std::move(stream)) {
-    stream_.next_layer().expires_never();  // from now on the stream's own timer counts
+    stream_.next_layer().expires_never();  // From here on the WebSocket stream uses its own timer.
     websocket::stream_base::timeout limits{hub.options.request_time, hub.options.idle_time, true};
     stream_.set_option(limits);
     stream_.read_message_max(hub.options.max_message_bytes);
-    stream_.auto_fragment(false);  // into pieces of 4 kB: nothing else waits to be sent between them
+    // Fragments of 4 kB have no use, because no other message is sent between them.
+    stream_.auto_fragment(false);
 }
 
 void SocketSession::start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade) {
@@ -38,8 +40,8 @@ void SocketSession::read() {
 }
 
 void SocketSession::on_read(Error failed) {
-    // gone, or a frame that is none or too large: the stream has answered with the
-    // protocol's own code
+    // The client has disconnected, or has sent an invalid or too large frame, which the
+    // stream has answered with the error code of the protocol.
     if (failed) return finish();
     if (!stream_.got_text()) return refuse();
     std::string text = boost::beast::buffers_to_string(incoming_.data());
@@ -50,7 +52,7 @@ void SocketSession::on_read(Error failed) {
 
 void SocketSession::send(std::string bytes, bool is_text, bool newest_only) {
     if (id_ == 0 || refused_) return;
-    if (newest_only) {  // the first is on its way already
+    if (newest_only) {  // The first message is already being written and must stay.
         const auto stale = [](const Message& m) { return m.newest_only; };
         if (outgoing_.size() > 1)
             outgoing_.erase(std::remove_if(outgoing_.begin() + 1, outgoing_.end(), stale), outgoing_.end());
@@ -89,8 +91,8 @@ void SocketSession::say_goodbye(std::uint16_t code, const char* why) {
                         [self = shared_from_this()](Error) { self->finish(); });
 }
 
-/// Ends the conversation with one who sends what is not understood, once nothing is being
-/// written.
+/// Closes the connection of a client that sent an invalid message, after the current
+/// write has finished.
 void SocketSession::refuse() {
     refused_ = true;
     if (!outgoing_.empty()) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One WebSocket: texts come in, texts and binary messages go out, one write at a time.
-// Private to the server.
+// One WebSocket connection. Receives texts and sends texts and binary messages, one write
+// at a time. Private to the server.
 #pragma once
 
 #include <cstdint>
@@ -21,10 +21,10 @@ namespace relidar::view {
 class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
     SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub);
-    /// Answers the handshake, then reads until the client goes.
+    /// Answers the handshake, then reads messages until the client disconnects.
     void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade);
     void send(std::string bytes, bool is_text, bool newest_only);
-    /// Closes once what waits has been sent.
+    /// Closes the connection after all queued messages were sent.
     void leave();
 
 private:
@@ -47,8 +47,8 @@ private:
     Counted counted_;
     boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
     boost::beast::flat_buffer incoming_;
-    std::deque<Message> outgoing_;  ///< the first is being written
-    ClientId id_ = 0;               ///< 0 before the handshake and after the end
+    std::deque<Message> outgoing_;  ///< The first message is being written.
+    ClientId id_ = 0;               ///< 0 before the handshake and after the connection was closed.
     bool refused_ = false;
     bool leaving_ = false;
     bool said_goodbye_ = false;

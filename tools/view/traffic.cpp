@@ -19,7 +19,7 @@ namespace {
 
 constexpr double kRadians = kPi / 180.0;
 
-/// [3] radians of rotation_of().
+/// Returns yaw, pitch and roll in radians, the inverse of rotation_of().
 glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 m = glm::mat3_cast(rotation);
     return {std::atan2(m[0][1], m[0][0]), std::asin(std::clamp(-m[0][2], -1.0, 1.0)),
@@ -44,7 +44,7 @@ DrivingScene with_moves(DrivingScene driving, const ActorEdits& edits) {
     return driving;
 }
 
-/// A run's tracks and instances; its frames have no scans, its models no surfels.
+/// Returns the tracks and instances of a run, without scans and surfels.
 DrivingScene layout(const Run& run) {
     DrivingScene driving{layout_of(run.scene), run.sequence};
     for (Model& model : driving.scene.models) model.first = model.count = 0;
@@ -52,14 +52,15 @@ DrivingScene layout(const Run& run) {
 }
 
 const Run& run_called(const std::string& name, const OtherRuns& others) {
-    const auto found = others.find(name);
-    if (found == others.end())
+    const auto match = others.find(name);
+    if (match == others.end())
         throw UsageError(fmt::format(
             "inserting an actor: found the run \"{}\", expected one of `relidar view --insert`", name));
-    return found->second;
+    return match->second;
 }
 
-/// @param scene_of  what is wanted of another run: its layout, or all of it
+/// Adds copies to a scene.
+/// @param scene_of returns the required part of another run: its layout, or everything
 DrivingScene copied(DrivingScene driving, const OtherRuns& others,
                     const std::vector<ActorEdits::Copy>& copies, DrivingScene (*scene_of)(const Run&)) {
     for (const ActorEdits::Copy& copy : copies) {
@@ -74,10 +75,10 @@ DrivingScene copied(DrivingScene driving, const OtherRuns& others,
 
 void check_known(const DrivingScene& driving, const std::set<std::string>& tracks) {
     const std::vector<std::string> names(tracks.begin(), tracks.end());
-    (void)select_instances(driving.scene, names);  // throws with the nearest name
+    (void)select_instances(driving.scene, names);  // Throws an error that suggests the most similar name.
 }
 
-/// Edits as `relidar edit` takes them, for the history of the run.
+/// Returns the edits in the form that `relidar edit` accepts, for the history of the run.
 std::vector<RunEdit> history(const Run& run, const OtherRuns& others, const ActorEdits& edits) {
     const auto folder_of = [](const Run& r) {
         return std::filesystem::absolute(r.folder).lexically_normal().string();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The actors of a run as one tab of the browser has changed them.
+// The actors of a run with the edits of one browser tab.
 #pragma once
 
 #include <map>
@@ -18,33 +18,33 @@ struct Run;
 
 namespace relidar::view {
 
-/// Runs whose actors can be inserted, by the names that the page knows.
+/// Runs whose actors can be inserted, by the names that the page uses.
 using OtherRuns = std::map<std::string, Run>;
 
-/// A scene with copies of its actors and of those of other runs; what is moved or gone
-/// changes no surfel and so no scene.
-/// @throws UsageError for a run or a track that is not there
+/// Adds copies of actors of this run and of other runs to a scene. Moves and removals
+/// need no change of the scene, because they change no surfel.
+/// @throws UsageError for an unknown run or track
 DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
                          const std::vector<ActorEdits::Copy>& copies);
 
-/// The copy that somebody asks for by a click. @throws UsageError where it finds no
-/// ground, as start_on_ground()
+/// Returns the copy of an actor on the ground at a clicked position.
+/// @throws UsageError if no ground is found, as start_on_ground()
 ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundWish& wish);
 
-/// The traffic of a run after some edits. It looks at tracks and instances alone, never
-/// at a surfel.
+/// The traffic of a run after some edits. Reads only tracks and instances, never surfels.
 class Traffic {
 public:
-    /// @throws UsageError for a track that is not there, as the functions of
+    /// Applies the edits to the tracks of a run.
+    /// @throws UsageError for an unknown track, as the functions of
     /// <relidar/run/edit.hpp>
     Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
     const ActorEdits& edits() const { return edits_; }
     const std::vector<Instance>& instances() const { return driving_.scene.instances; }
-    /// Where actors are that are there and shown, in the dataset's world:
+    /// Returns the poses of visible actors at a time in the dataset's world frame, see
     /// ScanRequest::dataset_from_actor.
     ActorPoses placed(double time_s) const;
-    /// All of them, shown or not: [{track, category, size, present, pose}].
+    /// Returns all actors, visible or not, as [{track, category, size, present, pose}].
     nlohmann::json describe(double time_s) const;
 
 private:
@@ -52,11 +52,11 @@ private:
         return !edits_.removed.contains(box.id) && !edits_.hidden.contains(box.id);
     }
 
-    DrivingScene driving_;  ///< without surfels
+    DrivingScene driving_;  ///< Scene and tracks after the edits, without surfels.
     ActorEdits edits_;
 };
 
-/// The run with all edits but hiding, its history included.
+/// Returns the run with all edits except hiding. Its history lists the edits.
 Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
 }  // namespace relidar::view

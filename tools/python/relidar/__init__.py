@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Re-simulate any LiDAR on any Vulkan device: logs become scenes, scenes become scans, scans have gradients.
+"""Re-simulates LiDARs on Vulkan devices: trains scenes on logs, renders scans, and
+computes gradients.
 
-Metres, seconds, radians. Sensor frame: x forward, y left, z up. Poses are [4,4] float64 matrices a_from_b. Arrays are numpy's;
-float32 where rays and surfels are meant, in C order. docs/python.md is the guide.
+Units are metres, seconds and radians. Sensor frame: x forward, y left, z up. Poses are [4,4] float64
+matrices a_from_b. Arrays are numpy arrays in C order; rays and surfels are float32. docs/python.md is
+the guide.
 """
 try:
     from relidar._relidar import *  # noqa: F401,F403

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# Types of the module. tests/python/stubs_test.py compares names and arguments with the module itself; what things mean is said in
-# the docstrings.
+# Types of the module. tests/python/stubs_test.py compares names and arguments with the
+# module itself. The docstrings describe their meaning.
 from collections.abc import Callable, Mapping, Sequence as _Sequence
 from os import PathLike
 from typing import Any, TypedDict

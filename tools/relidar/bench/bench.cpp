@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar bench: a short report of a device's speed, on a street that is the same
-// everywhere or on a run. relidar-dev bench times every kernel.
+// relidar bench: prints a short report of a device's speed on a fixed street or on a run.
+// relidar-dev bench times every kernel.
 #include <algorithm>
 #include <chrono>
 #include <memory>
@@ -28,7 +28,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr int kLeast = 3, kMost = 10, kScans = 30;  // repetitions
+// Minimum and maximum number of repetitions, and number of rendered scans.
+constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 
 struct BenchOptions {
@@ -36,13 +37,13 @@ struct BenchOptions {
     DeviceChoice device;
 };
 
-/// Wall times until the device is done. Medians.
+/// Medians of the wall times until the device is done.
 struct BenchTimes {
-    double build_ms = 0.0, refit_ms = 0.0;  ///< of the tree
+    double build_ms = 0.0, refit_ms = 0.0;  ///< Times to build and to refit the acceleration structure.
     double forward_ms = 0.0, backward_ms = 0.0;
-    double iteration_ms = 0.0;  ///< refit, forward, losses, backward and Adam, without a pause
+    double iteration_ms = 0.0;  ///< Refit, forward, losses, backward and Adam, submitted without a pause.
     std::size_t repetitions = 0;
-    std::optional<double> scans_per_s;  ///< of a run
+    std::optional<double> scans_per_s;  ///< Empty unless a run is timed.
 };
 
 double ms_since(Clock::time_point start) {
@@ -93,7 +94,7 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         stream.finish();
         time(backward, [&] { renderer.record_backward(); });
     };
-    // the first launches compile kernels, and a GPU raises its clocks
+    // The first launches compile kernels, and a GPU raises its clocks only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
@@ -105,8 +106,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Renders scans of the log's own sensor, evenly spaced on its own path. Two are pending
-/// at any time.
+/// Renders scans of the log's sensor, evenly spaced along the sensor's recorded path. Two
+/// scans are pending at any time.
 double scans_per_second(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
@@ -117,7 +118,7 @@ double scans_per_second(Device& device, const Run& run) {
         renderer.ask_points(sensor, {time_s, path}, time_s);
     };
     request(0);
-    renderer.take_points();  // allocates memory
+    renderer.take_points();  // The first scan allocates memory, so that it is not timed.
     const Clock::time_point start = Clock::now();
     request(0);
     for (int scan = 1; scan <= kScans; ++scan) {
@@ -143,7 +144,7 @@ std::string report_text(const BenchCase& bench, const BenchTimes& t, const Devic
         "backward    {:.2f} ms, {:.3f} Mrays/s\niteration   {:.2f} ms of training on all rays\n",
         t.build_ms, t.refit_ms, t.forward_ms, krays / t.forward_ms, t.backward_ms, krays / t.backward_ms,
         t.iteration_ms);
-    if (t.scans_per_s) text += fmt::format("scans       {:.1f} a second\n", *t.scans_per_s);
+    if (t.scans_per_s) text += fmt::format("scans       {:.1f} per second\n", *t.scans_per_s);
     return text + fmt::format("relidar {}; wall times, medians of {}\n", RELIDAR_VERSION, t.repetitions);
 }
 
@@ -173,7 +174,7 @@ std::string report_json(const BenchCase& bench, const BenchTimes& t, const Devic
 void run_bench(const BenchOptions& options) {
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
-        throw DataError(fmt::format("--json {}: found a folder, expected the name of a file", options.json));
+        throw DataError(fmt::format("--json {}: found a folder, expected a file name", options.json));
     std::optional<Run> run;
     if (!options.run.empty()) run = load_run(options.run);
     std::optional<OutputFolder> folder;
@@ -188,20 +189,26 @@ void run_bench(const BenchOptions& options) {
     print(report_text(bench, times, device));
 }
 
+constexpr const char* kBenchHelp =
+    R"(The street has 100000 surfels and 64 x 1024 rays. Times are wall times until the device has
+finished.
+Examples:
+  relidar bench
+  relidar bench --run run --json bench.json)";
+
 }  // namespace
 
 void add_bench(CLI::App& app, Call& call) {
     CLI::App* command =
-        app.add_subcommand("bench", "report how fast a device is, on a fixed street or on a run");
+        app.add_subcommand("bench", "measure the speed of a device on a fixed street or on a run");
     const auto options = std::make_shared<BenchOptions>();
-    command->add_option("--run", options->run, "time a run instead of the street: its scene and its sensor")
+    command
+        ->add_option("--run", options->run,
+                     "measure on the scene and sensor of this run instead of the street")
         ->type_name("RUN");
-    command->add_option("--json", options->json, "write the report to this file too")->type_name("FILE");
+    command->add_option("--json", options->json, "also write the report to this file")->type_name("FILE");
     add_device_options(*command, options->device);
-    command->footer(
-        "The street has 100000 surfels; its image has 64 x 1024 rays. Times are wall times until the device "
-        "is done.\n"
-        "Examples:\n  relidar bench\n  relidar bench --run run --json bench.json");
+    command->footer(kBenchHelp);
     command->callback([&call, options] { call.run = [options] { run_bench(*options); }; });
 }
 

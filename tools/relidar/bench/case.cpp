@@ -17,7 +17,8 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
     bench.rows = rays.rows;
     bench.columns = rays.columns;
     bench.view_origin_m = rays.origin.front();
-    bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};  // the street's world is the sensor's
+    // The sensor frame of the street is its world frame.
+    bench.rays = {to_vector(rays.origin), to_vector(rays.direction)};
     const Surfels surfels = make_benchmark_street(n_surfels, 20261120, refined);
     bench.scene = make_background_scene(surfels.permuted(kd_order(surfels.mean)));
     bench.config = make_preset("paper");
@@ -27,7 +28,7 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
 
 BenchCase make_run_case(const Run& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
-        throw DataError(fmt::format("{}: a run without frames or surfels, expected at least one of each",
+        throw DataError(fmt::format("{}: the run has no frames or no surfels, expected at least one of each",
                                     run.folder.string()));
     const Frame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene and rays to time.
+// Scenes and rays for benchmarks.
 #pragma once
 
 #include <cstdint>
@@ -13,21 +13,21 @@ namespace relidar::cli {
 
 /// A scene, the rays cast into it, and the settings of its kernels.
 struct BenchCase {
-    std::string name;  ///< "street A", or the folder of the run and the frame
+    std::string name;  ///< "benchmark street", or the run's folder and the frame number.
     Scene scene;
     Config config;
     WorldRays rays;
     int rows = 0;
     int columns = 0;
     glm::vec3 view_origin_m{0.0f};
-    std::vector<InstancePose> placed;  ///< [instances]
+    std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
 };
 
-/// The benchmark street with the settings of the paper. @param refined  see
-/// make_benchmark_street()
+/// Creates the benchmark street with the settings of the paper.
+/// @param refined see make_benchmark_street()
 BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable& rays);
 
-/// A run, seen by its own sensor at the first held-out frame.
+/// Creates a case from a run: its scene, seen by its sensor at the first held-out frame.
 /// @throws DataError for a run without frames or surfels
 BenchCase make_run_case(const Run& run);
 

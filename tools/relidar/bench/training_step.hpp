@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One training step, to be timed.
+// One training step, for benchmarks.
 #pragma once
 
 #include <optional>
@@ -13,12 +13,11 @@ namespace relidar::cli {
 
 struct BenchCase;
 
-/// Targets for the losses: a rendered image with uniform noise, so that no L1 term has
-/// gradient
-/// 0. A ray of low weight counts as dropped.
+/// Creates targets for the losses: a rendered image with uniform noise, so that no L1
+/// term has a zero gradient. A ray of low weight becomes a dropped ray.
 std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth);
 
-/// One training step. The learning rates are 0, so that the scene stays the same.
+/// One training step. All learning rates are 0, so that the scene does not change.
 class TrainingStep {
 public:
     TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
@@ -27,8 +26,8 @@ public:
     DifferentiableRenderer renderer;
     Array<DeviceTarget> targets;
 
-    void compare(const RayBatch& rays);  ///< records the losses, after record_forward()
-    void optimise();                     ///< records Adam, after record_backward()
+    void compare(const RayBatch& rays);  ///< Records the losses. Call it after record_forward().
+    void optimise();                     ///< Records Adam. Call it after record_backward().
 
 private:
     ImageLoss loss_;

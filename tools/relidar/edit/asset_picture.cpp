@@ -10,13 +10,14 @@ namespace relidar::cli {
 namespace {
 
 constexpr double kPixel_m = 0.02;
-constexpr double kWidest = 400.0;  // pixels of a view
-constexpr double kAround_m = 0.3;  // of the box that is shown too
-constexpr int kGap = 8;            // pixels between views
+constexpr double kWidest = 400.0;  // Maximum width of a view in pixels.
+constexpr double kAround_m = 0.3;  // Margin around the box.
+constexpr int kGap = 8;            // Gap between views in pixels.
 constexpr std::uint8_t kBackdrop = 24;
-constexpr float kLeastWeight = 0.5f;  // of a pixel that shows something
+constexpr float kLeastWeight = 0.5f;  // Minimum weight of a pixel that shows a surface.
 
-/// Where one looks along, and what is to the right and up in the picture. Box frame.
+/// Directions of a view in the box frame: the viewing direction, and the right and up
+/// directions of the picture.
 struct AssetView {
     glm::dvec3 along, right, up;
 };
@@ -31,7 +32,7 @@ double extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) {
     return glm::dot(glm::abs(axis), size_m) + 2.0 * kAround_m;
 }
 
-/// Parallel rays in the box's frame, a pixel each, row by row from the upper left.
+/// Returns parallel rays in the box frame, one per pixel, row by row from the upper left.
 RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double pixel_m) {
     RayTable rays;
     rays.rows = int(std::ceil(extent_m(view.up, size_m) / pixel_m));
@@ -50,7 +51,8 @@ RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double p
     return rays;
 }
 
-/// Brightness 0..1 of each pixel, below 0 where there is nothing.
+/// Returns the brightness of each pixel from 0 to 1, or a negative value if the pixel
+/// shows no surface.
 std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const glm::dquat& world_from_box,
                           float brightest) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
@@ -65,7 +67,7 @@ std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const
     return shade;
 }
 
-/// The intensity that a twentieth of what is seen exceeds.
+/// Returns the intensity that a twentieth of the visible pixels exceed.
 float bright_intensity(const std::vector<RenderedScan>& scans) {
     std::vector<float> values;
     for (const RenderedScan& scan : scans)
@@ -77,7 +79,8 @@ float bright_intensity(const std::vector<RenderedScan>& scans) {
     return std::max(*high, 1e-3f);
 }
 
-/// @param row, column  of its upper left pixel in the canvas
+/// Draws one view into the canvas.
+/// @param row, column upper left pixel of the view in the canvas
 void draw(Image& canvas, int row, int column, const RenderedScan& scan, const std::vector<float>& shade,
           const BoxSurface& surface) {
     for (int r = 0; r < scan.image.rows; ++r) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What an asset looks like from all sides.
+// Renders pictures of an asset from five sides.
 #pragma once
 
 #include <relidar/base/images.hpp>
@@ -7,10 +7,11 @@
 
 namespace relidar::cli {
 
-/// From the left, the right and above, and below these from behind and from the front:
-/// parallel rays every 2 cm (more for what is longer than 8 m), bright where it is bright
-/// to the LiDAR, shaded by how steeply it is met; bluish what the mirror image stands in
-/// for.
+/// Renders an asset with parallel rays. The upper row shows it from the left, the right
+/// and above, the lower row from behind and from the front. Rays are 2 cm apart, or more
+/// for objects longer than 8 m. Brightness is the LiDAR intensity, shaded by the angle
+/// between ray and surface. Bluish parts were completed by the mirror image of the other
+/// side.
 Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surface);
 
 }  // namespace relidar::cli

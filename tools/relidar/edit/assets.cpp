@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar assets: the actors of a run as a folder of assets, to be placed in other runs
-// and by clients of the service.
+// relidar assets: saves the actors of a run as a folder of assets, which can be inserted
+// into other runs and spawned by clients of the service.
 #include <filesystem>
 #include <memory>
 #include <set>
@@ -30,12 +30,13 @@ struct AssetOptions {
     bool quiet = false;
 };
 
-/// @throws UsageError for a folder that is not new
+/// Checks that the output folder is new or empty.
+/// @throws UsageError if the folder exists and is not empty
 void check_new(const std::string& out) {
     std::error_code failed;
     if (fs::exists(out, failed) && !fs::is_empty(out, failed))
         throw UsageError(
-            fmt::format("--out {}: there is something of that name, expected a new folder", out));
+            fmt::format("--out {}: the folder is not empty, expected a new or empty folder", out));
 }
 
 std::string sides_text(const AssetFacts& facts) {
@@ -45,32 +46,34 @@ std::string sides_text(const AssetFacts& facts) {
     return text;
 }
 
-/// Why an actor is not kept; empty for one that is.
+/// Returns the reason why an actor is skipped, or an empty text if it is kept.
 std::string reason_against(const AssetFacts& facts, const ActorSightings& sightings, double least) {
-    if (sightings.points_m.empty()) return "no ray of the training frames meets it";
+    if (sightings.points_m.empty()) return "no ray of the training frames hits it";
     if (facts.score() >= least) return "";
     return fmt::format(
         "score {:.2f}, expected {:.2f} (--least): seen {}{}", facts.score(), least, sides_text(facts),
-        facts.completed > 0.0 ? fmt::format("; completed by its mirror image {:.2f} of all", facts.completed)
-                              : "");
+        facts.completed > 0.0
+            ? fmt::format("; {:.2f} of the surface completed by its mirror image", facts.completed)
+            : "");
 }
 
 std::vector<std::string> actors_of(const Run& run) {
     std::vector<std::string> tracks;
-    std::set<std::uint32_t> models;  // a copy is the same asset
+    // Models that are already listed, because copies of an actor give the same asset.
+    std::set<std::uint32_t> models;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
     if (tracks.empty())
-        throw UsageError(fmt::format("{}: found no actor in it, expected one at least", run.folder.string()));
+        throw UsageError(fmt::format("{}: found no actor, expected at least one", run.folder.string()));
     return tracks;
 }
 
-/// A name that no other asset has: classes and tracks may differ in characters that no
-/// folder's name has.
-void make_unique(Asset& asset, std::set<std::string>& taken) {
+/// Gives an asset a name that no other asset has. Names can collide because characters
+/// that are not allowed in folder names are replaced.
+void make_unique(Asset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;
-    for (int n = 2; !taken.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
+    for (int n = 2; !used_names.insert(name).second; ++n) name = fmt::format("{}-{}", stem, n);
     if (name == stem) return;
     asset.facts.name = asset.run.scene.models[1].name = asset.run.scene.instances[1].track =
         asset.run.sequence.boxes[0].id = name;
@@ -96,58 +99,58 @@ void run_assets(const AssetOptions& options) {
     const std::map<std::string, ActorSightings> sightings = sight_actors(device, run, shown_by(progress));
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
                                                 "top", "completed", "nearest_m", "surfels"}};
-    std::set<std::string> taken;
+    std::set<std::string> used_names;
     std::string skipped;
     for (const std::string& track : tracks) {
         const auto seen = sightings.find(track);
-        const ActorSightings of_it = seen == sightings.end() ? ActorSightings{} : seen->second;
-        Asset asset = make_asset(run, track, of_it);
-        if (const std::string reason = reason_against(asset.facts, of_it, options.least); !reason.empty()) {
+        const ActorSightings actor_sightings = seen == sightings.end() ? ActorSightings{} : seen->second;
+        Asset asset = make_asset(run, track, actor_sightings);
+        if (const std::string reason = reason_against(asset.facts, actor_sightings, options.least);
+            !reason.empty()) {
             skipped += fmt::format("skipped {} ({}): {}\n", track, asset.facts.category, reason);
             continue;
         }
-        make_unique(asset, taken);
+        make_unique(asset, used_names);
         save_asset(asset, folder.path() / asset.facts.name);
-        const Image views = asset_picture(device, asset, seen_surface(asset.facts.size_m, of_it));
+        const Image views = asset_picture(device, asset, seen_surface(asset.facts.size_m, actor_sightings));
         write_png(folder.path() / asset.facts.name / "views.png", views);
         rows.push_back(row_of(asset.facts));
     }
     end_progress_line();
     if (rows.size() == 1)
         throw DataError(
-            fmt::format("{}: found no actor that is seen well enough: {}", options.run, one_line(skipped)));
+            fmt::format("{}: found no actor with a sufficient score: {}", options.run, one_line(skipped)));
     folder.finish();
     if (options.quiet) return;
     print(table(rows) + skipped +
           fmt::format("{} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
 }
 
+constexpr const char* kAssetsHelp =
+    R"(The score of an actor is the share of its surface (sides and top of its box) that rays of the
+training frames hit. For vehicles the score includes parts completed by the mirror image of the
+other side. Each asset is a complete run with asset.json (class, size, score) and views.png. The
+picture shows the asset from left, right, above, behind and ahead; mirrored parts are bluish.
+Examples:
+  relidar assets run --out assets
+  relidar edit other --out busy --insert assets/car-3@12,3.5,0.9,180
+  relidar serve other --assets assets)";
+
 }  // namespace
 
 void add_assets(CLI::App& app, Call& call) {
     CLI::App* command =
-        app.add_subcommand("assets", "keep actors of a run that were seen well, to be placed elsewhere");
+        app.add_subcommand("assets", "save well-observed actors of a run for use in other runs");
     const auto options = std::make_shared<AssetOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--out", options->out, "new folder, with a folder for each asset in it")
+    command->add_option("--out", options->out, "new folder; each asset becomes a subfolder")
         ->required()
         ->type_name("FOLDER");
-    command
-        ->add_option("--least", options->least,
-                     "score, 0 to 1, below which an actor is left out (default: 0.5)")
+    command->add_option("--least", options->least, "minimum score of an actor, 0 to 1 (default: 0.5)")
         ->type_name("SCORE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "A score is the share of an actor's surface (sides and top of its box) that rays of the training "
-        "frames meet; of a vehicle also\n"
-        "what the mirror image of its other side stands in for. Each asset is a run of its own, with "
-        "asset.json (class, size, score)\n"
-        "and views.png (left, right, above; behind, ahead; bluish what was mirrored).\n"
-        "Examples:\n"
-        "  relidar assets run --out assets\n"
-        "  relidar edit other --out busy --insert assets/car-3@12,3.5,0.9,180\n"
-        "  relidar serve other --assets assets");
+    command->footer(kAssetsHelp);
     command->callback([&call, options] { call.run = [options] { run_assets(*options); }; });
 }
 

@@ -22,8 +22,8 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
-    std::string ply;               ///< surfels that replace those of the run; empty: none
-    std::vector<TypedEdit> edits;  ///< in the order typed
+    std::string ply;               ///< Surfels that replace the surfels of the run. Empty: none.
+    std::vector<TypedEdit> edits;  ///< Edits in the order in which the user typed them.
     bool force = false;
     bool quiet = false;
 };
@@ -32,7 +32,7 @@ void check_other_folder(const EditOptions& options) {
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
         throw UsageError(
-            fmt::format("--out {}: found the run that is edited, expected another folder", options.out));
+            fmt::format("--out {}: found the run to edit, expected a different folder", options.out));
 }
 
 bool is_same(const PoseTrack& a, const PoseTrack& b) {
@@ -42,7 +42,7 @@ bool is_same(const PoseTrack& a, const PoseTrack& b) {
     return a.time_s == b.time_s && std::ranges::equal(a.pose, b.pose, same);
 }
 
-/// Tracks of actors that were not there before, or elsewhere.
+/// Returns the tracks of actors that are new or whose poses have changed.
 std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequence& before) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
@@ -54,16 +54,16 @@ std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequen
     return placed;
 }
 
-/// Which of the actors that were placed are too coarse for where they stand, a line each.
+/// Returns one warning line for each placed actor that has too few surfels for its
+/// distance from the sensor.
 std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
     std::string text;
     for (const std::string& track : placed_tracks(driving, before)) {
         const ActorDetail detail = actor_detail(driving, track);
         if (!detail.is_sparse()) continue;
         text += fmt::format(
-            "note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays meet its box, but "
-            "it has {} "
-            "surfels: it was learnt from farther away and will show holes\n",
+            "note: actor {} comes within {:.1f} m of the sensor at {:.2f} s, where {} rays hit its box, but "
+            "it has only {} surfels because it was recorded from farther away; it will show holes\n",
             track, detail.nearest_m, detail.time_s, detail.rays, detail.surfels);
     }
     return text;
@@ -128,7 +128,7 @@ Examples:
 
 void add_edit(CLI::App& app, Call& call) {
     CLI::App* command =
-        app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels back from a PLY");
+        app.add_subcommand("edit", "remove, move, copy and insert actors; read surfels from a PLY file");
     const auto options = std::make_shared<EditOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
     command->add_option("--out", options->out, "folder for the edited run")->required()->type_name("DIR");

@@ -21,20 +21,20 @@
 namespace relidar::cli {
 namespace {
 
-constexpr double kFarOff_m = 1e6;  // beyond it an offset or a speed is a slip
+constexpr double kFarOff_m = 1e6;  // Larger offsets or speeds are rejected as typing errors.
 
 [[noreturn]] void refuse(const TypedEdit& edit, const std::string& expected) {
     throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected));
 }
 
 const char* form_of(const TypedEdit& edit) {
-    const auto& known = edit_options();
-    return std::find_if(known.begin(), known.end(),
+    const auto& options = edit_options();
+    return std::find_if(options.begin(), options.end(),
                         [&](const EditOption& o) { return edit.option == o.option; })
         ->form;
 }
 
-/// The parts before and after a separator, neither of them empty.
+/// Splits a text at a separator. Rejects the edit if either part is empty.
 std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text, std::size_t at) {
     if (at == std::string::npos || at == 0 || at + 1 == text.size()) refuse(edit, form_of(edit));
     return {text.substr(0, at), text.substr(at + 1)};
@@ -49,13 +49,13 @@ std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std:
     return values;
 }
 
-/// x, y, z and, as far as they are there, yaw, pitch and roll in degrees.
+/// Returns the pose of x, y, z and, if present, yaw, pitch and roll in degrees.
 Pose pose_of(const std::vector<double>& v) {
     const auto radians = [&](std::size_t i) { return i < v.size() ? v[i] * kPi / 180.0 : 0.0; };
     return {rotation_of(radians(3), radians(4), radians(5)), {v[0], v[1], v[2]}};
 }
 
-/// "x,y,ground[,yaw_deg]"; nothing where the third is not that word.
+/// Parses "x,y,ground[,yaw_deg]". Returns no value if the third field is not "ground".
 std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string& text) {
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
@@ -68,16 +68,16 @@ std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string
     return place;
 }
 
-/// An actor, and the scene that has it.
-struct OwnedActor {
+/// An actor and the scene that contains it.
+struct SourceActor {
     const DrivingScene& owner;
     const std::string& track;
-    std::optional<double> clearance_m;  ///< above the ground, where it is known
+    std::optional<double> clearance_m;  ///< Height of the box above the ground, if known.
 };
 
-/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]"
+/// Parses "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
 Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
-               const OwnedActor& actor) {
+               const SourceActor& actor) {
     const std::size_t colon = text.find(':');
     const double speed_mps =
         colon == std::string::npos ? 0.0 : numbers(edit, text.substr(colon + 1), 1, 1)[0];
@@ -94,8 +94,8 @@ Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScen
     return {pose_of(pose), speed_mps};
 }
 
-/// Where an actor stands, for one that was put on the ground: nothing was typed of its
-/// height.
+/// Returns position and tilt of an actor that was placed on the ground, because the user
+/// has not typed its height. Returns an empty text for other actors.
 std::string standing(const Start& start, const std::string& typed) {
     if (typed.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
@@ -118,24 +118,25 @@ AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
             ""};
 }
 
-/// Whether an actor is there at any frame of the log.
+/// Returns true if an actor is present at any frame of the log.
 bool is_ever_present(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
     return box && std::ranges::any_of(driving.sequence.frames,
                                       [&](const Frame& f) { return box->present(f.time_s); });
 }
 
-/// What the user should know of the frames in which an actor is absent after an edit.
-/// @param before  its track; null: it is new
+/// Returns a note if an edit makes an actor absent from frames of the log.
+/// @param before track before the edit; null for a new actor
 std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
     if (!is_ever_present(driving, track))
-        return fmt::format("track {} is there at no frame of the log now: its times lie outside it", track);
+        return fmt::format("track {} is present at no frame of the log: its times are outside the log",
+                           track);
     return before ? lost_frames_note(*before, driving.sequence) : "";
 }
 
 BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
-    return box ? *box : BoxTrack{};  // the edit refuses an unknown track
+    return box ? *box : BoxTrack{};  // The edit itself rejects an unknown track.
 }
 
 AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
@@ -162,15 +163,15 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
             ""};
 }
 
-/// An actor of another run, or the one of an asset.
-struct Foreigner {
+/// An actor of another run, or the actor of an asset.
+struct ExternalActor {
     std::string folder, track;
     Run run;
     DrivingScene owner;
 };
 
-/// From "RUN#TRACK" or "ASSET".
-Foreigner foreigner_of(const TypedEdit& edit, const std::string& what) {
+/// Loads the actor from "RUN#TRACK" or "ASSET".
+ExternalActor load_external_actor(const TypedEdit& edit, const std::string& what) {
     const bool named = what.find('#') != std::string::npos;
     const auto [folder, named_track] =
         named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
@@ -180,21 +181,22 @@ Foreigner foreigner_of(const TypedEdit& edit, const std::string& what) {
     return {folder, track, std::move(run), std::move(owner)};
 }
 
-/// Where an actor's own log was recorded by another sensor.
-std::string sensor_note(const Foreigner& actor, const DrivingScene& driving) {
-    const SpinningSensor &theirs = actor.run.sequence.lidars[0].sensor,
-                         &ours = driving.sequence.lidars[0].sensor;
-    if (theirs.name == ours.name && theirs.beams.size() == ours.beams.size()) return "";
+/// Returns a note if the actor's log was recorded by a different sensor.
+std::string sensor_note(const ExternalActor& actor, const DrivingScene& driving) {
+    const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
+                         &run_sensor = driving.sequence.lidars[0].sensor;
+    if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
+        return "";
     return fmt::format(
-        "{} was recorded by another sensor ({}, {} beams; here {}, {} beams): shape and motion of {} are "
-        "right, its "
-        "intensities and ray-drop are those of that sensor",
-        actor.folder, theirs.name, theirs.beams.size(), ours.name, ours.beams.size(), actor.track);
+        "{} was recorded by another sensor ({}, {} beams; this run: {}, {} beams): the shape and motion of "
+        "{} are right, but its intensities and ray-drop follow the other sensor",
+        actor.folder, actor_sensor.name, actor_sensor.beams.size(), run_sensor.name, run_sensor.beams.size(),
+        actor.track);
 }
 
 AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const auto [what, place] = cut(edit, edit.value, edit.value.rfind('@'));
-    const Foreigner actor = foreigner_of(edit, what);
+    const ExternalActor actor = load_external_actor(edit, what);
     const Start start =
         start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
     const std::string note = sensor_note(actor, driving);
@@ -215,7 +217,7 @@ glm::dvec3 size_of(const DrivingScene& driving, const std::string& track) {
     return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
 }
 
-/// Who stands for the entities of a scenario: "ENTITY=WHAT,ENTITY=WHAT".
+/// Parses the actors that take the place of scenario entities: "ENTITY=WHAT,ENTITY=WHAT".
 std::map<std::string, std::string> roles_of(const TypedEdit& edit, const std::string& text) {
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
@@ -230,7 +232,8 @@ void join_note(std::string& note, const std::string& more) {
     if (!more.empty()) note += (note.empty() ? "" : "; ") + more;
 }
 
-/// Has an actor of the run, or one that is put into it, follow what an entity follows.
+/// Moves an actor along the trajectory of a scenario entity. The actor is in the run, or
+/// is inserted from another run or an asset.
 void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what,
             AppliedEdit& applied) {
     DrivingScene& driving = applied.driving;
@@ -240,7 +243,7 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
     if (!is_known) {
         if (what.find('#') == std::string::npos && !std::filesystem::exists(what))
             refuse(edit, fmt::format("{}=TRACK of the run, RUN#TRACK or ASSET", entity.name));
-        const Foreigner actor = foreigner_of(edit, what);
+        const ExternalActor actor = load_external_actor(edit, what);
         join_note(applied.note, sensor_note(actor, driving));
         driving = insert_track(std::move(driving), actor.owner, actor.track, {});
         track = last_track(driving);
@@ -269,27 +272,26 @@ AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
                                  : has_track(applied.driving, entity.name) ? entity.name
                                                                            : "";
         if (role && what != "-" && !follows)
-            refuse(edit, fmt::format("an entity that follows a trajectory, which {} does not", entity.name));
+            refuse(edit, fmt::format("an entity that follows a trajectory; {} follows none", entity.name));
         if (what.empty() && follows)
-            refuse(edit,
-                   fmt::format(
-                       "{0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=- too: the run has no actor of that name",
-                       entity.name));
+            refuse(edit, fmt::format("also {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=-, because the run has "
+                                     "no actor of that name",
+                                     entity.name));
         if (follows && what != "-") follow(edit, entity, what, applied);
         else
             join_note(applied.note,
-                      fmt::format("{} {}", entity.name, follows ? "is left out" : "follows no trajectory"));
+                      fmt::format("{} {}", entity.name, follows ? "is ignored" : "follows no trajectory"));
     }
     if (!roles.empty())
-        refuse(edit, fmt::format("entities of the file, which {} is not", roles.begin()->first));
-    if (applied.said.empty()) refuse(edit, "a scenario in which somebody follows a trajectory");
+        refuse(edit, fmt::format("entities of the file; {} is not in the file", roles.begin()->first));
+    if (applied.said.empty()) refuse(edit, "a scenario with at least one entity that follows a trajectory");
     return applied;
 }
 
 AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
     if (edit.value == "background")
-        return {keep_background(std::move(driving)), "kept the background alone", ""};
-    if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept the actors alone", ""};
+        return {keep_background(std::move(driving)), "kept only the background", ""};
+    if (edit.value == "actors") return {keep_actors(std::move(driving)), "kept only the actors", ""};
     refuse(edit, "background or actors");
 }
 
@@ -297,23 +299,23 @@ AppliedEdit keep(DrivingScene driving, const TypedEdit& edit) {
 
 const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
-        {"--remove", "TRACK", "take an actor out; rays continue to what is behind it"},
+        {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
-         "shift an actor in its own frame (forward, left, up) and turn it left, on all its path"},
-        {"--retime", "TRACK:seconds", "let everything it does happen so much later"},
+         "shift an actor along its whole path, in its own frame (forward, left, up), and turn it left"},
+        {"--retime", "TRACK:seconds", "delay all motion of an actor by this time"},
         {"--trajectory", "TRACK:FILE.csv",
-         "give it other poses: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg], or a "
-         "header with these names in any order, _rad for radians"},
+         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; a header may "
+         "give these names in any order, with _rad for radians"},
         {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
-         "place its model once more, driving straight ahead at speed m/s; ground: height and tilt from the "
-         "surface below"},
+         "add a copy of an actor that drives straight ahead at speed m/s; ground: take height and tilt from "
+         "the surface below"},
         {"--insert", "RUN#TRACK@PLACE|ASSET@PLACE",
-         "the same with an actor of another run, or an asset of `relidar assets`; PLACE as of --copy"},
+         "add an actor of another run, or an asset of `relidar assets`; PLACE has the same form as in "
+         "--copy"},
         {"--scenario", "FILE.xosc[@ENTITY=TRACK,ENTITY=RUN#TRACK,ENTITY=ASSET,ENTITY=-]",
-         "let actors follow the timed polylines of an OpenSCENARIO's entities: those of the same name, those "
-         "that are named here, or "
-         "inserted ones; -: leave it out"},
-        {"--keep", "background|actors", "drop the other"}};
+         "move actors along the timed polylines of the entities of an OpenSCENARIO file. An entity moves the "
+         "actor of the same name, the actor given here, or an inserted actor; -: ignore the entity"},
+        {"--keep", "background|actors", "keep only the background or only the actors"}};
     return options;
 }
 
@@ -327,7 +329,7 @@ AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
                                        [&](const auto& f) { return f.first == edit.option; });
     try {
         return function->second(std::move(driving), edit);
-    } catch (const UsageError& error) {  // which of several edits it was
+        // Names the option and its value, because a command can have several edits.
         const std::string message = error.what();
         throw UsageError(message.starts_with(edit.option)
                              ? message

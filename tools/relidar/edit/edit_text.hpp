@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits as they are typed: "--move 0:0,3.5,0" to a function of <relidar/run/edit.hpp>.
+// Parses the edits of a command line. Each option, such as "--move 0:0,3.5,0", calls a
+// function of <relidar/run/edit.hpp>.
 #pragma once
 
 #include <string>
@@ -11,11 +12,12 @@ namespace relidar::cli {
 
 /// An option of `relidar edit` with its value.
 struct TypedEdit {
-    std::string option;  ///< "--move"
-    std::string value;   ///< "0:0,3.5,0"
+    std::string option;  ///< For example "--move".
+    std::string value;   ///< For example "0:0,3.5,0".
 };
 
-/// What `relidar edit` understands: option, form of its value, meaning.
+/// Describes an option of `relidar edit`: its name, the form of its value, and its help
+/// text.
 struct EditOption {
     const char* option;
     const char* form;
@@ -23,15 +25,16 @@ struct EditOption {
 };
 const std::vector<EditOption>& edit_options();
 
-/// What applying an edit gives.
+/// Result of an edit.
 struct AppliedEdit {
     DrivingScene driving;
-    std::string said;  ///< what happened, one line
-    std::string note;  ///< what the user should know, or empty
+    std::string said;  ///< One line that describes the edit.
+    std::string note;  ///< A remark for the user, or an empty text.
 };
 
-/// @throws UsageError naming option and value where they are malformed or name no track;
-/// DataError for files that are
+/// Applies an edit to a scene and its tracks.
+/// @throws UsageError naming option and value if the value is malformed or names no
+/// track; DataError if a file is malformed
 AppliedEdit apply(DrivingScene driving, const TypedEdit& edit);
 
 }  // namespace relidar::cli

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar eval: renders the held-out frames of a run and scores them against the log.
-// Scores the baseline, which needs a log only. Puts the scores of several runs into a
-// table.
+// relidar eval: renders the held-out frames of a run and scores them against the log. Can
+// also score a baseline, which needs only a log, and write the scores of several runs
+// into a table.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -32,8 +32,8 @@ namespace relidar::cli {
 namespace {
 
 struct EvalOptions {
-    std::vector<std::string> targets;  ///< what the user typed
-    std::string target;                ///< the run or log to score
+    std::vector<std::string> targets;  ///< Runs or log that the user typed.
+    std::string target;                ///< The run or log to score.
     std::vector<std::string> tables;
     std::string out;
     LogPart part;
@@ -50,13 +50,14 @@ void apply_options(Config& config, const EvalOptions& options) { apply_sets(conf
 
 void check_held_out(const Split& split, const std::string& where) {
     if (split.test.empty())
-        throw DataError(fmt::format("{}: no frame was held out, expected at least one to evaluate", where));
+        throw DataError(
+            fmt::format("{}: no frame was held out, expected at least one held-out frame", where));
 }
 
-/// Where results go, proved writable before the work begins: by the first process, before
-/// another goes on.
+/// Output files and folders. The first process checks that they are writable before any
+/// process starts its work.
 struct Output {
-    std::filesystem::path file, pictures;  ///< empty: none
+    std::filesystem::path file, pictures;  ///< Output paths; an empty path is not written.
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
 
@@ -81,7 +82,7 @@ void write_results(const Output& output, const Evaluation& evaluation, const Con
     print(metric_table(evaluation, origin.baseline));
     print(fmt::format("\n{} held-out frames", evaluation.frames.size()));
     if (evaluation.trace_ms > 0.0)
-        print(fmt::format(", {:.1f} ms of tracing a frame, {:.3f} Mrays/s, {} of device memory",
+        print(fmt::format(", {:.1f} ms of tracing per frame, {:.3f} Mrays/s, {} of device memory",
                           evaluation.trace_ms, evaluation.mrays_per_s, byte_size(origin.peak_device_bytes)));
     if (!output.file.empty()) print("\nmetrics  " + absolute_path(output.file.string()));
     print("\n");
@@ -91,31 +92,31 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// The scores as a page beside the numbers, shown to the user.
+/// Writes the scores as a web page next to the JSON file and opens it in a browser.
 void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
     write_report(page, report);
     if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
     open_in_browser(absolute_path(page.string()));
 }
 
-/// What the scans of an edited run are worth.
+/// Returns a note on how to read the scores of an edited run.
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
-        return "note: the street was cast again with the run's edits, without noise; edited/* is over the "
-               "pixels they change\n";
-    return "note: the run is edited, but the log's scans show what was there before: where they differ, the "
-           "numbers do not say how good "
-           "the edit is\n";
+        return "note: the street was rendered again with the run's edits, without noise; edited/* are scores "
+               "of the pixels that the edits change\n";
+    return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
+           "pixels do not measure the quality of the edit\n";
 }
 
-/// Scores of the pixels an edit changes. @param before  the street without the edit
+/// Adds the scores of the pixels that an edit changes.
+/// @param before scan of the street without the edit
 void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
     frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
                                          {edited_region(frame.real, real_image(config, before))}));
 }
 
-/// Leaves the frames that this process scores.
+/// Keeps only the frames that this process scores.
 void keep_share(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin),
@@ -123,7 +124,7 @@ void keep_share(std::vector<int>& positions, const Ranks& ranks) {
 }
 
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
-    std::optional<FolderLock> lock;  // its metrics.json belongs to what is scored
+    std::optional<FolderLock> lock;  // Locks the scored run, because metrics.json is written into it.
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = rendering_settings();
     used.insert(used.end(), {"dataset."});
@@ -179,7 +180,7 @@ const std::vector<std::string> kBaselineSettings = {
     "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
-/// The baseline alone: a log, no run, no device.
+/// Scores a baseline on a log. Needs neither run nor device.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
     check_sets(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
@@ -206,9 +207,9 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
         write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }
 
-void run_eval(const EvalOptions& given, const std::string& command_line) {
+void run_eval(const EvalOptions& typed_options, const std::string& command_line) {
     const Ranks ranks;
-    EvalOptions options = given;
+    EvalOptions options = typed_options;
     options.quiet = options.quiet || !ranks.is_first();
     if (!options.tables.empty()) {
         if (ranks.is_first()) write_score_tables(options.targets, options.tables);
@@ -224,30 +225,33 @@ void run_eval(const EvalOptions& given, const std::string& command_line) {
     options.device = ranks.device(options.device);
     if (options.open && ranks.size() > 1)
         throw UsageError(fmt::format(
-            "--open: found {} processes, expected one: the page has pictures of all frames", ranks.size()));
-    // a wrong name is found before the log is read
+            "--open: found {} processes, expected one, because the page has pictures of all frames",
+            ranks.size()));
+    // Rejects an unknown baseline before the log is read.
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open)
-            throw UsageError("--open: found a log, expected a run: there is no page of a baseline alone");
+            throw UsageError(
+                "--open: found a log, expected a run, because a baseline without a run has no page");
         return score_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
         throw UsageError(
-            fmt::format("{}: found it beside a run, which has its own held-out frames; expected it with "
+            fmt::format("{}: found it with a run, which already has held-out frames; expected it only with "
                         "--baseline and a log",
                         options.part.frames.empty() ? "--sequence" : "--frames"));
     score_run(options, ranks, command_line);
 }
 
-/// @throws UsageError if --table was given with an option for scoring
+/// Checks that --table is not combined with other options.
+/// @throws UsageError if --table is combined with an option for scoring
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||
             option->check_lname("quiet"))
             continue;
         throw UsageError(fmt::format(
-            "{}: found it with --table, which only reads scores; expected it in `relidar eval RUN`",
+            "{}: found it with --table, which only reads existing scores; expected it in `relidar eval RUN`",
             option->get_name()));
     }
 }
@@ -295,7 +299,8 @@ void add_eval(CLI::App& app, Call& call) {
                      "folder for pictures of each held-out frame: real, rendered, error")
         ->type_name("DIR");
     command->add_flag("--open", options->open,
-                      "make a page of it, evaluation.html beside the JSON file, and open a browser");
+                      "write the scores to a page, evaluation.html in the folder of the JSON file, and open "
+                      "it in a browser");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluations as tables and as metrics.json. No number goes without its protocol and hit
-// threshold.
+// Formats evaluations as tables and as metrics.json. Every number is stored with its
+// protocol and hit threshold.
 #include "evaluate/evaluation.hpp"
 
 #include <algorithm>
@@ -76,7 +76,7 @@ bool of_protocol(const std::string& name) {
            name.starts_with("actors/");
 }
 
-/// Lowest and highest of a metric over the frames that have it.
+/// Returns the lowest and highest value of a metric over the frames that have it.
 std::pair<double, double> spread_of(const Evaluation& evaluation, const std::string& name) {
     double low = evaluation.mean.at(name), high = low;
     for (const ScoredFrame& frame : evaluation.frames) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scores of frames from process to process.
+// Sends the scores of frames between processes.
 #include "evaluate/evaluation.hpp"
 
 #include <utility>

@@ -71,7 +71,8 @@ std::vector<ReportFigure> comparison_figures(const ScoredFrame& frame, const std
 }
 
 void write_strips(const std::filesystem::path& folder, const ScoredFrame& frame, double max_range_m) {
-    std::vector<const char*> names = {"range", "intensity", "drop"};  // in the order of comparison_figures
+    // Same order as in comparison_figures().
+    std::vector<const char*> names = {"range", "intensity", "drop"};
     if (!has_intensities(frame.real)) names.erase(names.begin() + 1);
     const std::vector<ReportFigure> figures = comparison_figures(frame, "", "real", max_range_m);
     for (std::size_t k = 0; k < figures.size(); ++k) {
@@ -90,7 +91,7 @@ Image range_pair(const ScoredFrame& frame, double max_range_m) {
 Image ray_picture(const RayTable& rays) {
     constexpr double kSector_rad = 20.0 * kPi / 180.0, kMargin_rad = 0.5 * kPi / 180.0;
     constexpr int kWidth = 1200, kDot = 2;
-    std::vector<glm::dvec2> angle;  // azimuth, elevation
+    std::vector<glm::dvec2> angle;  // Azimuth and elevation of each ray.
     for (const glm::vec3& d : rays.direction)
         angle.emplace_back(std::atan2(double(d.y), double(d.x)),
                            std::asin(std::clamp(double(d.z), -1.0, 1.0)));

@@ -36,10 +36,11 @@ ReportView points_beside(const ScoredFrame& frame, const Config& config, const s
 }
 
 ReportBars errors_by_range(const Evaluation& evaluation, const std::string& title) {
-    ReportBars bars{title,
-                    "Of all rays that really returned. Missed: the simulated ray does not return.",
-                    {"below 5 cm", "5 to 20 cm", "20 cm to 1 m", "above 1 m", "missed"},
-                    {}};
+    ReportBars bars{
+        title,
+        "Share of all rays that return in the real scan. Missed: the simulated ray does not return.",
+        {"below 5 cm", "5 to 20 cm", "20 cm to 1 m", "above 1 m", "missed"},
+        {}};
     constexpr auto& kEdges_m = RangeErrorCounts::kRangeEdges_m;
     for (std::size_t r = 0; r + 1 < kEdges_m.size(); ++r) {
         ReportBars::Row row{fmt::format("{} to {} m", kEdges_m[r], kEdges_m[r + 1]), 0.0,
@@ -58,24 +59,25 @@ ReportBars errors_by_range(const Evaluation& evaluation, const std::string& titl
 std::vector<ReportKeyMetric> key_metrics() {
     return {
         {"strict/depth_medae_m", "Typical range error, m",
-         "half of the rays that return in both are nearer than this; less is better"},
+         "median of the absolute error over rays that return in both scans; less is better"},
         {"strict/depth_rmse_m", "Range error with outliers, m",
-         "root of the mean square: missed edges count most; less is better"},
-        {"moving_boxes/depth_medae_m", "Typical range error on what moves, m",
+         "root mean square error, dominated by missed edges; less is better"},
+        {"moving_boxes/depth_medae_m", "Typical range error on moving objects, m",
          "inside boxes of moving cars and people; less is better"},
         {"range_40_80_m/depth_medae_m", "Typical range error far away, m", "from 40 to 80 m; less is better"},
         {"strict/intensity_mae", "Intensity error",
-         "mean over rays that return in both, of intensities from 0 to 1; less is better"},
-        {"strict/drop_accuracy", "Rays that return or drop as the real ones", "share of all rays; 1 is best"},
-        {"strict/drop_rmse", "Error of drop probabilities",
-         "root of the mean square over all rays; less is better"},
-        {"strict/drop_recall", "Dropped rays that were found",
-         "share of the rays that really did not return; 1 is best"},
-        {"points/cd_mean_m", "Distance of the two point clouds, m",
-         "to the nearest point of the other, both ways added; less is better"},
-        {"points/f_22cm", "Points with a real one within 22 cm",
-         "and real ones with a simulated one, as F-score; 1 is best"},
-        {"peer/depth_psnr_db", "Range image as publications score it, dB",
+         "mean over rays that return in both scans, for intensities from 0 to 1; less is better"},
+        {"strict/drop_accuracy", "Rays that return or drop as in the real scan",
+         "share of all rays; 1 is best"},
+        {"strict/drop_rmse", "Error of drop probabilities", "root mean square over all rays; less is better"},
+        {"strict/drop_recall", "Dropped rays that were predicted",
+         "share of the rays that do not return in the real scan; 1 is best"},
+        {"points/cd_mean_m", "Distance between the two point clouds, m",
+         "mean distance to the nearest point of the other cloud, summed over both directions; less is "
+         "better"},
+        {"points/f_22cm", "Points with a real point within 22 cm",
+         "and real points with a simulated point within 22 cm, as F-score; 1 is best"},
+        {"peer/depth_psnr_db", "Range image, PSNR as in publications, dB",
          "peak signal to noise, dropped rays as 0 m; more is better"}};
 }
 
@@ -84,7 +86,7 @@ std::string how_good(const MetricRow& mean) {
     if (error == mean.end() || drops == mean.end()) return "";
     return fmt::format(
         "half of all ranges are within {:.1f} cm of the real ones, and {:.1f} % of all rays return or drop "
-        "as they did",
+        "as in the real scan",
         100.0 * error->second, 100.0 * drops->second);
 }
 

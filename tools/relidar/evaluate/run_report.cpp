@@ -75,7 +75,7 @@ Report make_evaluation_report(const Run& run, const Evaluation& evaluation, cons
                               const std::string& command_line) {
     Report report;
     report.title = "relidar: " + run.sequence.name + ", scored";
-    report.summary = fmt::format("A scene of {} surfels, rendered in {:.2f} s a frame.",
+    report.summary = fmt::format("A scene of {} surfels, rendered in {:.2f} s per frame.",
                                  count_surfels(run.scene), evaluation.trace_ms / 1000.0);
     report.facts = {{"Command", command_line},        {"Run", run.folder.string()},
                     {"Log", run.sequence.source},     {"Device", device.info().name},
@@ -90,14 +90,14 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
     if (const std::string good = how_good(evaluation.mean);
         report.metrics.empty() && !good.empty() && report.summary.ends_with('.')) {
         report.summary.pop_back();
-        report.summary +=
-            fmt::format("; on {} it never saw, {}.", frame_count(evaluation.frames.size()), good);
+        report.summary += fmt::format("; on {} that were not used for training, {}.",
+                                      frame_count(evaluation.frames.size()), good);
     }
     report.key_metrics = key_metrics();
     report.metrics.emplace_back(fmt::format("{} ({})", title.column, frame_count(evaluation.frames.size())),
                                 evaluation.mean);
     report.facts.emplace_back(fmt::format("Rendering, {}", title.column),
-                              fmt::format("{:.1f} ms a frame", evaluation.trace_ms));
+                              fmt::format("{:.1f} ms per frame", evaluation.trace_ms));
     if (!evaluation.kernel_ms.empty())
         report.timings_ms.emplace_back(fmt::format("Rendering, {}: mean of one launch", title.column),
                                        evaluation.kernel_ms);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The HTML report of a run, put together from training and evaluation.
+// Builds the HTML report of a run from the results of training and evaluation.
 #pragma once
 
 #include <string>
@@ -15,22 +15,22 @@ struct Evaluation;
 
 namespace relidar::cli {
 
-/// Facts, loss curves and kernel times of training. The summary goes on with
-/// add_evaluation().
+/// Returns a report with facts, loss curves and kernel times of the training.
+/// add_evaluation() extends its summary.
 Report make_report(const Run& run, const TrainResult& result, const Device& device,
                    const std::string& command_line);
 
-/// What a set of scored frames is called.
+/// Labels of a set of scored frames.
 struct EvaluationTitle {
-    std::string column;  ///< of the metric table: "held out"
-    std::string real;    ///< caption of the real images: "real", "exact"
+    std::string column;  ///< Column title in the metric table, such as "held out".
+    std::string real;    ///< Caption of the real images: "real" or "exact".
 };
-/// Adds a metric column, a timing table, errors by range, and points and pictures of one
-/// frame. What the first adds is told in the summary.
+/// Adds a column of metrics, a table of timings, errors by range, and points and pictures
+/// of one frame. The first call also extends the summary.
 void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
                     const EvaluationTitle& title);
 
-/// The report of an evaluation alone.
+/// Returns a report of an evaluation without its training.
 Report make_evaluation_report(const Run& run, const Evaluation& evaluation, const Device& device,
                               const std::string& command_line);
 

@@ -25,18 +25,18 @@ namespace fs = std::filesystem;
 using Cells = std::vector<std::string>;
 
 struct ScoredRun {
-    std::string name;  ///< path of the run, as the user typed it
+    std::string name;  ///< Path of the run as the user typed it.
     std::string log;
-    std::size_t n_frames = 0;  ///< held-out frames that were scored
+    std::size_t n_frames = 0;  ///< Number of scored held-out frames.
     double training_s = 0.0;
-    MetricRow mean;  ///< over those frames; empty if the run has no scores
+    MetricRow mean;  ///< Mean over these frames. Empty if the run has no scores.
     nlohmann::json protocol;
 };
 
 ScoredRun read_scores(const std::string& path) {
     const fs::path folder = path;
     if (!holds_run(folder))
-        throw DataError(fmt::format("{}: not a run folder, expected one of `relidar train`", path));
+        throw DataError(fmt::format("{}: not a run folder, expected a folder made by `relidar train`", path));
     ScoredRun run;
     run.name = path.substr(0, path.find_last_not_of('/') + 1);
     if (const std::vector<TrainProgress> log = read_log(folder); !log.empty())
@@ -59,8 +59,8 @@ std::vector<MetricRow> scored_rows(const std::vector<ScoredRun>& runs) {
     return rows;
 }
 
-/// Keys of the protocol that differ between runs: "grid, range". Scores of different
-/// protocols are not comparable.
+/// Returns the protocol keys whose values differ between runs, such as "grid, range".
+/// Scores of different protocols are not comparable.
 std::string protocol_differences(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
@@ -75,10 +75,12 @@ std::string protocol_differences(const std::vector<ScoredRun>& runs) {
 
 std::string protocol_note(const std::vector<ScoredRun>& runs) {
     const std::string keys = protocol_differences(runs);
-    return keys.empty() ? "" : fmt::format("Compare the runs with care: their protocols differ in {}.", keys);
+    return keys.empty()
+               ? ""
+               : fmt::format("Compare the runs with care, because their protocols differ in {}.", keys);
 }
 
-/// The key metrics that at least one run has.
+/// Returns the key metrics that at least one run has.
 std::vector<std::string> table_metrics(const MetricRow& mean) {
     std::vector<std::string> names;
     for (const ReportKeyMetric& key : key_metrics())
@@ -162,13 +164,14 @@ void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
     write_report(file, report);
 }
 
-/// Fails if the runs that have no scores are not empty.
+/// Checks that all runs have scores.
+/// @throws DataError if a run has no scores
 void check_scored(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });
     if (missing == runs.end()) return;
     throw DataError(fmt::format(
-        "{} of {} runs have no scores in their metrics.json, the first is {}; `relidar eval {}` scores it",
+        "{} of {} runs have no scores in their metrics.json, for example {}; `relidar eval {}` computes them",
         runs.size() - scored_rows(runs).size(), runs.size(), missing->name, shell_word(missing->name)));
 }
 

@@ -9,11 +9,11 @@ namespace relidar::cli {
 
 /// Reads the metrics.json of each run and writes all scores into each file. Renders
 /// nothing and needs no device.
-/// @param runs   run folders, in the order of the rows
-/// @param files  FILE.md has the key metrics and their means, FILE.csv all metrics,
-/// FILE.html both as a page
-/// @throws UsageError for another extension, DataError if a folder holds no run. If a run
-/// has no scores, the files are written without them, and then a DataError names the run.
+/// @param runs run folders, in the order of the rows
+/// @param files names of the files: FILE.md receives the key metrics and their means,
+/// FILE.csv all metrics, and FILE.html both as a web page
+/// @throws UsageError for another extension; DataError if a folder holds no run. If a run
+/// has no scores, the files are still written, and then a DataError names the run.
 void write_score_tables(const std::vector<std::string>& runs, const std::vector<std::string>& files);
 
 }  // namespace relidar::cli

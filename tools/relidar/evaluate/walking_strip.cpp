@@ -15,30 +15,31 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::size_t kFrames = 8, kFewestPoints = 20;  // of a strip; of a frame, on average
+// Number of frames, and minimum mean number of points per frame.
+constexpr std::size_t kFrames = 8, kFewestPoints = 20;
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDot = 3;
 
-/// A frame's rays that may meet a box, as a scan without image order.
+/// Returns the rays of a frame that may hit a box, as a scan without image order.
 Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
     const Pose sensor =
         run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
     const glm::dvec3 about = inverse(sensor) * box.world_from_box.at(frame.time_s).translation;
     const double distance = glm::length(about), reach = 0.5 * glm::length(box.size_m) + kWider_m;
     const double cosine = distance > reach ? std::cos(std::asin(reach / distance)) : -1.0;
-    std::vector<std::size_t> wanted;
+    std::vector<std::size_t> ray_indices;
     for (std::size_t i = 0; i < frame.scan.rays.size(); ++i)
         if (glm::dot(glm::dvec3(frame.scan.rays.direction[i]), about) > cosine * distance)
-            wanted.push_back(i);
-    Scan scan{some_rays(frame.scan.rays, wanted), {}, {}};
-    for (const std::size_t i : wanted) {
+            ray_indices.push_back(i);
+    Scan scan{some_rays(frame.scan.rays, ray_indices), {}, {}};
+    for (const std::size_t i : ray_indices) {
         scan.range_m.push_back(frame.scan.range_m[i]);
         scan.intensity.push_back(frame.scan.intensity[i]);
     }
     return scan;
 }
 
-/// Frames of one LiDAR that have a scan and show the box, in order.
+/// Returns the frames of one LiDAR that have a scan and show the box, in order.
 std::vector<const Frame*> frames_of(const Run& run, const BoxTrack& box) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : run.sequence.frames)
@@ -55,10 +56,11 @@ double distance_of(const Run& run, const Frame& frame, const BoxTrack& box) {
 struct Walk {
     const BoxTrack* box = nullptr;
     std::vector<const Frame*> frames;
-    double distance_m = std::numeric_limits<double>::max();  ///< mean
+    double distance_m = std::numeric_limits<double>::max();  ///< Mean distance from the sensor.
 };
 
-/// Who comes nearest for so long, and when: there are the most points.
+/// Finds the walking actor and the frames with the smallest mean distance, because near
+/// actors have the most points.
 Walk nearest_walk(const Run& run) {
     Walk nearest;
     for (const Instance& instance : run.scene.instances) {
@@ -76,8 +78,8 @@ Walk nearest_walk(const Run& run) {
     return nearest;
 }
 
-/// Panels side by side, a dot a point: forward to the right, up, coloured by how far to
-/// the left it is.
+/// Draws panels side by side with one dot per point. Forward is to the right. The colour
+/// shows how far to the left a point is.
 Image drawn(const std::vector<std::vector<glm::dvec3>>& panels, const glm::dvec3& size_m) {
     const int width = int((size_m.x + 2.0 * kBeside_m) * kPixels_per_m),
               rows = int((size_m.z + 2.0 * kBeside_m) * kPixels_per_m);
@@ -124,8 +126,8 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
     }
     if (n < kFrames * kFewestPoints) return std::nullopt;
     return ReportFigure{
-        fmt::format("{} {} {}, {:.0f} m away: successive frames, of training too, from the right, coloured "
-                    "from right to left",
+        fmt::format("{} {} {}, {:.0f} m away: successive frames, including training frames, seen from the "
+                    "right, coloured from right to left",
                     walk.box->category, walk.box->id,
                     object_kind(walk.box->category) == ObjectKind::cyclist ? "rides" : "walks",
                     walk.distance_m),

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Somebody who walks, frame by frame: real above simulated.
+// Draws a walking person in successive frames, with the real points above the simulated
+// points.
 #pragma once
 
 #include <optional>
@@ -13,10 +14,10 @@ struct Run;
 
 namespace relidar::cli {
 
-/// The actor with a gait that the log has the most points of, in eight successive frames,
-/// from its right side.
-/// @param run  whose sequence has its scans @return nothing where nobody walks, or is
-/// seen so long
+/// Draws eight successive frames of a walking actor, seen from its right side. Chooses
+/// the actor that the log has the most points of.
+/// @param run its sequence must hold the scans
+/// @return no value if no actor walks or none is visible for eight frames
 std::optional<ReportFigure> walking_strip(Device& device, const Run& run);
 
 }  // namespace relidar::cli

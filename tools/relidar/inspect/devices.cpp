@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list devices: every Vulkan device of the machine, what it has, which traversal
-// relidar would use and why not ray query.
+// relidar list devices: lists every Vulkan device of the machine, its features, the
+// traversal that relidar would use, and why ray query is not available.
 #include <memory>
 
 #include <fmt/format.h>
@@ -14,7 +14,7 @@
 namespace relidar::cli {
 namespace {
 
-/// What --traversal auto picks on a device.
+/// Returns the name of the traversal that --traversal auto selects on a device.
 std::string traversal_of(const DeviceInfo& info) {
     switch (best_traversal(info)) {
         case Traversal::ray_query:
@@ -57,13 +57,13 @@ void print_table(const std::vector<DeviceInfo>& devices) {
                         d.ray_query ? "yes" : "no", d.software ? "yes" : "no", d.float_atomics ? "yes" : "no",
                         traversal_of(d)});
         notes += fmt::format("\n{}  driver: {}", d.index, d.driver);
-        if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: it lacks {}", d.why_not_usable);
+        if (!d.why_not_usable.empty()) notes += fmt::format("\n   not usable: missing {}", d.why_not_usable);
         if (!d.why_not_ray_query.empty())
-            notes += fmt::format("\n   no ray query: it lacks {}", d.why_not_ray_query);
+            notes += fmt::format("\n   no ray query: missing {}", d.why_not_ray_query);
         if (!d.why_not_software.empty())
-            notes += fmt::format("\n   no software traversal: it lacks {}", d.why_not_software);
+            notes += fmt::format("\n   no software traversal: missing {}", d.why_not_software);
         if (d.why_not_usable.empty() && !d.float_atomics)
-            notes += "\n   no float atomics: gradients are added by compare-and-swap, slower";
+            notes += "\n   no float atomics: gradients are added with compare-and-swap, which is slower";
     }
     print(table(rows) + notes + "\n");
 }
@@ -72,10 +72,10 @@ void print_table(const std::vector<DeviceInfo>& devices) {
 
 void add_device_list(CLI::App& list, Call& call) {
     CLI::App* command = list.add_subcommand(
-        "devices", "list every Vulkan device, what it offers and which traversal relidar would use");
+        "devices", "list all Vulkan devices, their features and the traversal that relidar would use");
     const auto json = std::make_shared<bool>(false);
     command->add_flag("--json", *json, "print JSON");
-    command->footer("The number in the first column is what --device takes.\nExample: relidar list devices");
+    command->footer("The first column is the number for --device.\nExample: relidar list devices");
     command->callback([&call, json] {
         call.run = [json] {
             const std::vector<DeviceInfo> devices = list_devices();

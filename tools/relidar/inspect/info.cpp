@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar info: what a log or a run holds.
+// relidar info: prints a summary of a log or a run.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -30,7 +30,7 @@ void show_run(const InfoOptions& options) {
     print(options.json ? to_json(summary) : to_text(summary));
 }
 
-/// Of a run that has no scene yet: how far its training has come.
+/// Prints the training progress of a run that has no scene yet.
 void show_unfinished(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
     print(fmt::format("{}: {} at iteration {} of {}, no scene yet; log {}\n", folder.string(),
@@ -41,7 +41,7 @@ void show_unfinished(const std::filesystem::path& folder) {
 }
 
 void show_log(const InfoOptions& options) {
-    constexpr std::size_t kMostScans = 64;  // of a LiDAR: a bag of an hour has 36,000
+    constexpr std::size_t kMostScans = 64;  // Limit per LiDAR, because a one-hour bag has 36,000 scans.
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
@@ -49,7 +49,7 @@ void show_log(const InfoOptions& options) {
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long =
         std::ranges::any_of(summary.lidars, [](const LidarSummary& l) { return l.n_frames > kMostScans; });
-    // some readers read all the same
+    // Some readers ignore the limit and read all scans.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
     print(options.json ? to_json(summary) : to_text(summary));
 }
@@ -57,14 +57,15 @@ void show_log(const InfoOptions& options) {
 }  // namespace
 
 void add_info(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("info", "say what a log or a run holds");
+    CLI::App* command = app.add_subcommand("info", "print a summary of a log or a run");
     const auto options = std::make_shared<InfoOptions>();
     command->add_option("DATASET|RUN", options->path, "log (path, or kind:path) or run folder")->required();
     add_log_part_options(*command, options->part);
     add_set_option(*command, options->settings.sets);
     command->add_flag("--json", options->json, "print JSON");
-    command->add_flag("--all", options->all,
-                      "read every scan of a log, to see whether all can be read; else 64 spread over it");
+    command->add_flag(
+        "--all", options->all,
+        "read every scan of a log to check that all are readable (default: 64 scans spread over the log)");
     command->footer(
         "Examples:\n"
         "  relidar info data/kitti/2011_09_26/2011_09_26_drive_0005_sync --frames 0:50\n"

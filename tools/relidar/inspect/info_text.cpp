@@ -36,13 +36,13 @@ std::string line(const std::string& name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
 }
 
-/// Class, and what its size is a guess for.
+/// Returns the class of a box, followed by the class that its size was guessed for.
 std::string class_text(const BoxSummary& b) {
     return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
 }
 
-/// Which actors go on without their labels, and which sizes are guesses; a line each,
-/// where there are any.
+/// Returns one line for each kind of remark: actors whose tracks extend beyond their
+/// labels, and actors with guessed sizes. Returns an empty text if there are none.
 std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
@@ -51,7 +51,8 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
     }
     std::string text;
     if (!guesses.empty())
-        text += fmt::format("size is a guess, only a side was seen: {}\n", fmt::join(guesses, ", "));
+        text += fmt::format("size estimated from the class, because only one side was seen: {}\n",
+                            fmt::join(guesses, ", "));
     if (!continued.empty())
         text += fmt::format("tracks extended beyond their labels: {}\n", fmt::join(continued, ", "));
     return text;
@@ -173,7 +174,7 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
     if (low != sensor.beams.end())
         l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
-    if (lidar.pattern) {  // what is nominal of one that does not spin
+    if (lidar.pattern) {  // Nominal rays of a sensor that does not spin.
         const RayTable rays = nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
@@ -252,7 +253,7 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
 RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
-    // what an edit removed is told by it
+    // The list of edits already names the removed actors.
     summary.log.masked =
         run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;
@@ -291,14 +292,14 @@ std::string to_text(const RunSummary& run) {
         run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
     std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
-        text += line("blocks", fmt::format("{} of the background, read as scans need them", run.n_blocks));
+        text +=
+            line("blocks", fmt::format("{} of the background, loaded when scans need them", run.n_blocks));
     for (const auto& [name, count] : run.models)
         text += line("  model", fmt::format("{}: {} surfels", name, count));
     text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
     if (run.n_drop_parameters > 0)
-        text +=
-            line("ray drop", fmt::format("corrected by a network of {} parameters that looks at {} images",
-                                         run.n_drop_parameters, run.drop_image));
+        text += line("ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",
+                                             run.n_drop_parameters, run.drop_image));
     for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
     text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
     text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list: the devices, sensors and settings that other commands take by name.
+// relidar list: lists the devices, sensors and settings that other commands accept by
+// name.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"
@@ -8,8 +9,7 @@
 namespace relidar::cli {
 
 void add_list(CLI::App& app, Call& call) {
-    CLI::App* command =
-        app.add_subcommand("list", "list devices, sensors or settings, with their properties");
+    CLI::App* command = app.add_subcommand("list", "list devices, sensors or settings and their properties");
     command->require_subcommand(1);
     add_device_list(*command, call);
     add_sensor_list(*command, call);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list sensors: the sensors that can be simulated, where their figures are from,
-// and pictures of their patterns.
+// relidar list sensors: lists the sensors that can be simulated, with the sources of
+// their data, and draws their patterns.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -23,7 +23,7 @@ struct SensorsOptions {
     double time_s = 0.0;
 };
 
-/// What a ray table covers, degrees, and how many rays it has.
+/// Angles in degrees that a ray table covers, and its number of rays.
 struct Extent {
     std::size_t rays = 0;
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;
@@ -74,8 +74,7 @@ void list_sensors() {
              rays.divergence_rad > 0.0f ? fmt::format("{:.1f} mrad", 1e3 * double(rays.divergence_rad)) : "-",
              sensor.about});
     }
-    print(table(rows) +
-          "\nAngles in degrees, left and up positive. A divergence of - is one that no source stated.\n");
+    print(table(rows) + "\nAngles in degrees, left and up positive. A divergence of - is unknown.\n");
 }
 
 void describe_sensor(const SensorsOptions& options) {
@@ -110,7 +109,7 @@ void describe_sensor(const SensorsOptions& options) {
 
 void run_sensors(const SensorsOptions& options) {
     if (!options.out.empty() && options.sensor.empty())
-        throw UsageError("--out: found no sensor, expected the one to draw");
+        throw UsageError("--out: found no sensor, expected the sensor to draw");
     if (!(std::abs(options.time_s) <= 1e10))
         throw UsageError(fmt::format("--time: found {}, expected seconds", options.time_s));
     options.sensor.empty() ? list_sensors() : describe_sensor(options);
@@ -122,14 +121,14 @@ void add_sensor_list(CLI::App& list, Call& call) {
     CLI::App* command =
         list.add_subcommand("sensors", "list the sensors that can be simulated, or show one and its pattern");
     const auto options = std::make_shared<SensorsOptions>();
-    command->add_option("SENSOR", options->sensor, "a name, or a file (default: list all names)");
+    command->add_option("SENSOR", options->sensor, "name or file of a sensor (default: list all names)");
     command
         ->add_option("--out", options->out,
                      "picture of the pattern: azimuth by elevation, colour by firing time")
         ->type_name("FILE.png");
     command
         ->add_option("--time", options->time_s,
-                     "of the scan, for a sensor whose rays differ from scan to scan (default: 0)")
+                     "time of the scan, for a sensor whose rays differ between scans (default: 0)")
         ->type_name("SECONDS");
     command->footer(
         sensor_file_help() +

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list settings: settings with their values and meanings, as the TOML that
+// relidar list settings: prints settings with their values and descriptions, as TOML that
 // --config reads.
 #include <memory>
 
@@ -13,17 +13,16 @@ namespace relidar::cli {
 
 void add_setting_list(CLI::App& list, Call& call) {
     CLI::App* command =
-        list.add_subcommand("settings", "print settings with their values and meanings, as TOML");
+        list.add_subcommand("settings", "print settings with their values and descriptions, as TOML");
     const auto settings = std::make_shared<Settings>();
     const auto all = std::make_shared<bool>(false);
     add_settings_options(*command, *settings);
     command->add_flag("--all", *all,
-                      "expert settings too; without it those alone that differ from the preset");
+                      "also print all expert settings (default: only those that differ from the preset)");
     command->footer(
-        "Order: preset, then config file, then --set; the later one wins.\n"
-        "Examples:\n"
-        "  relidar list settings --preset quick\n"
-        "  relidar list settings --preset paper --set loss.depth=0.2 > mine.toml");
+        "Later settings replace earlier ones in this order: preset, config file, --set.\nExamples:\n  "
+        "relidar list settings --preset quick\n  relidar list settings --preset paper --set loss.depth=0.2 > "
+        "mine.toml");
     command->callback([&call, settings, all] {
         call.run = [settings, all] {
             print(*all ? to_toml(resolve(*settings)) : to_short_toml(resolve(*settings)));

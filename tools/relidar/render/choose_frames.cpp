@@ -33,7 +33,7 @@ std::vector<int> positions_in(const Run& run, const FrameRange& range) {
 std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet) {
     if (!wanted && run.split.test.empty()) {
         if (!quiet)
-            note(fmt::format("{} held no frame out: rendering all {}", run.folder.string(),
+            note(fmt::format("{} has no held-out frames: rendering all {}", run.folder.string(),
                              run.sequence.frames.size()));
         return all_positions(run);
     }
@@ -50,8 +50,8 @@ std::vector<int> choose_frames(const Run& run, const std::optional<std::string>&
     }
     if (positions.empty()) {
         throw UsageError(fmt::format(
-            "--frames {}: no frame of {} lies in it, expected numbers in {}..{}, or test, train or all",
-            which, run.folder.string(), run.sequence.frames.front().index, last));
+            "--frames {}: selects no frame of {}, expected numbers in {}..{}, or test, train or all", which,
+            run.folder.string(), run.sequence.frames.front().index, last));
     }
     return positions;
 }

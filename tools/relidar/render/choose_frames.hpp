@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// --frames of commands that work on frames of a run.
+// Parses --frames for commands that process frames of a run.
 #pragma once
 
 #include <optional>
@@ -10,9 +10,10 @@
 
 namespace relidar::cli {
 
-/// Positions of the wanted frames: "first:end" by the dataset's own numbers, "test",
-/// "train" or "all". Where nobody says which, those held out, or all where none was.
-/// @throws UsageError where there is none
+/// Returns the positions of the selected frames: "first:end" by the dataset's frame
+/// numbers, "test", "train" or "all". Without a selection, returns the held-out frames,
+/// or all frames if none is held out.
+/// @throws UsageError if no frame is selected
 std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet);
 
 }  // namespace relidar::cli

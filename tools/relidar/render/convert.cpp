@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar convert: any log as a plain folder.
+// relidar convert: writes any log as a plain folder.
 #include <memory>
 
 #include <fmt/format.h>
@@ -50,26 +50,27 @@ void run_convert(const ConvertOptions& options) {
                           sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
 }
 
+constexpr const char* kConvertHelp =
+    R"(The folder holds all rays, including dropped rays and second returns, and the beams, mountings,
+poses and boxes. Reading it gives the same log. docs/datasets.md describes the format; a short
+Python script can write it too.
+Examples:
+  relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50
+  relidar train log --out run)";
+
 }  // namespace
 
 void add_convert(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("convert", "write a log as a plain folder: npz, text and JSON");
     const auto options = std::make_shared<ConvertOptions>();
-    command->add_option("DATASET", options->dataset, "log (path, or kind:path)")->required();
-    command->add_option("--out", options->out, "folder to make")->required()->type_name("FOLDER");
+    command->add_option("DATASET", options->dataset, "log: a path, or kind:path")->required();
+    command->add_option("--out", options->out, "folder to create")->required()->type_name("FOLDER");
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
         ->type_name("A:B");
     add_set_option(*command, options->settings.sets);
-    command->add_flag("--force", options->overwrite, "replace a plain folder of that name");
+    command->add_flag("--force", options->overwrite, "replace an existing plain folder of this name");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "Every ray is kept, dropped ones and second returns too, with beams, mountings, poses and boxes: the "
-        "folder is read back as the "
-        "same\n"
-        "log. docs/datasets.md has the format, which a few lines of Python write as well.\n"
-        "Examples:\n"
-        "  relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50\n"
-        "  relidar train log --out run");
+    command->footer(kConvertHelp);
     command->callback([&call, options] { call.run = [options] { run_convert(*options); }; });
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // relidar export: writes the surfels of a run as a PLY file that tools for 3D Gaussian
-// splatting open, or one file for each frame, or the path of the sensor. relidar edit
-// --from-ply reads the file back.
+// splatting can open, or one such file per frame, or the path of the sensor. relidar edit
+// --from-ply reads the file again.
 #include <memory>
 #include <optional>
 
@@ -33,13 +33,13 @@ std::string sizes(const Scene& scene) {
                        scene.models.size() == 1 ? "" : "s");
 }
 
-/// Where the log's first sensor was, in the dataset's world.
+/// Returns the path of the log's first sensor in the dataset's world frame.
 PoseTrack sensor_path(const Sequence& sequence) {
     return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
-/// The scene as it is when the head faces forward in each frame, in relidar's world:
-/// FOLDER/000010.ply.
+/// Writes the scene of each frame to FOLDER/000010.ply, in relidar's world frame. The
+/// time is when the sensor head faces forward.
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
@@ -68,8 +68,8 @@ void run_export(const ExportOptions& options) {
     if (options.frames) {
         if (out.has_extension())
             throw UsageError(
-                fmt::format("--out {}: found the ending {}, expected the name of a folder, for --frames "
-                            "writes a file a frame",
+                fmt::format("--out {}: found the ending {}, expected the name of a folder, because --frames "
+                            "writes one file per frame",
                             options.out, out.extension().string()));
         return export_frames(options);
     }
@@ -91,6 +91,18 @@ void run_export(const ExportOptions& options) {
     if (!options.quiet) print(fmt::format("{}: {}\n", absolute_path(options.out), written));
 }
 
+constexpr const char* kExportHelp =
+    R"(Common viewers can show the PLY file: intensity as colour, surfels as flat ellipsoids. Additional
+float properties hold hit_0..15, drop_0..15 and model, so that `relidar edit --from-ply` restores
+exactly the same scene. Each actor is stored in the frame of its box, at the origin, in its rest
+shape. With --frames all surfels are in world coordinates, and such files cannot be read again.
+The path has the columns time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world. render
+--trajectory and edit --trajectory read it.
+Examples:
+  relidar export run --out scene.ply
+  relidar export run --out frames --frames 10:20
+  relidar export run --out trajectory.csv)";
+
 }  // namespace
 
 void add_export(CLI::App& app, Call& call) {
@@ -100,31 +112,16 @@ void add_export(CLI::App& app, Call& call) {
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command
         ->add_option("--out", options->out,
-                     "file to write: surfels, or the sensor's path; with --frames a folder")
+                     "output file: .ply for surfels or .csv for the sensor's path; with --frames a folder")
         ->required()
         ->type_name("FILE.ply|FILE.csv|FOLDER");
     command
         ->add_option("--frames", options->frames,
-                     "write the scene as it is in each of these frames, first:end, test, train or all: "
-                     "actors where they are, those that "
-                     "walk bent")
+                     "write the scene of each of these frames, first:end, test, train or all, with all "
+                     "actors in their poses")
         ->type_name("A:B");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "Common viewers show it: intensity as colour, flat ellipsoids. Further float properties hold "
-        "hit_0..15, drop_0..15 and model, so "
-        "that\n"
-        "`relidar edit --from-ply` gives back the same scene bit by bit. Actors are in the frames of their "
-        "boxes, at the origin, in\n"
-        "the shape in which they rest. With --frames everything is where it is in the world; such files are "
-        "not read back.\n"
-        "The path is time_s,x,y,z,yaw_deg,pitch_deg,roll_deg in the dataset's world, as render --trajectory "
-        "and edit --trajectory read "
-        "it.\n"
-        "Examples:\n"
-        "  relidar export run --out scene.ply\n"
-        "  relidar export run --out frames --frames 10:20\n"
-        "  relidar export run --out trajectory.csv");
+    command->footer(kExportHelp);
     command->callback([&call, options] { call.run = [options] { run_export(*options); }; });
 }
 

@@ -17,20 +17,21 @@ namespace {
 constexpr float kSameRange_m = 0.01f;
 constexpr const char* kKind = "synthetic:";
 
-/// Folder of the street, whether its kind was given or recognised.
+/// Returns the folder of the street. Its path may begin with the kind of the dataset.
 std::filesystem::path street_folder(const Run& run) {
     const std::string& path = run.config.dataset.path;
     return path.starts_with(kKind) ? path.substr(std::string(kKind).size()) : path;
 }
 
-/// A model keeps the name of the car it was trained from, wherever it is placed.
+/// Returns the car of a model. A model keeps the name of the car that it was trained
+/// from, wherever it is placed.
 std::size_t car_of(const Model& model, const std::string& track) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
         throw DataError(
-            fmt::format("casting the edited street: track {} has the model \"{}\", expected the number of a "
-                        "car of the street",
+            fmt::format("rendering the edited street: track {} has the model \"{}\", expected the number of "
+                        "a car of the street",
                         track, model.name));
     return car;
 }
@@ -57,7 +58,8 @@ std::vector<Scan> attach_recast(Run& run) {
     const std::vector<StreetCar> cars = cars_of(run);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     const RangeLimits limits = configured_sensor(run.config, run.sequence).limits;
-    const PoseTrack track = run.sequence.world_from_sensor(0);  // a street that is made again has one LiDAR
+    // A synthetic street has exactly one LiDAR.
+    const PoseTrack track = run.sequence.world_from_sensor(0);
     std::vector<Scan> before;
     for (const int position : run.split.test) {
         Frame& frame = run.sequence.frames[static_cast<std::size_t>(position)];

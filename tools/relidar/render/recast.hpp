@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The exact answer for an edited run of a synthetic street: the street cast again with
-// its cars where the edits put them.
+// Casts rays into an edited synthetic street, with its cars at their edited poses. The
+// result is the exact answer for an edited run.
 #pragma once
 
 #include <vector>
@@ -11,16 +11,18 @@
 
 namespace relidar::cli {
 
-/// Whether a run was edited and its log can be cast again.
+/// Returns true if a run was edited and its log is a synthetic street that can be cast
+/// again.
 bool is_recastable(const Run& run);
 
-/// Gives the held-out frames the scans of the edited street, without noise.
-/// @return what the street itself would have given, one scan a held-out frame
-/// @throws DataError where an actor has the model of no car of the street
+/// Replaces the scans of the held-out frames by scans of the edited street, without
+/// noise.
+/// @return scans of the unedited street, one per held-out frame
+/// @throws DataError if the model of an actor is not a car of the street
 std::vector<Scan> attach_recast(Run& run);
 
-/// The pixels that an edit changes: those whose exact range is another one with the edit
-/// than without. Its metrics are edited/*.
+/// Returns the pixels that an edit changes: those whose exact range differs with and
+/// without the edit. The metrics of this region are named edited/*.
 Region edited_region(const RangeImage& edited, const RangeImage& before);
 
 }  // namespace relidar::cli

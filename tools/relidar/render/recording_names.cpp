@@ -24,14 +24,15 @@ std::string with_name(std::string text, const std::string& name) {
 
 void add_recording_options(CLI::App& command, RecordingNames& names) {
     command
-        .add_option("--topic", names.topic,
-                    "of the clouds in mcap and rosbag; {name} is the sensor's in a rig or the log (default: "
-                    "/lidar/points, with a name "
-                    "/lidar/{name}/points)")
+        .add_option(
+            "--topic", names.topic,
+            "topic of the point clouds in mcap and rosbag; {name} stands for the sensor's name in a rig or "
+            "the log (default: /lidar/points, or /lidar/{name}/points if the sensor has a name)")
         ->type_name("NAME");
     command
-        .add_option("--frame-id", names.frame_id,
-                    "of the sensor in mcap and rosbag, likewise (default: lidar, or {name})")
+        .add_option(
+            "--frame-id", names.frame_id,
+            "frame id of the sensor in mcap and rosbag; may also contain {name} (default: lidar, or {name})")
         ->type_name("NAME");
 }
 
@@ -41,8 +42,8 @@ void check_recording_names(const RecordingNames& names, const std::vector<std::s
         if (text.empty()) return;
         if (std::ranges::none_of(formats, is_recording))
             throw UsageError(
-                fmt::format("{}: found no recording in --format, expected mcap or rosbag: other files have "
-                            "no topics and frames",
+                fmt::format("{}: found no recording in --format, expected mcap or rosbag, because other "
+                            "files have no topics and frames",
                             option));
         if (is_rig && text.find(kName) == std::string::npos)
             throw UsageError(fmt::format(

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// --topic and --frame-id: what recordings call sensors.
+// Handles --topic and --frame-id, which name the sensors in recordings.
 #pragma once
 
 #include <string>
@@ -15,13 +15,18 @@ struct ScanFormat;
 namespace relidar::cli {
 
 struct RecordingNames {
-    std::string topic, frame_id;  ///< with {name} for the name of a sensor; empty: by the sensor's name
+    /// May contain {name}, which stands for the name of the sensor. Empty: derived from
+    /// the sensor's name.
+    std::string topic, frame_id;
 };
 void add_recording_options(CLI::App& command, RecordingNames& names);
-/// @param is_rig  whether several sensors want names @throws UsageError for names without
-/// a recording, or one name for several sensors
+/// Checks the names.
+/// @param is_rig true if several sensors need names
+/// @throws UsageError if names are given without a recording format, or one name is given
+/// for several sensors
 void check_recording_names(const RecordingNames& names, const std::vector<std::string>& formats, bool is_rig);
-/// @param sensor  its name in the rig or the log, or empty
+/// Sets the topic and frame id of a sensor.
+/// @param sensor name of the sensor in the rig or the log, or empty
 void name_in_recordings(ScanFormat& format, const std::string& sensor, const RecordingNames& names);
 
 }  // namespace relidar::cli

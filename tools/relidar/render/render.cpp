@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar render: scans of a run, from where the sensor was, beside it, or along a path
-// of one's own, by its own sensor or another, as files.
+// relidar render: renders scans of a run to files. The sensor is at its recorded poses,
+// shifted from them, or on a user's path. It may be the log's sensor or another one.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -53,10 +53,11 @@ struct RenderOptions {
     bool quiet = false;
 };
 
-// beyond it a number is a slip, and float positions lose millimetres
+// Larger offsets are rejected as typing errors. Beyond this distance float positions lose
+// millimetres.
 constexpr double kFarthestOffset_m = 10'000.0;
 
-/// "x,y,z,yaw_deg" in the sensor's frame.
+/// Parses "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);
@@ -76,19 +77,19 @@ Pose parse_offset(const std::string& text) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
-/// "npz,ply" as names, in any case, with or without spaces.
+/// Parses a list such as "npz,ply", in upper or lower case, with or without spaces.
 std::vector<std::string> parse_formats(const std::string& list) {
-    const std::vector<std::string> known = scan_formats();
-    std::vector<std::string> wanted;
+    const std::vector<std::string> known_formats = scan_formats();
+    std::vector<std::string> formats;
     for (const std::string& word : split(list, ',')) {
         const std::string name = without_blanks(word);
-        const std::optional<std::string> format = known_name(name, known);
+        const std::optional<std::string> format = known_name(name, known_formats);
         if (!format)
             throw UsageError(fmt::format("--format: found \"{}\"{} (known: {})", name,
-                                         did_you_mean(name, known), fmt::join(known, ", ")));
-        wanted.push_back(*format);
+                                         did_you_mean(name, known_formats), fmt::join(known_formats, ", ")));
+        formats.push_back(*format);
     }
-    return wanted;
+    return formats;
 }
 
 PointFrame parse_point_frame(const std::string& name) {
@@ -98,7 +99,8 @@ PointFrame parse_point_frame(const std::string& name) {
         "--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
 }
 
-/// Actors that are not rendered have no boxes in recordings.
+/// Removes the boxes of actors that are not rendered, so that recordings do not contain
+/// them.
 void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
     if (only.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, only);
@@ -109,9 +111,10 @@ void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std:
     });
 }
 
-/// What the files hold. @param name  of the sensor in a rig; empty: it stands alone
-ScanFormat wanted_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
-                         const Pose& offset, const std::string& name) {
+/// Returns the format of the output files.
+/// @param name name of the sensor in a rig; empty for a single sensor
+ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
+                            const Pose& offset, const std::string& name) {
     ScanFormat format = scan_format(run, sensor);
     format.offset = offset;
     name_in_recordings(format, name.empty() ? run.sequence.lidars[std::size_t(sensor.lidar)].name : name,
@@ -127,8 +130,9 @@ ScanFormat wanted_format(const RenderOptions& options, const Run& run, const Sen
     return format;
 }
 
-/// @throws UsageError where an earlier rendering would be overwritten unasked, or a run
-/// would get files that are not its own
+/// Checks that no other files in the output folder are lost.
+/// @throws UsageError if an earlier rendering would be overwritten without --force, or
+/// the folder is a run
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
     if (holds_run(folder))
         throw UsageError(
@@ -143,31 +147,32 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
     }
 }
 
-/// @throws UsageError for what can be refused before the run is loaded
+/// Checks the options.
+/// @throws UsageError for invalid options that can be detected before the run is loaded
 void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
-            throw UsageError(
-                fmt::format("--format {}: found {} processes, expected one: it is one file of all scans",
-                            format, ranks.size()));
+            throw UsageError(fmt::format(
+                "--format {}: found {} processes, expected one, because all scans are written to one file",
+                format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
-        throw UsageError("--merge: found no rig as --sensor, expected one: there is nothing to merge");
+        throw UsageError("--merge: found a single sensor, expected a rig as --sensor");
     const TrajectoryChoice& t = options.trajectory;
     if (t.file.empty() && (t.rate_hz || !t.times.empty()))
         throw UsageError(
-            "--rate and --times: found no --trajectory, expected one: they say when scans are taken on it");
+            "--rate and --times: found no --trajectory, expected one, because they select times on it");
     if (!t.file.empty() && options.frames)
         throw UsageError(
-            "--frames: found --trajectory too, expected one of them; --times chooses moments on a "
+            "--frames: found --trajectory too, expected one of them; use --times to select times on a "
             "trajectory");
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
 }
 
-/// A scan that is wanted: its number in file names, and the moment at which the head
-/// faces forward.
+/// A scan to render: its number in file names, and the time when the sensor head faces
+/// forward.
 struct Sweep {
     int number;
     double time_s;
@@ -180,7 +185,7 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const RenderOptions& options, i
         if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
-        throw UsageError(fmt::format("--lidar {}: took none of the chosen frames of {}", options.lidar,
+        throw UsageError(fmt::format("--lidar {}: has none of the selected frames of {}", options.lidar,
                                      run.folder.string()));
     return sweeps;
 }
@@ -195,46 +200,48 @@ std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, co
     return sweeps;
 }
 
-/// A sensor that is simulated, and where it is in the place of the log's, or on its own
+/// A simulated sensor and its mounting, which replaces the log's sensor or follows a
 /// path.
-struct Wanted {
-    std::string folder;  ///< of its files, in that of the rendering; empty: that itself
+struct TargetSensor {
+    std::string folder;  ///< Subfolder for its files. Empty: the output folder itself.
     SensorChoice sensor;
     Pose mounting;
 };
 
 using Rig = std::optional<std::vector<MountedSensor>>;
 
-std::vector<Wanted> wanted_sensors(const RenderOptions& options, const Rig& rig, const Run& run, int lidar) {
+std::vector<TargetSensor> list_target_sensors(const RenderOptions& options, const Rig& rig, const Run& run,
+                                              int lidar) {
     if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
     if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
-    std::vector<Wanted> wanted;
+    std::vector<TargetSensor> targets;
     for (const MountedSensor& mounted : *rig)
-        wanted.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
-    return wanted;
+        targets.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
+    return targets;
 }
 
-/// Format of the files that a rig's sensors share.
-ScanFormat merged_format(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
-                         const Pose& offset) {
-    SensorChoice rig = wanted.front().sensor;
+/// Returns the format for the merged files of all sensors of a rig.
+ScanFormat merged_format(const RenderOptions& options, const Run& run,
+                         const std::vector<TargetSensor>& targets, const Pose& offset) {
+    SensorChoice rig = targets.front().sensor;
     rig.name = std::filesystem::path(options.sensor).stem().string();
-    for (const Wanted& w : wanted) rig.returns = std::max(rig.returns, w.sensor.returns);
-    for (const Wanted& w : wanted)
+    for (const TargetSensor& w : targets) rig.returns = std::max(rig.returns, w.sensor.returns);
+    for (const TargetSensor& w : targets)
         rig.limits = {std::min(rig.limits.min_m, w.sensor.limits.min_m),
                       std::max(rig.limits.max_m, w.sensor.limits.max_m)};
-    return wanted_format(options, run, rig, offset, "");
+    return scan_file_format(options, run, rig, offset, "");
 }
 
-/// Where scans go: a folder for each sensor, or one for all that are merged; and of a
-/// rig, whose sensors go to folders of their own, the recordings of all of them.
+/// Output folders: one per sensor, or one for merged scans. For a rig with a folder per
+/// sensor, also the recordings of all sensors.
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
 };
 
-/// The first process makes the folders before the others join.
-Output make_output(const RenderOptions& options, const Run& run, const std::vector<Wanted>& wanted,
+/// Creates the output folders. The first process creates them before the other processes
+/// open them.
+Output make_output(const RenderOptions& options, const Run& run, const std::vector<TargetSensor>& targets,
                    const Pose& offset, const Ranks& ranks) {
     Output output;
     std::vector<ScanFormat> sensors;
@@ -244,15 +251,15 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
         if (folder != options.out) check_empty(folder, options), std::filesystem::create_directories(folder);
         output.folders.emplace_back(folder, format);
     };
-    if (options.merge) sensors = {merged_format(options, run, wanted, offset)};
+    if (options.merge) sensors = {merged_format(options, run, targets, offset)};
     else
-        for (const Wanted& w : wanted)
-            sensors.push_back(wanted_format(options, run, w.sensor, offset * w.mounting, w.folder));
-    const bool is_rig = !options.merge && !wanted.front().folder.empty();
+        for (const TargetSensor& w : targets)
+            sensors.push_back(scan_file_format(options, run, w.sensor, offset * w.mounting, w.folder));
+    const bool is_rig = !options.merge && !targets.front().folder.empty();
     if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
         if (is_rig) std::erase_if(sensors[s].formats, is_recording);
-        add(is_rig ? std::filesystem::path(options.out) / wanted[s].folder
+        add(is_rig ? std::filesystem::path(options.out) / targets[s].folder
                    : std::filesystem::path(options.out),
             sensors[s]);
     }
@@ -260,7 +267,7 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
     return output;
 }
 
-/// Writes what says which scans there are, of all processes.
+/// Writes the indices of all scans of all processes, and finishes the recordings.
 void finish(Output& output, const Ranks& ranks, bool quiet) {
     if (output.recordings) output.recordings->finish();
     for (ScanFolder& folder : output.folders) {
@@ -277,15 +284,15 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
 /// Renders and writes scans, one sweep after the other.
 class SweepRenderer {
 public:
-    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options, const std::vector<Wanted>& wanted,
-                  const Pose& offset, const PoseTrack& track)
-        : renderer_(renderer), options_(options), wanted_(wanted), offset_(offset), track_(track) {
-        for (const Wanted& w : wanted) mountings_.push_back(w.mounting);
+    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options,
+                  const std::vector<TargetSensor>& targets, const Pose& offset, const PoseTrack& track)
+        : renderer_(renderer), options_(options), targets_(targets), offset_(offset), track_(track) {
+        for (const TargetSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
     void render(const Sweep& sweep, Output& output) {
         std::vector<RenderedScan> scans;
-        for (const Wanted& w : wanted_) {
+        for (const TargetSensor& w : targets_) {
             stop_if_interrupted();
             scans.push_back(
                 drives() ? renderer_.render(w.sensor, {sweep.time_s, moved_track(track_, w.mounting)},
@@ -300,8 +307,9 @@ public:
         if (output.recordings) output.recordings->write(scans);
     }
     bool drives() const { return !options_.trajectory.file.empty(); }
-    /// What was rendered, in a line. @param n_sweeps  by this process @param n_all  by
-    /// all
+    /// Returns a one-line summary of the rendering.
+    /// @param n_sweeps number of sweeps of this process
+    /// @param n_all number of sweeps of all processes
     std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
         const double n = double(n_sweeps);
         return fmt::format(
@@ -309,9 +317,9 @@ public:
             "Mrays/s{}\n",
             n_all, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
-            knows_seen_ ? fmt::format(", {:.1f} % go through space that the log did not see",
-                                      100.0 * n_unseen_ / n_rays_)
-                        : "",
+            knows_seen_
+                ? fmt::format(", {:.1f} % cross space that the log has not seen", 100.0 * n_unseen_ / n_rays_)
+                : "",
             trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
             n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
@@ -319,7 +327,7 @@ public:
 private:
     ScanRenderer& renderer_;
     const RenderOptions& options_;
-    const std::vector<Wanted>& wanted_;
+    const std::vector<TargetSensor>& targets_;
     const Pose offset_;
     const PoseTrack track_;
     std::vector<Pose> mountings_;
@@ -335,9 +343,9 @@ private:
     }
 };
 
-void run_render(const RenderOptions& given) {
+void run_render(const RenderOptions& typed_options) {
     const Ranks ranks;
-    RenderOptions options = given;
+    RenderOptions options = typed_options;
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
     const Rig rig = find_rig(options.sensor);
@@ -347,7 +355,7 @@ void run_render(const RenderOptions& given) {
     const PoseTrack track =
         drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // which goes again where nothing was written: not for each process to decide
+    // The destructor removes the folder if it is empty. Only the first process may do so.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
@@ -358,24 +366,24 @@ void run_render(const RenderOptions& given) {
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps =
         drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
-    const std::vector<Wanted> wanted = wanted_sensors(options, rig, run, lidar);
+    const std::vector<TargetSensor> targets = list_target_sensors(options, rig, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);
     if (!options.only.empty()) renderer.show_only(shown);
     renderer.set_weather(parse_weather(options.weather));
-    Output output = make_output(options, run, wanted, offset, ranks);
+    Output output = make_output(options, run, targets, offset, ranks);
 
     if (options.sample && run.sequence.lidars[std::size_t(lidar)].range_noise.sigma_m.empty() &&
         !options.quiet)
-        note(fmt::format("{} knows no range noise: sampled ranges are exact", run.folder.string()));
+        note(fmt::format("{} has no range noise: sampled ranges are exact", run.folder.string()));
     if (options.sample && !options.quiet) note_unscattered(run, lidar);
     if (!options.quiet) note_weather(parse_weather(options.weather));
-    for (const Wanted& w : wanted)
+    for (const TargetSensor& w : targets)
         if (!options.quiet) note_compensated(run, w.sensor), note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
     Progress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, options, wanted, offset, with_fine_turns(track));
+    SweepRenderer sweep_renderer(renderer, options, targets, offset, with_fine_turns(track));
     const ProcessGroup::Share share = ranks.group().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render(sweeps[i], output);
@@ -390,26 +398,26 @@ void run_render(const RenderOptions& given) {
 void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
     command
         .add_option("--trajectory", trajectory.file,
-                    "drive the sensor along a path of its own: lines of "
-                    "time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in the dataset's world "
-                    "and the log's time, as `relidar export RUN --out FILE.csv` writes the log's; with "
-                    "--offset beside it")
+                    "move the sensor along this path: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg] in "
+                    "the dataset's world and the log's time; `relidar export RUN --out FILE.csv` writes the "
+                    "path of the log; --offset shifts the sensor from the path")
         ->type_name("FILE.csv");
     command
         .add_option("--rate", trajectory.rate_hz,
-                    "scans a second on the trajectory (default: as the log's sensor turns)")
+                    "scans per second on the trajectory (default: the rate of the log's sensor)")
         ->type_name("HZ");
     command
-        .add_option("--times", trajectory.times,
-                    "when scans are taken on the trajectory instead: from, to and every so many seconds")
+        .add_option(
+            "--times", trajectory.times,
+            "times of the scans on the trajectory, instead of --rate: first, last and step in seconds")
         ->type_name("FIRST:LAST:STEP");
 }
 
-/// What is written, in which frame of reference.
+/// Adds the options for content and reference frame of the files.
 void add_file_options(CLI::App& command, RenderOptions& options) {
     command
         .add_option("--format", options.formats,
-                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, parted by commas (default: npz)")
+                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, separated by commas (default: npz)")
         ->type_name("LIST");
     command
         .add_option("--frame", options.point_frame,
@@ -418,42 +426,37 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
         ->type_name("WHAT");
     add_channels_option(command, options.channels);
     command.add_flag("--deskew", options.deskew,
-                     "bring all points of a scan to the sensor's frame at the scan's time, as a "
-                     "motion-compensated log has them; in mcap "
-                     "and rosbag to that at the stamp");
+                     "transform all points of a scan to the sensor's frame at the scan's time, as in a "
+                     "motion-compensated log; in mcap and rosbag to the frame at the stamp");
     add_recording_options(command, options.names);
-    command.add_flag(
-        "--merge", options.merge,
-        "the scans of a rig's sensors as one, in the frame of the rig (default: a folder for each)");
+    command.add_flag("--merge", options.merge,
+                     "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
+                     "folder for each sensor)");
     command.add_flag("--force", options.overwrite, "replace the rendering in DIR");
 }
 
 constexpr const char* kFilesHelp =
-    "Files are DIR/frame_000123.npz and so on, by the dataset's frame number (of a trajectory: counted from "
-    "0), and "
-    "DIR/scans.json: run, sensor, offset, poses, times, settings.\n"
-    "npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions, origin "
-    "[rows,columns,3];\n"
-    "pose [4,4] sensor to the dataset's world at time_s. Metres, seconds. ply, pcd, bin: points of rays with "
-    "drop_prob < 0.5, of "
-    "the dominant\n"
-    "surface (--set render.points=range: of the mean along the ray, which lies between two surfaces at "
-    "edges). ring: beam, 0 the "
-    "highest;\n"
-    "time: of the ray, seconds from time_s. VIEWPOINT of a pcd takes its points to the dataset's world.\n"
-    "instance (npz, exr, ply, pcd): whose surface a ray meets first, the number in `relidar info RUN`, 0 "
-    "background, -1 nothing; "
-    "npz has instance_names.\n"
-    "mcap: DIR/scans.mcap, all scans of all sensors in one file for Foxglove; rosbag: DIR/rosbag.mcap, a bag "
-    "of ROS 2. Both have\n"
-    "transforms world, base_link (the log's vehicle), sensors, and actors' boxes; --deskew moves points to "
-    "the first ray's time.\n"
-    "scans.json has the share of rays of whose way less than half was seen by the log: unseen.\n";
+    R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
+they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
+`unseen`: the share of rays that cross mainly space that the log has not seen.
+npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
+origin [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s. Metres, seconds.
+ply, pcd, bin: points of rays with drop_prob < 0.5, on the dominant surface. With --set
+render.points=range they use the mean range, which lies between two surfaces at edges. The
+VIEWPOINT of a pcd is the pose in the dataset's world.
+ring: beam, 0 is the highest. time: firing time of the ray, seconds from time_s.
+instance (npz, exr, ply, pcd): surface that the ray hits first, the number in `relidar info RUN`;
+0 background, -1 nothing. npz also has instance_names.
+mcap: DIR/scans.mcap, one file with all scans of all sensors, for Foxglove. rosbag:
+DIR/rosbag.mcap, a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
+and sensors, and the boxes of actors. --deskew moves points to the time of the first ray.
+)";
 
-/// What --channels takes.
+/// Returns the help text for --channels.
 std::string channels_help() {
     std::string text =
-        "Channels of --channels, an entry a ray in npz and exr, a point in ply, pcd, mcap and rosbag:\n";
+        "Channels of --channels, one value per ray in npz and exr, one per point in ply, pcd, mcap and "
+        "rosbag:\n";
     for (const ChannelInfo& channel : optional_channels())
         text += fmt::format("  {:<17} {}{}\n", channel.name, channel.meaning,
                             channel.unit.empty() ? "" : " [" + channel.unit + "]");
@@ -469,44 +472,45 @@ void add_render(CLI::App& app, Call& call) {
     command->add_option("--out", options->out, "folder for the scans")->required()->type_name("DIR");
     command
         ->add_option("--frames", options->frames,
-                     "first:end by the dataset's numbers, or test, train or all (default: test; all where "
-                     "none was held out)")
+                     "first:end by the dataset's frame numbers, or test, train or all (default: test, or all "
+                     "if none is held out)")
         ->type_name("WHICH");
     command
         ->add_option("--offset", options->offset,
-                     "move the sensor, in its own frame: forward, left, up in metres, turn left in degrees")
+                     "shift the sensor in its own frame: forward, left, up in metres, turn left in degrees")
         ->type_name("X,Y,Z,YAW_DEG");
     add_trajectory_options(*command, options->trajectory);
     command
         ->add_option("--lidar", options->lidar,
-                     "whose frames and place, by its name in `relidar info` (default: the first of the log)")
+                     "LiDAR of the log whose frames and mounting are used, by its name in `relidar info` "
+                     "(default: the first)")
         ->type_name("NAME");
     command
         ->add_option("--sensor", options->sensor,
                      "another sensor: native (the log's), one of `relidar list sensors`, or the file of a "
-                     "sensor or rig, see below")
+                     "sensor or rig (see below)")
         ->type_name("NAME|FILE");
     command
-        ->add_option("--only", options->only, "render this alone: background, actors, or a track; repeatable")
+        ->add_option("--only", options->only,
+                     "render only this part: background, actors, or a track; repeatable")
         ->type_name("WHAT")
         ->type_size(1)
         ->allow_extra_args(false);
     command
         ->add_option("--sample", options->sample,
-                     "draw each scan from the likely ones: drops by their probability, ranges and "
-                     "intensities with the noise of the log "
-                     "(default: the likeliest scan, free of noise)")
+                     "draw random scans with this seed: drops by their probability, ranges and intensities "
+                     "with the noise of the log (default: the most likely scan, without noise)")
         ->check([](const std::string& text) {
             return text.starts_with('-') ? fmt::format("found {}, expected a whole number from 0", text)
                                          : std::string();
         })
         ->type_name("SEED");
-    add_weather_option(*command, options->weather, "all scans; drawn by the seed of --sample, 0 without");
+    add_weather_option(*command, options->weather, "all scans; the seed is that of --sample, else 0");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "ray-drop as the surfels have it, without the run's network");
+                      "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(std::string(kFilesHelp) + channels_help() + sensor_file_help() +
                     "\n"

@@ -13,17 +13,16 @@ void note_compensated(const Run& run, const SensorChoice& sensor) {
         has_rolling_shutter(sensor, run.config))
         return;
     note(
-        fmt::format("scans of {} are motion-compensated like those of the log: all rays are fired at the "
-                    "scan's time; --set "
-                    "sensor.rolling_shutter=true fires each at its firing time",
+        fmt::format("scans of {} are motion-compensated like the log: all rays are fired at the scan's time; "
+                    "--set sensor.rolling_shutter=true fires each ray at its own time",
                     sensor.name));
 }
 
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor) {
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.refines(sensor)) return;
     note(
-        fmt::format("{}: its ray-drop network looks at {} images of at least {} x {}; scans of {} stay as "
-                    "the surfels have them",
+        fmt::format("{}: its ray-drop network reads {} images of at least {} x {}; scans of {} use the "
+                    "ray-drop of the surfels",
                     run.folder.string(), run.drop_network.image, run.drop_network.smallest_side(),
                     run.drop_network.smallest_side(), sensor.name));
 }
@@ -31,15 +30,15 @@ void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorCh
 void note_unscattered(const Run& run, int lidar) {
     const auto at = std::size_t(lidar);
     if (at < run.intensity_scatter.size() && !run.intensity_scatter[at].empty()) return;
-    note(fmt::format("{} does not know how intensities scatter: sampled ones are the likeliest",
+    note(fmt::format("{} has no intensity noise: sampled intensities are the most likely values",
                      run.folder.string()));
 }
 
 void note_weather(const Weather& weather) {
     if (weather.clear()) return;
     note(
-        fmt::format("weather {}: no sensor states its wavelength: 905 nm; beams whose divergence is not "
-                    "known have 3 mrad",
+        fmt::format("weather {}: the sensors' wavelength is unknown, assuming 905 nm; beams of unknown "
+                    "divergence are assumed to have 3 mrad",
                     to_text(weather)));
 }
 
@@ -56,11 +55,10 @@ void note_unseen(const std::vector<std::string>& entries, const std::string& fol
         if (unseen > worst) worst = unseen, worst_number = scan["frame_number"];
     }
     if (n_unseen == 0) return;
-    note(
-        fmt::format("{}: in {} of {} scans more than {:.0f} % of the rays look where no ray of the log did, "
-                    "in number {} {:.1f} %: what "
-                    "they meet there is extrapolated (scans.json: unseen; --channels seen: by ray)",
-                    folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+    note(fmt::format(
+        "{}: in {} of {} scans more than {:.0f} % of the rays cross space that the log has not seen, in "
+        "number {} {:.1f} %: surfaces there are extrapolated (scans.json: unseen; --channels seen: per ray)",
+        folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 
 }  // namespace relidar::cli

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What `relidar render` has to say of its scans beside the scans themselves.
+// Notes that `relidar render` prints about its scans.
 #pragma once
 
 #include <string>
@@ -10,21 +10,22 @@
 
 namespace relidar::cli {
 
-/// Says that scans of the log's sensor have no rolling shutter, because the log is
+/// Prints a note if scans of the log's sensor have no rolling shutter because the log is
 /// motion-compensated.
 void note_compensated(const Run& run, const SensorChoice& sensor);
 
-/// Says that the run's network does not fit the scans of a sensor, where it does not.
+/// Prints a note if the run's ray-drop network does not fit the scans of a sensor.
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
 
-/// Says that sampled intensities are the likeliest, where nothing is known of how those
-/// of a LiDAR scatter.
+/// Prints a note if sampled intensities have no noise, because the run does not know how
+/// the intensities of the LiDAR scatter.
 void note_unscattered(const Run& run, int lidar);
 
-/// Says what is taken for granted of sensors in weather.
+/// Prints a note about assumed sensor properties in simulated weather.
 void note_weather(const Weather& weather);
 
-/// Says which scans look where the log has not looked. @param entries  of scans.json
+/// Prints a note about scans that look into space that the log has not seen.
+/// @param entries entries of scans.json
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder);
 
 }  // namespace relidar::cli

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar serve: scans of runs for simulators, by gRPC, until Ctrl-C.
+// relidar serve: renders scans of runs for simulators through gRPC, until Ctrl-C.
 #include <chrono>
 #include <memory>
 #include <optional>
@@ -36,17 +36,20 @@ struct ServeOptions {
 };
 
 constexpr int kLongestQueue = 10'000;
-constexpr std::chrono::seconds kPatience{30};  // for calls in work when Ctrl-C comes
+constexpr std::chrono::seconds kPatience{30};  // Maximum time for pending calls to finish after Ctrl-C.
 constexpr std::chrono::milliseconds kLook{100};
-constexpr std::chrono::seconds kFarewell{2};  // for clients to hear of a lost device
+// Time for clients to receive the error when the device is lost.
+constexpr std::chrono::seconds kFarewell{2};
 
-/// Of the interface beside ours, where one is wanted.
+/// Returns the pose order of the sensorsim interface, or no value if that interface is
+/// not offered.
 std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
         throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
     if (!offered && !options.pose_order.empty())
-        throw UsageError("--sensorsim-poses: found it without --api sensorsim, expected both or none");
+        throw UsageError(
+            "--sensorsim-poses: found it without --api sensorsim, expected both options or neither");
     if (!offered) return {};
     if (options.pose_order.empty() || options.pose_order == "rotation-first")
         return serve::PoseOrder::rotation_first;
@@ -61,7 +64,7 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     if (options.memory_mib < 0)
         throw UsageError(fmt::format("--memory-mib: found {}, expected 0 or more", options.memory_mib));
     if (options.server.tls_cert.empty() != options.server.tls_key.empty())
-        throw UsageError("--tls-cert and --tls-key: found one of them, expected both or none");
+        throw UsageError("--tls-cert and --tls-key: found only one of them, expected both or neither");
     serve::ServerOptions server = options.server;
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
@@ -72,9 +75,9 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     return server;
 }
 
-/// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own:
-/// scans and sensors that are made on one thread and let go on another leave gaps in
-/// each, so that the process grows for hours although what it uses does not.
+/// Makes all threads share one heap. gRPC starts and ends threads, and glibc gives each
+/// thread a heap. Scans allocated on one thread and freed on another leave gaps in each
+/// heap, so that the process would grow for hours (docs/reliability.md).
 void share_one_heap() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
@@ -84,20 +87,21 @@ void share_one_heap() {
 void run_serve(const ServeOptions& options) {
     share_one_heap();
     raise_descriptor_limit();
-    const serve::ServerOptions wanted = server_options(options);
-    if (!options.quiet) note_weather(wanted.weather);
-    const std::string host = wanted.listen.substr(0, wanted.listen.rfind(':'));
+    const serve::ServerOptions server_settings = server_options(options);
+    if (!options.quiet) note_weather(server_settings.weather);
+    const std::string host = server_settings.listen.substr(0, server_settings.listen.rfind(':'));
     if (!is_loopback(host))
         note(fmt::format(
-            "--listen {}: whoever reaches this address can render and upload, there is no authentication{}",
-            wanted.listen,
-            wanted.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
+            "--listen {}: every client that can reach this address can render and upload, "
+            "because there is no authentication{}",
+            server_settings.listen,
+            server_settings.tls_cert.empty() ? ", and nothing is encrypted (--tls-cert, --tls-key)" : ""));
     catch_interrupts();
-    serve::ScanServer server(wanted);
+    serve::ScanServer server(server_settings);
     if (!options.quiet) {
         print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host,
                           server.port(), server.device_name()));
-        std::fflush(stdout);  // for who waits for the line through a pipe
+        std::fflush(stdout);  // For programs that wait for this line through a pipe.
     }
     while (!interrupted()) {
         if (const std::optional<std::string> loss = server.device_loss()) {
@@ -106,7 +110,7 @@ void run_serve(const ServeOptions& options) {
         }
         std::this_thread::sleep_for(kLook);
     }
-    if (!options.quiet) note("interrupted: calls in work are finished, a second Ctrl-C ends at once");
+    if (!options.quiet) note("interrupted: finishing the pending calls; a second Ctrl-C ends immediately");
     server.stop(kPatience);
 }
 
@@ -123,52 +127,51 @@ Examples:
 }  // namespace
 
 void add_serve(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators, by gRPC");
+    CLI::App* command = app.add_subcommand("serve", "render scans of runs for simulators through gRPC");
     const auto options = std::make_shared<ServeOptions>();
     command
         ->add_option("RUN", options->server.runs,
-                     "run folders of `relidar train`; clients call each by its folder's name, or by NAME")
+                     "run folders of `relidar train`; clients select a run by its folder's name, or by NAME")
         ->required()
         ->type_name("[NAME=]RUN");
     command
         ->add_option("--listen", options->server.listen,
-                     "address and port; port 0 takes a free one (default: 127.0.0.1:50051)")
+                     "address and port; port 0 selects a free port (default: 127.0.0.1:50051)")
         ->type_name("HOST:PORT");
     command
         ->add_option("--memory-mib", options->memory_mib,
-                     "device memory that scenes may hold together; beyond it the one used longest ago goes "
-                     "(default: half of the device's)")
+                     "device memory for all scenes together; above the limit the least recently used scene "
+                     "is unloaded (default: half of the device memory)")
         ->type_name("N");
     command
-        ->add_option(
-            "--assets", options->server.assets,
-            "folders of `relidar assets`: what is in them can be put into any scene by clients (repeatable)")
+        ->add_option("--assets", options->server.assets,
+                     "folder of `relidar assets`; clients can insert its assets into any scene (repeatable)")
         ->type_name("FOLDER")
         ->allow_extra_args(false);
     command
         ->add_option("--api", options->api,
-                     "sensorsim: answer, beside our own calls and at the same port, the LiDAR calls of "
-                     "SensorsimService, by which AlpaSim "
-                     "and CARLA call NVIDIA's renderer")
+                     "sensorsim: also answer, at the same port, the LiDAR calls of SensorsimService, which "
+                     "AlpaSim and CARLA use to call NVIDIA's renderer")
         ->type_name("NAME");
     command
         ->add_option("--sensorsim-poses", options->pose_order,
-                     "what a pose of SensorsimService does to a point first: rotation-first (R p + t, the "
-                     "default) or translation-first "
-                     "(R (p + t))")
+                     "order in which a pose of SensorsimService transforms a point: rotation-first (R p + t, "
+                     "the default) or translation-first (R (p + t))")
         ->type_name("ORDER");
     add_channels_option(*command, options->server.channels);
     add_weather_option(*command, options->weather,
-                       "scans whose request names none, drawn by its sample_seed, 0 without");
+                       "scans whose request sets no weather; the seed is the request's sample_seed, else 0");
     command
-        ->add_option("--queue", options->queue,
-                     "calls that may wait; more are turned away with RESOURCE_EXHAUSTED (default: 64)")
+        ->add_option(
+            "--queue", options->queue,
+            "maximum number of waiting calls; further calls fail with RESOURCE_EXHAUSTED (default: 64)")
         ->type_name("N");
     command
         ->add_option("--tls-cert", options->server.tls_cert,
-                     "certificate chain in PEM: encrypts, with --tls-key")
+                     "certificate chain in PEM; turns on encryption, together with --tls-key")
         ->type_name("FILE");
-    command->add_option("--tls-key", options->server.tls_key, "its key in PEM")->type_name("FILE");
+    command->add_option("--tls-key", options->server.tls_key, "private key of the certificate in PEM")
+        ->type_name("FILE");
     add_device_options(*command, options->device);
     command->add_flag("--quiet", options->quiet, "print errors and warnings only");
     command->footer(kServeHelp);

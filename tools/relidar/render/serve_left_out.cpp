@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces serve.cpp in a build without gRPC: says how to get it.
+// Replaces serve.cpp in a build without gRPC. Its error message names the missing
+// package.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"
@@ -8,15 +9,15 @@ namespace relidar::cli {
 
 void add_serve(CLI::App& app, Call& call) {
     CLI::App* command =
-        app.add_subcommand("serve", "render scans for simulators, by gRPC (left out of this build)");
+        app.add_subcommand("serve", "render scans for simulators through gRPC (not in this build)");
     command->allow_extras();
     command->footer(
         "Example:\n  tools/dev/setup --serve && cmake --preset release && cmake --build --preset release");
     command->callback([&call] {
         call.run = [] {
             throw UsageError(
-                "serve: this program was built without gRPC, expected one with it: "
-                "`tools/dev/setup --serve`, then build again");
+                "serve: this program was built without gRPC, expected a build with gRPC; run "
+                "`tools/dev/setup --serve` and build again");
         };
     });
 }

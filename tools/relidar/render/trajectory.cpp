@@ -15,8 +15,9 @@ namespace relidar::cli {
 namespace {
 
 constexpr double kMostScans = 1e6;
-constexpr double kFar_m = 50.0;  // from everything the log has driven by: little is to be seen from there
-constexpr double kSlack = 1e-6;  // of a step: the last moment of 0:1:0.1 is 1
+constexpr double kFar_m = 50.0;  // Distance from the log's path beyond which most of the scene is unseen.
+// Tolerance as a fraction of a step, so that the last time of 0:1:0.1 is 1.
+constexpr double kSlack = 1e-6;
 
 struct Steps {
     double first, last, step;
@@ -42,12 +43,13 @@ double nearest_m(const PoseTrack& log, const glm::dvec3& point_m) {
 std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& track, double log_rate_hz) {
     const double begin = track.time_s.front(), end = track.time_s.back();
     if (choice.rate_hz && !(*choice.rate_hz > 0.0 && std::isfinite(*choice.rate_hz)))
-        throw UsageError(fmt::format("--rate: found {}, expected scans a second above 0", *choice.rate_hz));
+        throw UsageError(
+            fmt::format("--rate: found {}, expected scans per second, above 0", *choice.rate_hz));
     const Steps steps = choice.times.empty() ? Steps{begin, end, 1.0 / choice.rate_hz.value_or(log_rate_hz)}
                                              : parse_times(choice.times);
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         throw UsageError(
-            fmt::format("--times: found \"{}\", expected times that rise by a step above 0", choice.times));
+            fmt::format("--times: found \"{}\", expected first < last and a step above 0", choice.times));
     if (steps.first < begin || steps.last > end) {
         throw UsageError(
             fmt::format("--times: found {} to {} s, expected times of the trajectory, {} to {} s",
@@ -70,17 +72,16 @@ void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<d
         farthest = std::max(farthest,
                             nearest_m(log.world_from_vehicle, track.at(t).translation - log.world_offset_m));
     if (farthest > kFar_m) {
-        note(
-            fmt::format("the trajectory goes {:.0f} m away from where the log's sensor was; it is read in "
-                        "the dataset's world, as `relidar "
-                        "export {} --out FILE.csv` writes it",
-                        farthest, run.folder.string()));
+        note(fmt::format(
+            "the trajectory is up to {:.0f} m away from the path of the log's sensor; its frame is the "
+            "dataset's world, as in the file that `relidar export {} --out FILE.csv` writes",
+            farthest, run.folder.string()));
     }
     const double begin = log.frames.front().time_s, end = log.frames.back().time_s;
     const auto beyond =
         std::count_if(times_s.begin(), times_s.end(), [&](double t) { return t < begin || t > end; });
     if (beyond > 0 && run.scene.instances.size() > 1)
-        note(fmt::format("{} of {} scans are taken outside the log's {} to {} s: no actor is there", beyond,
+        note(fmt::format("{} of {} scans are outside the log's time of {} to {} s and show no actors", beyond,
                          times_s.size(), begin, end));
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A path of the sensor's own to drive along, and the moments at which scans are taken on
-// it.
+// Handles --trajectory: a user's path of the sensor, and the times at which scans are
+// taken on it.
 #pragma once
 
 #include <optional>
@@ -15,21 +15,22 @@ struct Run;
 
 namespace relidar::cli {
 
-/// --trajectory, --rate and --times.
+/// Values of --trajectory, --rate and --times.
 struct TrajectoryChoice {
-    std::string file;  ///< empty: the log's path
-    /// scans a second, from the first pose to the last; not given: as the log's sensor
-    /// turns
+    std::string file;  ///< Empty: the path of the log.
+    /// Scans per second, from the first pose to the last. Default: the rate of the log's
+    /// sensor.
     std::optional<double> rate_hz;
-    std::string times;  ///< "first:last:step" in seconds of the log; empty: by the rate
+    std::string times;  ///< "first:last:step" in seconds of the log. Empty: computed from the rate.
 };
 
-/// Moments of the scans. @throws UsageError for a rate or times that make no sense, or
-/// lie beyond the trajectory
+/// Returns the times of the scans.
+/// @throws UsageError if the rate or the times are invalid, or the times are outside the
+/// trajectory
 std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& track, double log_rate_hz);
 
-/// Says what a user may not expect of a trajectory: poses far from the log's, times at
-/// which the log has no actors any more.
+/// Prints notes about a trajectory that is far from the log's path, or has times after
+/// the end of the log, when no actors exist.
 void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s);
 
 }  // namespace relidar::cli

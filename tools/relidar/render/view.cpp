@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar view: a page in the browser that re-simulates a run live.
+// relidar view: shows a run in the browser and re-simulates it live.
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
@@ -28,7 +28,7 @@ namespace {
 
 struct ViewOptions {
     std::string run;
-    std::vector<std::string> inserts;  ///< other runs, whose actors the page can insert
+    std::vector<std::string> inserts;  ///< Other runs whose actors can be inserted from the page.
     std::string save_to;
     std::string address = "127.0.0.1";
     int port = 8080;
@@ -40,18 +40,19 @@ struct ViewOptions {
     bool quiet = false;
 };
 
-// between looks at whether the user has pressed Ctrl-C
+// Interval at which Ctrl-C is checked.
 constexpr std::chrono::milliseconds kViewPatience{50};
-constexpr std::chrono::seconds kGoodbye{5};  // for tabs that read slowly what is on its way to them
+// Maximum time for slow browser tabs to receive pending data at exit.
+constexpr std::chrono::seconds kGoodbye{5};
 
-/// Where edited runs go.
+/// Returns the folder in which edited runs are saved.
 std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
     const std::filesystem::path folder =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     return std::filesystem::absolute(folder).lexically_normal();
 }
 
-/// By the names that were typed.
+/// Loads the other runs, with the names that the user typed.
 view::OtherRuns other_runs(const std::vector<std::string>& folders) {
     view::OtherRuns runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
@@ -60,7 +61,7 @@ view::OtherRuns other_runs(const std::vector<std::string>& folders) {
 
 view::ServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
-        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 takes any that is free",
+        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 selects a free port",
                                      options.port, kLastPort));
     view::ServerOptions server;
     server.address = options.address;
@@ -73,33 +74,35 @@ view::ServerOptions server_options(const ViewOptions& options) {
 
 void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
-    // a wrong address is found before the run is read
-    const view::ServerOptions wanted = server_options(options);
+    // Rejects a wrong address before the run is read.
+    const view::ServerOptions server_settings = server_options(options);
     check_sets(options.sets, rendering_settings(), "view");
     Run run = load_run(options.run);
     apply_sets(run.config, options.sets);
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    std::optional<OutputFolder> made;  // removed if no run was saved
+    std::optional<OutputFolder> made;  // Removed at exit if no run was saved.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
-    // the server calls the session, and has to be gone before it: it is made after it
+    // The server calls the session. It is created after the session, so that it is
+    // destroyed before it.
     view::Server* out = nullptr;
     view::Session session(
         std::move(run), other_runs(options.inserts), device, folder,
         {[&](view::TabId tab, std::string text) { out->send_text(tab, std::move(text)); },
          [&](view::TabId tab, std::string frame) { out->send_newest(tab, std::move(frame)); }});
-    view::Server server(wanted, {[&](view::ClientId tab) { session.open(tab); },
-                                 [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
-                                 [&](view::ClientId tab) { session.close(tab); }});
-    out = &server;  // before work(), which alone answers
+    view::Server server(server_settings,
+                        {[&](view::ClientId tab) { session.open(tab); },
+                         [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
+                         [&](view::ClientId tab) { session.close(tab); }});
+    out = &server;  // Set before work() is called, because only work() sends answers.
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);
-    const char* who =
-        wanted.token.empty() ? "open that address in a browser" : "only who has that address may look";
+    const char* who = server_settings.token.empty() ? "open this address in a browser"
+                                                    : "only clients with this address have access";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kViewPatience);
@@ -107,28 +110,38 @@ void run_view(const ViewOptions& options) {
     server.close(kGoodbye);
 }
 
+constexpr const char* kViewHelp =
+    R"(The page moves the sensor with mouse and keys, plays the log, and changes sensor and traffic. The
+key ? lists all keys. The page also shows the real scans if the log is still at its path. The URL
+of the page contains its state, including edits, and works again after the program is restarted.
+docs/viewer.md describes the page.
+Examples:
+  relidar view run
+  relidar view run --port 0 --open
+  relidar view run --insert other                      # actors of `other` can be inserted
+  ssh -L 8080:127.0.0.1:8080 machine relidar view run  # then open http://127.0.0.1:8080/ here)";
+
 }  // namespace
 
 void add_view(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("view", "look at a run in the browser, and drive the sensor");
+    CLI::App* command = app.add_subcommand("view", "show a run in the browser and drive the sensor");
     const auto options = std::make_shared<ViewOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train` or `relidar edit`")->required();
-    command->add_option("--port", options->port, "port to listen on (default: 8080; 0: any that is free)")
+    command->add_option("--port", options->port, "port to listen on (default: 8080; 0: a free port)")
         ->type_name("N");
     command
         ->add_option("--bind", options->address,
-                     "address to listen on (default: 127.0.0.1, this machine alone; elsewhere the address "
-                     "that is printed holds a token "
-                     "without which nobody is let in)")
+                     "address to listen on (default: 127.0.0.1, only this machine; for any other address, "
+                     "the printed URL contains an access token that every client must present)")
         ->type_name("ADDRESS");
     command
-        ->add_option(
-            "--save-to", options->save_to,
-            "folder in which the page makes edited runs, made if missing (default: the one that RUN is in)")
+        ->add_option("--save-to", options->save_to,
+                     "folder for edited runs that the page saves, created if missing (default: the parent "
+                     "folder of RUN)")
         ->type_name("DIR");
     command
         ->add_option("--insert", options->inserts,
-                     "another run, whose actors the page can put on the ground; repeatable")
+                     "another run whose actors can be inserted from the page; repeatable")
         ->type_name("RUN")
         ->allow_extra_args(false);
     command->add_flag("--open", options->open, "open a browser");
@@ -136,20 +149,9 @@ void add_view(CLI::App& app, Call& call) {
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "ray-drop as the surfels have it, without the run's network");
+                      "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print the address and errors only");
-    command->footer(
-        "The page moves the sensor by mouse and keys, plays the log, changes sensor and traffic; ? shows its "
-        "keys. It has the log's own\n"
-        "scans too where the log is still at its place. Its address holds what it shows, edits included; it "
-        "goes on when the program has\n"
-        "been started again. docs/viewer.md says more.\n"
-        "Examples:\n"
-        "  relidar view run\n"
-        "  relidar view run --port 0 --open\n"
-        "  relidar view run --insert other                            # its actors can be put on the ground, "
-        "too\n"
-        "  ssh -L 8080:127.0.0.1:8080 machine relidar view run       # then http://127.0.0.1:8080/ here");
+    command->footer(kViewHelp);
     command->callback([&call, options] { call.run = [options] { run_view(*options); }; });
 }
 

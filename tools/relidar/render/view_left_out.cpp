@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar view, where it was built without: says so.
+// Replaces view.cpp in a build without the viewer. Its error message names the missing
+// package.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"
@@ -7,14 +8,13 @@
 namespace relidar::cli {
 
 void add_view(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("view", "look at a run in the browser (left out of this build)");
+    CLI::App* command = app.add_subcommand("view", "show a run in the browser (not in this build)");
     command->allow_extras();
     command->callback([&call] {
         call.run = [] {
             throw UsageError(
-                "view: this relidar was built without it, expected Boost.Beast while building: install "
-                "libboost-dev (Debian), "
-                "then cmake with -DRELIDAR_VIEW=ON");
+                "view: this program was built without the viewer, expected a build with Boost.Beast; install "
+                "libboost-dev (Debian) and run cmake with -DRELIDAR_VIEW=ON");
         };
     });
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar refine: the ray-drop network of a run, trained alone, and what it is worth on
-// the held-out frames.
+// relidar refine: trains only the ray-drop network of a run and scores its effect on the
+// held-out frames.
 #include <memory>
 #include <optional>
 
@@ -30,33 +30,34 @@ struct RefineOptions {
     bool quiet = false;
 };
 
-/// The checkpoint to continue from. @return nothing where training starts from the
-/// beginning
+/// Loads the checkpoint to resume from.
+/// @return no value if training starts from the beginning
 std::optional<Checkpoint> find_start(const RefineOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
             note(
-                fmt::format("{} holds the checkpoint of a network that was not finished: it is given up, "
-                            "--resume would have gone on",
+                fmt::format("{} holds the checkpoint of an unfinished network, which is discarded; use "
+                            "--resume to continue it",
                             options.run));
         return std::nullopt;
     }
     std::optional<Checkpoint> start = load_newest_checkpoint(folder, note);
     if (!start)
-        note(fmt::format("{} holds no checkpoint of its network: training starts from the beginning",
+        note(fmt::format("{} has no checkpoint of its network: training starts from the beginning",
                          options.run));
     return start;
 }
 
-/// What continues this training, as typed on the command line.
+/// Returns the command line that resumes this training.
 std::string resume_command(const RefineOptions& options) {
     std::string command = "relidar refine --resume " + shell_word(options.run);
     for (const std::string& word : device_words(options.device)) command += " " + word;
     return command;
 }
 
-/// Trains the network and saves it; interrupted, it says how to go on.
+/// Trains the network and saves it. After an interruption, the error message contains the
+/// command that resumes the training.
 void train_network(Device& device, Run& run, const RefineOptions& options, const Checkpoint* start) {
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
@@ -64,13 +65,13 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     if (!refine_shown(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         throw Error(ExitCode::interrupted,
-                    fmt::format("interrupted: {} has the network it had{}", run.folder.string(),
+                    fmt::format("interrupted: the network of {} is unchanged{}", run.folder.string(),
                                 can_go_on ? "; continue with: " + resume_command(options) : ""));
     }
     save_run(run);
 }
 
-/// Scores the held-out frames with the network or without.
+/// Scores the held-out frames with or without the network.
 Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
@@ -79,7 +80,7 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
                            shown_until_interrupted(progress));
 }
 
-/// What the network is worth, told and written.
+/// Scores the run without and with the network, prints both and writes metrics.json.
 void score_both(Device& device, const Run& run, const RefineOptions& options) {
     const Evaluation before = score(device, run, false, options.quiet),
                      after = score(device, run, true, options.quiet);
@@ -112,14 +113,26 @@ void run_refine(const RefineOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_both(device, run, options);
-    // last: until then --resume has no step to do again, whenever this process is killed
+    // Removed last, so that --resume does not repeat finished steps if this process is
+    // killed earlier.
     remove_network_checkpoints(run.folder);
 }
+
+constexpr const char* kRefineHelp =
+    R"(RUN/ receives drop_network.safetensors, which render and eval use from then on. The settings are
+refine.*. Each epoch saves a checkpoint (RUN/checkpoints/drop_network), and so does Ctrl-C. With
+--resume the network ends exactly the same as without an interruption.
+The log is read from the path that the run was trained from. If the log has moved, use --set
+dataset.path=PATH.
+Examples:
+  relidar refine run
+  relidar refine run --set refine.network=paper --set refine.epochs=100
+  relidar refine --resume run)";
 
 }  // namespace
 
 void add_refine(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("refine", "train the network that corrects a run's ray-drop");
+    CLI::App* command = app.add_subcommand("refine", "train the network that corrects the ray-drop of a run");
     const auto options = std::make_shared<RefineOptions>();
     command->add_option("RUN", options->run, "run folder of `relidar train`")->required();
     command->add_flag("--resume", options->resume,
@@ -128,18 +141,7 @@ void add_refine(CLI::App& app, Call& call) {
     add_device_options(*command, options->device);
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames with and without it");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "RUN/ gets drop_network.safetensors, which render and eval use from then on; settings refine.*.\n"
-        "Ctrl-C stops training and leaves a checkpoint (RUN/checkpoints/drop_network), as every epoch does; "
-        "--resume goes on as if\n"
-        "nothing had happened: training frames are rendered again, the network ends the same to the last "
-        "bit.\n"
-        "The log is read from where it was when the run was trained; --set dataset.path=... names another "
-        "place.\n"
-        "Examples:\n"
-        "  relidar refine run\n"
-        "  relidar refine run --set refine.network=paper --set refine.epochs=100\n"
-        "  relidar refine --resume run");
+    command->footer(kRefineHelp);
     command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });
 }
 

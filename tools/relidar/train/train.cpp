@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar train: a log becomes a run, or a run goes on. What can fail early does:
-// settings, weights of LPIPS, output folder, checkpoint, device, then the log.
+// relidar train: trains a run on a log, or resumes a run. Checks settings, LPIPS weights,
+// output folder, checkpoint and device before it reads the log, so that errors appear
+// early.
 #include <memory>
 #include <optional>
 #include <string_view>
@@ -35,11 +36,11 @@ struct TrainOptions {
     Settings settings;
     DeviceChoice device;
     std::string seed;
-    std::string blocks;         ///< length of a block: "60m"
-    std::string resume_folder;  ///< what stood after --resume
+    std::string blocks;         ///< Length of a block, such as "60m".
+    std::string resume_folder;  ///< Argument of --resume.
     bool resume = false;
-    /// --preset or --config was given: they, not the run, say where the settings start
-    /// from
+    /// True if --preset or --config was given. The settings then start from these instead
+    /// of from the run.
     bool from_preset = false;
     bool force = false;
     bool no_eval = false;
@@ -53,7 +54,8 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Which words are the log and the folder: `--resume` may stand before either.
+/// Decides which arguments are the log and the run folder, because `--resume` may precede
+/// either.
 TrainOptions sorted_out(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
@@ -65,12 +67,12 @@ TrainOptions sorted_out(TrainOptions options) {
     const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
     if (options.dataset.empty() && !knows_log)
         throw UsageError(fmt::format(
-            "DATASET is required: {} has no config.toml that would name it (see `relidar train --help`)",
+            "DATASET is required: {} has no config.toml that names the log (see `relidar train --help`)",
             options.out));
     return options;
 }
 
-/// The run's own settings where it continues and no others to start from are named.
+/// Returns the settings of the run if it is resumed without --preset or --config.
 Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
@@ -83,7 +85,7 @@ Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
     if (const fs::path saved = fs::path(options.out) / kConfigFile;
         options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
-        // the length that 0 stands for
+        // Replaces the value 0 by the length that training used.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
@@ -96,14 +98,14 @@ Config config_of(const TrainOptions& options) {
     return config;
 }
 
-/// Whether a run has everything that training leaves, at as many iterations as are
-/// wanted.
+/// Returns true if a run has all files of a finished training with at least the requested
+/// number of iterations.
 bool is_finished(const fs::path& folder, const Config& config) {
     return is_file(folder / "scene.json") && is_file(folder / "report.html") &&
            last_logged_iteration(folder) >= config.train.iterations;
 }
 
-/// Whether settings of a group are the same.
+/// Returns true if all settings of a group are equal.
 bool same_group(const Config& a, const Config& b, std::string_view group) {
     const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
     for (std::size_t i = 0; i < x.size(); ++i)
@@ -111,8 +113,8 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
     return true;
 }
 
-/// Of a finished run. @throws UsageError if a setting differs from those that it was
-/// trained with
+/// Checks the settings for a finished run.
+/// @throws UsageError if a setting differs from the training's settings
 void check_unchanged(const fs::path& folder, const Config& config) {
     const Config trained = load_saved_config(folder / kConfigFile);
     std::string key = differing_setting(trained, config);
@@ -122,14 +124,14 @@ void check_unchanged(const fs::path& folder, const Config& config) {
         if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
         throw UsageError(fmt::format(
-            "resuming {}: its training is finished with another setting {}, expected the same; --force "
-            "trains anew, and `relidar refine` trains the ray-drop network alone",
+            "resuming {}: its training is finished with a different setting {}, expected the same; --force "
+            "trains again from the start, and `relidar refine` trains only the ray-drop network",
             folder.string(), key));
 }
 
-/// Whether a run has its scene, of these settings and this log, and lacks what comes
-/// after it: held-out scans on it, the scatter of its intensities, the network, scores,
-/// the report.
+/// Returns true if a run has a scene from these settings and this log, but later steps
+/// are missing. These are the placement of held-out scans, the scatter of intensities,
+/// the network, the scores and the report.
 bool has_scene(const fs::path& folder, const Config& config) {
     if (!is_file(folder / "scene.json") || is_file(folder / "report.html") ||
         last_logged_iteration(folder) < config.train.iterations)
@@ -139,18 +141,18 @@ bool has_scene(const fs::path& folder, const Config& config) {
     return log_of(trained.dataset) == log_of(config.dataset) && differing_setting(trained, config).empty();
 }
 
-/// The checkpoint to continue from. @return nothing where training starts from the
-/// beginning
+/// Loads the checkpoint to resume from.
+/// @return no value if training starts from the beginning
 std::optional<Checkpoint> find_start(const TrainOptions& options) {
     const fs::path folder = options.out;
     std::optional<Checkpoint> start = load_newest_checkpoint(checkpoint_folder(folder), note);
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(
-            fmt::format("resuming {}: its training has ended and left no checkpoint, expected one to go on "
-                        "from; --force trains anew",
+            fmt::format("resuming {}: its training has ended and left no checkpoint, expected a checkpoint "
+                        "to resume from; --force trains again from the start",
                         folder.string()));
-    note(fmt::format("{} holds no checkpoint: training starts from the beginning", folder.string()));
+    note(fmt::format("{} has no checkpoint: training starts from the beginning", folder.string()));
     return std::nullopt;
 }
 
@@ -163,14 +165,15 @@ void announce(const Sequence& sequence, const Split& split, const Device& device
     std::fflush(stdout);
 }
 
-/// What continues this training, as typed on the command line.
+/// Returns the command line that resumes this training.
 std::string resume_command(const TrainOptions& options) {
     std::string command = "relidar train --resume " + shell_word(options.out);
     for (const std::string& word : device_words(options.device)) command += " " + word;
     return command;
 }
 
-/// Training; whatever ends it early, the message says what is left and how to go on.
+/// Trains the scene. If training fails, the error message names the remaining checkpoint
+/// and the command that resumes it.
 TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& options,
                           const Checkpoint* start, StageTimes& stages) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
@@ -182,27 +185,27 @@ TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& op
         const bool has_checkpoint = !list_checkpoints(checkpoints).empty();
         if (!has_checkpoint && error.code() != ExitCode::interrupted) throw;
         throw Error(error.code(), fmt::format("{}; {}: {}", error.what(),
-                                              has_checkpoint ? "the last checkpoint is kept, continue with"
+                                              has_checkpoint ? "the last checkpoint is kept; continue with"
                                                              : "start again with",
                                               resume_command(options)));
     }
 }
 
-/// What Ctrl-C ends once the scene is saved.
+/// Returns the error for an interruption after the scene was saved.
 Error interrupted_while(const char* what, const Run& run, const TrainOptions& options) {
     return Error(ExitCode::interrupted,
                  fmt::format("interrupted while {}; {} holds the scene; continue with: {}", what,
                              run.folder.string(), resume_command(options)));
 }
 
-/// What a trained scene gets before its network.
+/// Completes a trained scene before its network is trained.
 void complete_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     if (!complete_scene_shown(device, run, options.quiet, stages))
         throw interrupted_while("held-out scans were placed and scatter was learnt", run, options);
 }
 
-/// Scores the held-out frames and writes metrics.json. @return nothing scored where no
-/// frame is held out
+/// Scores the held-out frames and writes metrics.json.
+/// @return an empty evaluation if no frame is held out
 Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
@@ -223,7 +226,7 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     return evaluation;
 }
 
-/// Report and, unless training was interrupted, scores.
+/// Writes the report and, unless training was interrupted, the scores.
 void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options,
             const std::string& command_line, StageTimes& stages) {
     stages.begin("report");
@@ -255,8 +258,8 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
                       stages_text(stages), absolute_path((run.folder / "report.html").string())));
 }
 
-/// The checkpoint that the network goes on from. One of another scene or other settings
-/// is told, and nothing is lost but its steps.
+/// Loads the checkpoint from which training of the network resumes. A checkpoint of
+/// another scene or other settings is ignored with a note.
 std::optional<Checkpoint> find_network_start(const Run& run) {
     try {
         std::optional<Checkpoint> start = load_newest_checkpoint(network_checkpoint_folder(run.folder), note);
@@ -268,8 +271,8 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
     }
 }
 
-/// Trains the ray-drop network of a scene that has been saved, and saves it. A log that
-/// has nothing to teach it is no error, nor is a device that cannot run its layers.
+/// Trains the ray-drop network of a saved scene and saves it. Only prints a note if the
+/// log has no suitable training data or the device cannot run the network's layers.
 void refine_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     const std::optional<Checkpoint> start = find_network_start(run);
     if (!start) remove_network_checkpoints(run.folder);
@@ -286,7 +289,7 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
                            .stages = &stages}))
             throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        remove_network_checkpoints(run.folder);  // it would end the same
+        remove_network_checkpoints(run.folder);  // Resuming would end with the same error.
         return leave_out(error);
     } catch (const DeviceError& error) {
         return leave_out(error);
@@ -295,7 +298,7 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
     remove_network_checkpoints(run.folder);
 }
 
-/// What the log of a training says of it.
+/// Reads the training result from the log of a run.
 TrainResult logged_result(const fs::path& folder) {
     TrainResult result;
     result.log = read_log(folder);
@@ -305,7 +308,7 @@ TrainResult logged_result(const fs::path& folder) {
     return result;
 }
 
-/// Goes on where the scene is trained: with what it lacks of what comes after that.
+/// Resumes a run whose scene is trained, and runs the missing later steps.
 void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
     Run run = load_run(options.out);
@@ -319,11 +322,11 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     attach_scans(run, run.split.test, log);
     if (!options.quiet) {
         announce(run.sequence, run.split, device, nullptr);
-        print("resume  behind the last iteration\n");
+        print("resume  after the last iteration\n");
     }
     catch_interrupts();
     if (!run.held_out_placed) complete_or_tell(device, run, options, stages);
-    // where a process was killed just before it would have done so
+    // An earlier process may have been killed before it removed these checkpoints.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
@@ -331,19 +334,19 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     finish(device, run, result, options, command_line, stages);
 }
 
-/// Makes the folder of a run ready for a training, anew or where another has stopped.
+/// Prepares the folder of a run for a new or a resumed training.
 void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
     remove_run_files(folder);
     remove_network_checkpoints(folder);
     if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
     if (!keeps_blocks) remove_blocks(folder);
-    write_text(folder / kConfigFile, to_toml(config));  // what a killed run is resumed from
+    write_text(folder / kConfigFile, to_toml(config));  // A killed run is resumed with these settings.
 }
 
 void check_ranks(const Ranks& ranks, bool in_blocks) {
     if (ranks.size() > 1 && !in_blocks)
         throw UsageError(fmt::format(
-            "training by {} processes: found a log in one piece, expected --blocks, which they share",
+            "training with {} processes: expected --blocks, because processes share the blocks of a log",
             ranks.size()));
 }
 
@@ -357,7 +360,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
         check_unchanged(options.out, config);
         if (!options.quiet)
             print(fmt::format(
-                "{} has all of its {} iterations: nothing to do; raise train.iterations to go on\n",
+                "{} has all of its {} iterations: nothing to do; increase train.iterations to continue\n",
                 options.out, config.train.iterations));
         return;
     }
@@ -408,11 +411,24 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
 void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
     command
         .add_option("--resume", options->resume_folder,
-                    "continue the run in --out, or in RUN, from its newest checkpoint; log and settings are "
-                    "the run's unless given")
+                    "resume the run in --out, or in RUN, from its newest checkpoint; log and settings are "
+                    "those of the run unless given")
         ->type_name("[RUN]")
         ->expected(0, 1);
 }
+
+constexpr const char* kTrainHelp =
+    R"(RUN/ receives config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html,
+and checkpoints/ if training takes long.
+Ctrl-C stops training and saves the current scene and a checkpoint. --resume continues as if there
+had been no interruption, including the ray-drop network. Settings refine.* and render.* may be
+changed when resuming; changed refine.* settings train the network from the beginning.
+Later settings replace earlier ones in this order: preset, --config, --set, other options.
+`relidar list settings` lists the settings.
+Examples:
+  relidar train data/street --out run --preset quick
+  relidar train --resume run
+  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360)";
 
 }  // namespace
 
@@ -420,37 +436,22 @@ void add_train(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();
     command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path");
-    command->add_option("--out", options->out, "run folder to make")->type_name("RUN");
+    command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
     add_log_part_options(*command, options->part);
     add_settings_options(*command, options->settings);
     command->add_option("--seed", options->seed, "seed of initialisation and training (default: 1)")
         ->type_name("S");
     command
         ->add_option("--blocks", options->blocks,
-                     "train a long log in blocks of at most so many metres of its trajectory, as 60m: memory "
-                     "does not grow with the log "
-                     "(blocks.length_m)")
+                     "train a long log in blocks of at most this length of its trajectory, for example 60m, "
+                     "so that memory does not grow with the log (blocks.length_m)")
         ->type_name("LENGTH");
     add_device_options(*command, options->device);
     add_resume_option(*command, options);
     command->add_flag("--force", options->force, "overwrite the run in RUN");
     command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames at the end");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(
-        "RUN/ gets config.toml, scene.json, model.safetensors, log.jsonl, metrics.json, report.html, and "
-        "checkpoints/ where training takes "
-        "long.\n"
-        "Ctrl-C stops training, saves the scene so far and a checkpoint; --resume goes on as if nothing had "
-        "happened, with the ray-drop\n"
-        "network too. Settings refine.* and render.* may be changed then; other refine.* train the network "
-        "from the beginning.\n"
-        "Settings: preset, then --config, then --set, then the flags; the later one wins. `relidar list "
-        "settings` lists them.\n"
-        "Examples:\n"
-        "  relidar train data/street --out run --preset quick\n"
-        "  relidar train --resume run\n"
-        "  relidar train data/2011_09_26_drive_0005_sync --out run --frames 0:50 --set sensor.grid=kitti360 "
-        "--set dataset.poses=poses.txt");
+    command->footer(kTrainHelp);
     command->callback([&call, options, command] {
         options->resume = command->count("--resume") > 0;
         options->from_preset = command->count("--preset") + command->count("--config") > 0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A block that is complete has a scene.json; one that was interrupted has a checkpoint.
-// Nothing else has to be kept to go on.
+// Trains blocks. A finished block has a scene.json, an interrupted block has a
+// checkpoint. Resuming needs no other state.
 #include "train/train_blocks.hpp"
 
 #include <algorithm>
@@ -24,9 +24,9 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// Of settings that a block's surfels do not depend on.
+/// Returns true for settings that do not affect the surfels of a block.
 bool is_free(const std::string& key) {
-    // a block names those actors that it has
+    // The actor settings differ, because each block lists the actors that it contains.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
@@ -35,18 +35,20 @@ bool is_free(const std::string& key) {
                        [&](const char* group) { return key.starts_with(group); });
 }
 
-/// @throws DataError where a block was trained with other settings
+/// Checks that a trained block has the current settings.
+/// @throws DataError if a block was trained with other settings
 void check_settings(const fs::path& block, const Config& trained, const Config& config) {
     const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
     for (std::size_t i = 0; i < is.size(); ++i)
         if (!is_free(is[i].key) && was[i].value != is[i].value)
             throw DataError(
                 fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force "
-                            "trains all anew)",
+                            "trains all blocks again)",
                             block.string(), is[i].key, was[i].value, is[i].value));
 }
 
-/// @throws DataError where it was trained on other frames
+/// Checks that a trained block has the current frames.
+/// @throws DataError if a block was trained on other frames
 void check_frames(const Run& trained, const BlockLog& log) {
     const auto is_same = [](const Frame& a, const Frame& b) {
         return a.index == b.index && a.lidar == b.lidar;
@@ -54,14 +56,14 @@ void check_frames(const Run& trained, const BlockLog& log) {
     const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
     if (trained.split.train != log.split.train ||
         !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
-        throw DataError(fmt::format(
-            "resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, expected the same "
-            "(--force trains all anew)",
-            trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
-            is.front().index, is.back().index));
+        throw DataError(
+            fmt::format("resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, "
+                        "expected the same (--force trains all blocks again)",
+                        trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
+                        is.front().index, is.back().index));
 }
 
-/// Sums and means over blocks.
+/// Accumulates sums and means over blocks.
 class Total {
 public:
     void add(const std::vector<TrainProgress>& log) {
@@ -113,11 +115,11 @@ public:
     TrainResult train() {
         if (!how_.quiet)
             print(fmt::format(
-                "blocks  {} of {:.1f} m, with sweeps up to {:g} m beside them{}\n", blocks_.size(),
+                "blocks  {} of {:.1f} m, with sweeps up to {:g} m outside them{}\n", blocks_.size(),
                 blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
                 how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
         std::vector<fs::path> folders;
-        std::vector<std::size_t> others;  // not trained here
+        std::vector<std::size_t> others;  // Blocks that other processes train.
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
             if (!train(k, folders.back())) others.push_back(k);
@@ -133,18 +135,20 @@ public:
     }
 
 private:
-    /// @return whether it was trained here and now: not before, and not by another
-    /// process
+    /// Trains block `k` unless another process trains it or has trained it.
+    /// @return true if this call trained the block; false if it was trained before or
+    /// another process trains it
     bool train(std::size_t k, const fs::path& folder) {
         std::error_code failed;
-        fs::create_directories(folder, failed);  // taking the lock says why where it cannot be
+        // Errors are ignored here, because locking the folder reports them.
+        fs::create_directories(folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::take_if_free(folder);
         if (!lock) return false;
         BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
-            // where a process was killed just before it would have done so
+            // An earlier process may have been killed before it removed these checkpoints.
             remove_checkpoints(checkpoint_folder(folder));
             return false;
         }
@@ -168,21 +172,22 @@ private:
         const auto start = Clock::now();
         const auto show = [&](int step, int n_steps) {
             const double s = std::chrono::duration<double>(Clock::now() - start).count();
-            progress.show(fmt::format("actors before the joined background, step {}/{}  {:.2f} it/s  eta {}",
-                                      step, n_steps, step / s, duration(s / step * (n_steps - step))),
-                          step == n_steps);
+            progress.show(
+                fmt::format("actors in front of the joined background, step {}/{}  {:.2f} it/s  eta {}", step,
+                            n_steps, step / s, duration(s / step * (n_steps - step))),
+                step == n_steps);
         };
         try {
             if (!relidar::train_actors(device_, run_, {show, interrupted}))
                 throw Error(ExitCode::interrupted,
-                            "interrupted while actors learn before the joined background");
+                            "interrupted while actors were trained in front of the joined background");
         } catch (const Error& error) {
             throw Error(error.code(), kept(error.what()));
         }
         end_progress_line();
     }
 
-    /// What went wrong, and that nothing is lost.
+    /// Returns an error message that adds how to resume the training.
     std::string kept(const std::string& what) const {
         return fmt::format("{}; trained blocks are kept, continue with: {}", what, how_.resume);
     }

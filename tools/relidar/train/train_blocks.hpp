@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of a long log, block by block.
+// Trains a long log block by block.
 #pragma once
 
 #include <string>
@@ -11,23 +11,25 @@
 
 namespace relidar::cli {
 
-/// How blocks are trained.
+/// Options for training in blocks.
 struct BlockTraining {
-    const Ranks& ranks;  ///< each block is trained by whoever comes to it first
+    const Ranks& ranks;  ///< Processes that share the work. The first free process trains the next block.
     bool quiet = false;
-    std::string resume;  ///< the command that goes on, for messages
+    std::string resume;  ///< Command that resumes the training, for messages.
 };
 
-/// Trains the blocks of a prepared log that have not been trained before, each into
-/// RUN/blocks/NNN, a run of its own; the first rank joins them once all are trained:
-/// scene and poses of the run. @return of all blocks: the mean of their logs, sums of
-/// times, the largest peak
-/// @throws Error with exit code 130 after Ctrl-C; DataError for a block that was trained
-/// with other settings or frames
+/// Trains all untrained blocks of a prepared log. Each block becomes a run in
+/// RUN/blocks/NNN. When all blocks are trained, the first rank joins their scenes and
+/// poses into the run.
+/// @return over all blocks: the mean of their logs, the sums of their times, and the
+/// largest memory peak
+/// @throws Error with exit code 130 after Ctrl-C; DataError if a block was trained with
+/// other settings or frames
 TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how);
 
-/// Whether the blocks that a run has can be joined with others trained by these settings.
-/// @throws DataError for one that cannot
+/// Checks that the existing blocks of a run can be joined with blocks trained with these
+/// settings.
+/// @throws DataError for the first block that cannot
 void check_trained_blocks(const std::filesystem::path& run, const Config& config);
 
 }  // namespace relidar::cli

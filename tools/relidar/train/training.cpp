@@ -40,8 +40,8 @@ std::string log_text(const std::vector<TrainProgress>& lines) {
     return text;
 }
 
-/// log.jsonl, line by line as it grows. A full disk is told once; finish() then tries to
-/// write the whole file.
+/// Writes log.jsonl line by line during training. A full disk is reported once. finish()
+/// then tries to write the complete file.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
@@ -51,7 +51,7 @@ public:
     void add(const TrainProgress& p) {
         if (lost_ || (file_ << log_line(p)).flush()) return;
         lost_ = true;
-        note(fmt::format("writing {}: the disk is full or the folder has gone; training goes on",
+        note(fmt::format("cannot write {}: the disk is full or the folder was removed; training continues",
                          path_.string()));
     }
     void finish(const std::vector<TrainProgress>& all) {
@@ -69,16 +69,16 @@ private:
     bool lost_ = false;
 };
 
-/// place_held_out() with a progress line, telling how far scans moved. Ctrl-C leaves them
-/// where they are.
+/// Calls place_held_out() with a progress line and prints how far the scans moved. After
+/// Ctrl-C the scans keep their poses.
 void place_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
-    print(
-        fmt::format("{} of {} held-out scans placed on the scene: moved by {:.1f} mm (median) to {:.1f} mm\n",
-                    placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
+    print(fmt::format(
+        "{} of {} held-out scans aligned to the scene: moved by {:.1f} mm (median), at most {:.1f} mm\n",
+        placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
     std::fflush(stdout);
 }
 
@@ -123,7 +123,7 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 
 namespace {
 
-/// learn_scatter() with a progress line. Ctrl-C ends it with nothing known.
+/// Calls learn_scatter() with a progress line. After Ctrl-C the scatter is unknown.
 void learn_scatter_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});
@@ -186,7 +186,8 @@ void log_stages(const fs::path& folder, const StageTimes& times) {
     for (const StageTimes::Stage& stage : times.stages()) seconds[stage.name] = stage.seconds;
     std::ofstream file(folder / "log.jsonl", std::ios::binary | std::ios::app);
     if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
-        note(fmt::format("writing {}: the stages are not in it", (folder / "log.jsonl").string()));
+        note(fmt::format("cannot write {}: the times of the stages are missing in it",
+                         (folder / "log.jsonl").string()));
 }
 
 void write_log(const fs::path& folder, const std::vector<TrainProgress>& lines) {

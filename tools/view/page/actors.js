@@ -1,9 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traffic: hidden, moved, copied, placed on the ground, removed, and saved as a run. What has been changed is one object, as tools/view/request.hpp has it.
+// Edits of the traffic: actors are hidden, moved, copied, placed on the ground, removed,
+// and saved as a run. All edits are one object, described in tools/view/request.hpp.
 import { instanceColour } from './colours.js';
 import { headingOf, transform } from './matrix.js';
 
-const MOVES = [['forward m', 0.5, 10000], ['left m', 0.5, 10000], ['up m', 0.25, 10000], ['turn °', 5, 360]];   // label, step, limit
+// Label, step and limit of each field.
+const MOVES = [['forward m', 0.5, 10000], ['left m', 0.5, 10000], ['up m', 0.25, 10000], ['turn °', 5, 360]];
 const COPY_BESIDE_M = 3.5;
 
 const button = (label, onClick) => {
@@ -12,19 +14,22 @@ const button = (label, onClick) => {
   return made;
 };
 
-const without = ({ hidden, ...saved }) => JSON.stringify(saved);   // what saving keeps
+const without = ({ hidden, ...saved }) => JSON.stringify(saved);   // Edits that saving keeps.
 const NOTHING = { copies: [], moves: {}, removed: [], hidden: [] };
 
 export class Actors {
-  /** @param onPlacing (actor or null) somebody chooses a place for an actor, {of, from}, or no longer does */
+  /**
+   * @param onPlacing called with {of, from} when the user starts to choose a position for
+   * an actor, and with null when the choice ends
+   */
   constructor(onChange, onPlacing, send) {
     this.onChange = onChange;
     this.onPlacing = onPlacing;
     this.rows = new Map();
     this.known = [];
-    this.own = new Set();     // tracks of the run itself
+    this.own = new Set();     // Tracks of the run itself.
     this.placing = null;
-    this.accepted = NOTHING;  // edits of the last scan that came
+    this.accepted = NOTHING;  // Edits of the most recent scan.
     this.savedAs = without(NOTHING);
     this.put(NOTHING);
     this.list = document.getElementById('actors');
@@ -44,7 +49,7 @@ export class Actors {
 
   checkSave() { this.save.disabled = !this.name.value || !this.name.checkValidity() || !this.isEdited; }
 
-  /** What the program says of actors, once a connection. */
+  /** Sets the list of actors. Called once per connection. */
   load({ actors, others }) {
     this.own = new Set(actors.map(({ track }) => track));
     this.insert.replaceChildren(...others.flatMap(({ name, actors: theirs }) => theirs.map(
@@ -60,17 +65,20 @@ export class Actors {
     this.rows.clear();
   }
 
-  /** Edits from elsewhere: an address, or none. @param isSaved as a run */
+  /**
+   * Replaces the edits by those of a URL, or by none. @param isSaved true if a run was
+   * saved with them
+   */
   restore(edits, isSaved) {
     this.put(edits ?? NOTHING);
     if (isSaved) this.savedAs = without(this.edits);
     this.change();
   }
 
-  /** A scan with these edits has come. */
+  /** Marks these edits as accepted, because a scan with them has arrived. */
   accept(edits) { this.accepted = edits; }
 
-  /** Takes back what no scan has come of. @return whether there was anything */
+  /** Undoes the edits that no scan has confirmed. @return true if any edit was undone */
   takeBack() {
     if (JSON.stringify(this.edits) === JSON.stringify(this.accepted)) return false;
     this.restore(this.accepted, false);
@@ -100,7 +108,7 @@ export class Actors {
     this.onChange();
   }
 
-  /** Actors of the scan that is shown: [{track, category, size, present, pose}]. */
+  /** Shows the actors of the displayed scan: [{track, category, size, present, pose}]. */
   update(actors, instances) {
     this.known = actors;
     document.getElementById('n-actors').textContent = `${actors.filter((a) => a.present).length} of ${actors.length} here`;
@@ -136,7 +144,7 @@ export class Actors {
     return row;
   }
 
-  /** A button that puts a track into the set of a name, or takes it out. */
+  /** Creates a button that adds a track to a named set or removes it. */
   toggle(label, set, track) {
     const mark = () => made.setAttribute('aria-pressed', String(this[set].has(track)));
     const made = button(label, () => {
@@ -173,32 +181,39 @@ export class Actors {
     return fields;
   }
 
-  /** Once more, parked beside where it is now. */
+  /** Adds a copy that is parked next to the current position of the actor. */
   copy(track) {
     const { pose } = this.known.find((a) => a.track === track);
     const [x, y, z] = transform(pose, [0, COPY_BESIDE_M, 0]);
     this.add({ of: track, from: '', at: [x, y, z, (headingOf(pose) * 180) / Math.PI, 0, 0, 0] });
   }
 
-  /** Begins to choose a place on the ground for an actor {of, from}; null: no longer. */
+  /**
+   * Starts to choose a position on the ground for an actor {of, from}. Null ends the
+   * choice.
+   */
   place(actor) {
     this.placing = actor;
     this.say(actor ? `Click on the ground where ${actor.of} is to stand; Esc ends it.` : '', false);
     this.onPlacing(actor);
   }
 
-  /** The program has found the ground there: at is as in edits. */
+  /**
+   * Adds the copy at the ground position that the program has computed, in the form of
+   * the edits.
+   */
   placed({ of, from, at }) {
     this.place(null);
     this.add({ of, from, at });
   }
 
   add({ of, from, at }) {
-    this.copies.push({ of, from, at: at.map((v) => Math.round(v * 1000) / 1000) });   // millimetres: the address holds it
+    // Rounded to millimetres to keep the URL short.
+    this.copies.push({ of, from, at: at.map((v) => Math.round(v * 1000) / 1000) });
     this.change();
   }
 
-  /** Boxes of those that are there. */
+  /** Returns the boxes of all actors that are present. */
   get boxes() {
     return this.known.map((actor, i) => ({ ...actor, instance: i + 1 })).filter((a) => a.present && !this.removed.has(a.track) && !this.hidden.has(a.track));
   }

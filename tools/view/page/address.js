@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the page shows as the fragment of its address, so that a reload, a bookmark or a link brings it back.
+// Stores the state of the page in the fragment of its URL, so that a reload, a bookmark
+// or a link restores it.
 
-const LONGEST = 30000;   // characters of a fragment; what browsers and mail programs all keep
+const LONGEST = 30000;   // Maximum length of a fragment that all browsers and mail programs preserve.
 const MODES = ['simulated', 'real', 'both'];
 const CAMERAS = ['follow', 'orbit', 'fly'];
 
@@ -40,7 +41,7 @@ function edits(given) {
   return areCopies && areMoves && areTracks(removed) && areTracks(hidden) ? { copies, moves, removed, hidden } : fail(expected);
 }
 
-/** How each part is read; it throws what was expected. */
+/** Parsers of the parts. Each throws a description of the expected value. */
 const READERS = {
   run: text,
   sensor: text,
@@ -57,7 +58,9 @@ const READERS = {
   saved: oneOf(['1']),
 };
 
-/** @return {parts, wrong}: what could be read by its name, and what could not, in words */
+/**
+ * @return {parts, wrong}: the parsed parts by name, and descriptions of the invalid parts
+ */
 export function readAddress(hash) {
   const parts = {};
   const wrong = [];

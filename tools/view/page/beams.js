@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which beams are shown. A beam is the ring of a point, 0 the highest.
+// Selects the beams that are shown. A beam is the ring of a point; ring 0 is the highest.
 
 export class Beams {
   constructor(onChange) {
@@ -19,7 +19,10 @@ export class Beams {
     });
   }
 
-  /** A scan with these rings is shown: another number of beams begins with all of them. */
+  /**
+   * Sets the rings of the displayed scan. If the number of beams changes, all beams are
+   * selected.
+   */
   fit(ring) {
     let n = 0;
     for (let i = 0; i < ring.length; ++i) if (ring[i] >= n) n = ring[i] + 1;
@@ -50,6 +53,6 @@ export class Beams {
     this.count.textContent = n === this.shown.length ? `${n}` : `${n} of ${this.shown.length}`;
   }
 
-  /** Whether a ring is shown; of one that is not known, it is. */
+  /** Returns true if a ring is shown. An unknown ring is shown. */
   has(ring) { return this.shown[ring] !== 0; }
 }

@@ -1,19 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-// Driving by keys: each moves the sensor at its speed while it is down. A key that is up again sooner than a hand can do it (a tap, a
-// screen keyboard) counts for SHORTEST_MS, half a metre.
+// Moves the sensor with keys. Each key moves the sensor at a constant speed while it is
+// pressed. A shorter key press than a person can make (a tap, a screen keyboard) counts
+// as SHORTEST_MS, which is half a metre.
 
-/** What the keys are for: ahead, left, up, turn. */
+/** Direction of each key: ahead, left, up, turn. */
 const DIRECTIONS = {
   w: [1, 0, 0, 0], s: [-1, 0, 0, 0], a: [0, 1, 0, 0], d: [0, -1, 0, 0], r: [0, 0, 1, 0], f: [0, 0, -1, 0], q: [0, 0, 0, 1], e: [0, 0, 0, -1],
 };
-const SPEEDS = [5, 5, 2.5, 45];   // m/s ahead, left, up; degrees/s
-const FASTER = 4;                 // with Shift
+const SPEEDS = [5, 5, 2.5, 45];   // m/s ahead, left and up; degrees/s to turn.
+const FASTER = 4;                 // Factor while Shift is pressed.
 const SHORTEST_MS = 100;
 
-/** Keys that are down, and how far they have moved the sensor. Times are milliseconds of performance.now(). */
+/**
+ * Pressed keys and the distance that they have moved the sensor. Times are milliseconds
+ * of performance.now().
+ */
 export class Held {
   constructor() {
-    this.keys = new Map();   // {from, done, until}: down since, counted up to, up again at
+    // {from, done, until}: times when the key was pressed, was last counted, and was
+    // released.
+    this.keys = new Map();
     this.isFast = false;
     this.moved = [0, 0, 0, 0];
   }
@@ -27,7 +33,7 @@ export class Held {
     if (held) held.until = Math.max(time, held.from + SHORTEST_MS);
   }
 
-  /** Shift is down from then on, or up. */
+  /** Sets whether Shift is pressed from this time on. */
   shift(isFast, time) {
     if (isFast === this.isFast) return;
     this.count(time);
@@ -38,7 +44,8 @@ export class Held {
 
   count(time) {
     for (const [key, held] of this.keys) {
-      const until = Math.max(held.from, Math.min(time, held.until));   // before `done` where a picture came between a key and its event
+      // Can be before `done` if a picture was drawn between a key press and its event.
+      const until = Math.max(held.from, Math.min(time, held.until));
       const seconds = ((until - held.done) * (this.isFast ? FASTER : 1)) / 1000;
       DIRECTIONS[key].forEach((way, i) => { this.moved[i] += way * SPEEDS[i] * seconds; });
       held.done = until;
@@ -46,7 +53,7 @@ export class Held {
     }
   }
 
-  /** @return [ahead, left, up, turn] metres and degrees since the last time */
+  /** @return [ahead, left, up, turn] in metres and degrees since the previous call */
   advance(time) {
     this.count(time);
     const { moved } = this;
@@ -55,7 +62,10 @@ export class Held {
   }
 }
 
-/** @param onMove (ahead, left, up, turn) with each picture of the screen while keys are down @return what bindKeys() tells of keys */
+/**
+ * @param onMove (ahead, left, up, turn) called for each displayed picture while keys are
+ * pressed @return the driver that bindKeys() notifies of keys
+ */
 export function makeDriver(onMove) {
   const held = new Held();
   let isTicking = false;
@@ -66,7 +76,7 @@ export function makeDriver(onMove) {
     if (isTicking) requestAnimationFrame(tick);
   };
   const stop = () => held.stop();
-  window.addEventListener('blur', stop);   // nobody tells when the key is up again
+  window.addEventListener('blur', stop);   // Without focus, no event reports the release of a key.
   document.addEventListener('visibilitychange', stop);
   return {
     keys: Object.keys(DIRECTIONS),

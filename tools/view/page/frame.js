@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a scan as tools/view/frame.hpp says it is written.
+// Decodes a scan message in the format of tools/view/frame.hpp.
 
 const TYPES = { f32: Float32Array, i32: Int32Array, u8: Uint8Array, u16: Uint16Array };
 
 /**
- * @return {header, simulated, real}: scans as {rows, columns, position, range, intensity, drop, instance, ring, channels}, null where there
- * is none; channels by name are {values, components, isInteger}
+ * @return {header, simulated, real}: scans as {rows, columns, position, range, intensity,
+ * drop, instance, ring, channels}, or null if missing; channels by name are {values,
+ * components, isInteger}
  */
 export function decodeFrame(buffer) {
   const view = new DataView(buffer);
@@ -22,11 +23,14 @@ export function decodeFrame(buffer) {
   const scan = (prefix, image) => image && {
     rows: image[0],
     columns: image[1],
-    channels: prefix ? {} : channels,   // nobody measures them
+    channels: prefix ? {} : channels,   // Measured scans have no channels.
     ...Object.fromEntries(['position', 'range', 'intensity', 'drop', 'instance', 'ring'].map((name) => [name, arrays[prefix + name]])),
   };
   return { header, simulated: scan('', header.image) ?? null, real: scan('real_', header.real_image) ?? null };
 }
 
-/** Whether a ray came back: it met something, and returns more likely than not. */
+/**
+ * Returns true if a ray has a return: it hits a surface, and its drop probability is
+ * below one half.
+ */
 export const returned = (scan, i) => scan.drop[i] < 128 && scan.range[i] > 0;

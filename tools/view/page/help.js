@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The page that says what keys and mouse do.
+// Shows the help page for keys and mouse.
 
 const KEYS = [
   [['W', 'A', 'S', 'D'], 'drive the sensor ahead, left, back, right while the key is down: 5 m/s, with Shift 20 m/s'],

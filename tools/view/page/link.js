@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The WebSocket to the program: one scan is asked for at a time, and of what changes meanwhile only the last state is asked for next.
-// A program that has gone is called again, after pauses that grow.
+// The WebSocket to the program. Only one scan is requested at a time. If the state
+// changes before the scan arrives, the newest state is requested next. After a lost
+// connection the page reconnects with growing pauses.
 import { decodeFrame } from './frame.js';
 
 const FIRST_PAUSE_S = 0.5;
@@ -8,9 +9,9 @@ const LONGEST_PAUSE_S = 8;
 
 export class Link {
   /**
-   * @param state () => what is to be scanned, without "do" and "id"
-   * @param on {text(message), frame(frame, asked), lost(pause_s, isLocked)}: asked, the state that the scan is of; isLocked, the program is
-   * there and wants a token
+   * @param state () => the state to scan, without "do" and "id"
+   * @param on callbacks {text(message), frame(frame, asked), lost(pause_s, isLocked)};
+   * asked: the state of the scan; isLocked: true if the program requires a token
    */
   constructor(state, on) {
     this.state = state;
@@ -24,8 +25,8 @@ export class Link {
   connect() {
     clearTimeout(this.timer);
     this.timer = null;
-    this.waiting = false;   // for a scan
-    this.stale = false;     // the state has changed since it was asked for
+    this.waiting = false;   // True while a requested scan is pending.
+    this.stale = false;     // True if the state has changed since the last request.
     this.asked = null;
     this.socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/live`);
     this.socket.binaryType = 'arraybuffer';
@@ -49,7 +50,7 @@ export class Link {
     return this.isOpen;
   }
 
-  /** The state has changed. */
+  /** Requests a scan of the changed state. */
   refresh() {
     this.stale = true;
     if (!this.waiting) this.ask();
@@ -66,7 +67,7 @@ export class Link {
   heard(message) {
     this.pause = FIRST_PAUSE_S;
     const isAboutScan = message.kind === 'error' && (message.about === 'scan' || message.about === 'message');
-    if (isAboutScan) this.waiting = false;   // the scan will not come
+    if (isAboutScan) this.waiting = false;   // The requested scan will not arrive.
     this.on.text(message);
     if (isAboutScan && this.stale && !this.waiting) this.ask();
   }
@@ -74,7 +75,8 @@ export class Link {
   received(data) {
     const { asked } = this;
     this.waiting = false;
-    if (this.stale) this.ask();   // before drawing: the next is rendered meanwhile
+    // Requests the next scan before drawing, so that it is rendered at the same time.
+    if (this.stale) this.ask();
     this.on.frame(decodeFrame(data), asked);
   }
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The page: parts, and what happens when one of them changes. What is simulated is asked for by Link; what is shown is drawn here.
+// Connects the parts of the page and reacts to their changes. Link requests the simulated
+// scans; this file draws them.
 import { Actors } from './actors.js';
 import { readAddress, writeAddress } from './address.js';
 import { Beams } from './beams.js';
@@ -20,19 +21,25 @@ import * as shapes from './shapes.js';
 import { Strip } from './strip.js';
 import { Timeline } from './timeline.js';
 
-const SENSOR_HEIGHT_M = 1.8;      // of a car's roof: where the grid is drawn below the log's sensor
-const SHORTEST_ERROR_M = 0.1;     // of error lines
+// Height of the log's sensor above the ground, where the grid is drawn: the roof of a
+// car.
+const SENSOR_HEIGHT_M = 1.8;
+const SHORTEST_ERROR_M = 0.1;     // Minimum length of an error line.
 const GRID_REACH_M = 80;
-const REAL_SIZE = 0.6;              // of real points among simulated ones, which they would hide
-const ADDRESS_PAUSE_MS = 500;       // between changes of the address: browsers refuse more than a few a second
+// Smaller size of real points, so that they do not hide the simulated points.
+const REAL_SIZE = 0.6;
+// Minimum time between changes of the URL, because browsers reject more than a few per
+// second.
+const ADDRESS_PAUSE_MS = 500;
 const NOWHERE = [0, 0, 0, 0, 0, 0];
 const DARK = matchMedia('(prefers-color-scheme: dark)');
 const element = (id) => document.getElementById(id);
 
 let hello = null;
-let isSettling = false;           // several things change at once: the scan is asked for when all have
-let frame = null;                 // the last scan that came
-let drawn = false;                // whether the picture is as the state is
+// True while several values change together. The scan is requested after all changes.
+let isSettling = false;
+let frame = null;                 // The most recent scan.
+let drawn = false;                // True if the picture shows the current state.
 const camera = new Camera();
 const view = makeView();
 const panel = new Panel({ onMode: refresh, onLook: show });
@@ -83,7 +90,9 @@ function lost(pause, isLocked) {
     : `The program has ended or cannot be reached; nothing moves. Trying again in ${pause} s.`, true);
 }
 
-/** The program answers, for the first time or again: what the page shows is asked for anew. */
+/**
+ * Handles a new connection to the program: requests again all data that the page shows.
+ */
 function start(message) {
   const before = hello;
   hello = message;
@@ -103,7 +112,9 @@ function settle(change) {
   refresh();
 }
 
-/** After a program that has gone: all stays, unless it is another run now. */
+/**
+ * Restores the state after a lost connection, unless the program now serves another run.
+ */
 function resume(before) {
   const isSame = hello.identity === before.identity;
   const lostSensor = sensor.load(hello);
@@ -120,7 +131,7 @@ function startAnew() {
   sensor.setPlace(NOWHERE);
 }
 
-/** What the address says; parts of another run, and those that nobody understands, are left out. */
+/** Restores the state from the URL. Ignores parts of another run and invalid parts. */
 function restore(hash = location.hash) {
   const { parts, wrong } = readAddress(hash);
   const isSame = parts.run === undefined || parts.run === hello.identity;
@@ -142,9 +153,9 @@ function restore(hash = location.hash) {
   panel.tell(notes.join(' '));
 }
 
-let remembering = null;   // a change of the address is due
+let remembering = null;   // Timer of a pending change of the URL.
 
-/** The state has changed: so does the address, soon. */
+/** Schedules a change of the URL after the state has changed. */
 function remember() {
   if (hello) remembering ??= setTimeout(writeHash, ADDRESS_PAUSE_MS);
 }
@@ -173,12 +184,14 @@ function received(next, asked) {
   show();
 }
 
-/** Whether a point of a scan is drawn. */
+/** Returns true if a point of a scan is drawn. */
 const shownOf = (scan) => (i) => scan.range[i] > 0 && beams.has(scan.ring[i]) && (panel.shows.dropped || returned(scan, i));
 
 const linesOf = ({ position, rgba }) => [position, rgba];
 
-/** Colours and lines of the scan, as the settings have them; drawn with the next picture of the screen. */
+/**
+ * Updates colours and lines of the scan from the settings. The next picture shows them.
+ */
 function show() {
   if (!frame) return redraw();
   const { header, simulated, real } = frame;
@@ -195,7 +208,7 @@ function show() {
   redraw();
 }
 
-/** [n] metres, NaN where one of the two did not return. */
+/** [n] in metres; NaN if either ray has no return. */
 function rangeErrors(simulated, real) {
   return simulated.range.map((r, i) => (returned(simulated, i) && returned(real, i) ? Math.abs(r - real.range[i]) : NaN));
 }
@@ -268,7 +281,7 @@ function setCamera(mode) {
   redraw();
 }
 
-/** Where an actor is to stand, while a place for it is chosen. */
+/** Marks the position for an actor while the user chooses it. */
 function clicked(xy) {
   if (!frame || !actors.placing) return;
   const scan = frame.simulated ?? frame.real;
@@ -298,14 +311,17 @@ giveBackFocus(element('view'));
 DARK.addEventListener('change', show);
 new ResizeObserver(redraw).observe(element('view'));
 window.addEventListener('pagehide', writeHash);
-// Typed, or a link: replaceState() is none. Between the two writeHash() may have put back what the page shows.
+// Fires for a typed URL or a link, but not for replaceState(). Before it fires,
+// writeHash() may have replaced the typed fragment.
 window.addEventListener('hashchange', ({ newURL }) => { if (hello) settle(() => restore(new URL(newURL).hash)); });
 window.addEventListener('beforeunload', (event) => {
   writeHash();
   if (!actors.isUnsaved) return;
   event.preventDefault();
-  event.returnValue = true;   // for browsers older than 2024
+  event.returnValue = true;   // For browsers from before 2024.
 });
-if (location.search) history.replaceState(null, '', `/${location.hash}`);   // the token is a cookie now, and no one's to read over a shoulder
+// Removes the token from the URL, because the cookie now holds it and other people may
+// see the screen.
+if (location.search) history.replaceState(null, '', `/${location.hash}`);
 drawn = true;
 redraw();

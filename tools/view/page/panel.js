@@ -1,14 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the scan is shown, and what is said of it.
+// The panel with display settings and information about the scan.
 
 const REAL = { light: [176, 56, 156], dark: [240, 160, 230] };
 const RATE_WINDOW_MS = 3000;
 
 export class Panel {
-  /** @param onMode another scan is wanted @param onLook the same scan looks otherwise */
+  /**
+   * @param onMode called when another scan is needed @param onLook called when only the
+   * display of the scan changes
+   */
   constructor({ onMode, onLook }) {
     this.mode = 'simulated';
-    this.wanted = null;   // a mode, as soon as the log is there
+    this.wanted = null;   // Display mode that is selected when the log is loaded.
     this.hasLog = false;
     this.arrivals = [];
     this.onMode = onMode;
@@ -24,7 +27,10 @@ export class Panel {
 
   get colouring() { return document.getElementById('colouring').value; }
 
-  /** Channels of the scans, which colours may show. @param channels [{name, unit, meaning}] */
+  /**
+   * Sets the channels that can be shown as colours. @param channels [{name, unit,
+   * meaning}]
+   */
   setChannels(channels) {
     const list = document.getElementById('colouring');
     const chosen = list.value;
@@ -41,7 +47,10 @@ export class Panel {
     return Object.fromEntries(['grid', 'path', 'boxes', 'errors', 'dropped'].map((name) => [name, document.getElementById(`show-${name}`).checked]));
   }
 
-  /** How it looks, as an address has it: {colour, size, layers}; what is missing stays. */
+  /**
+   * Sets the display as stored in a URL: {colour, size, layers}. Missing values do not
+   * change.
+   */
   get look() {
     const { shows } = this;
     return { colour: this.colouring, size: this.pointSize, layers: Object.keys(shows).filter((name) => shows[name]) };
@@ -75,7 +84,7 @@ export class Panel {
     document.querySelectorAll('[data-camera]').forEach((b) => b.setAttribute('aria-pressed', String(b.dataset.camera === mode)));
   }
 
-  /** The log's own scans are there, or will not be. */
+  /** Reports whether the scans of the log are available. */
   setLog({ state, why }) {
     this.hasLog = state === 'ready';
     document.getElementById('log-state').textContent = this.hasLog ? '' : `The log's own scans cannot be shown: ${why}`;
@@ -84,7 +93,7 @@ export class Panel {
     else this.markMode();
   }
 
-  /** The program begins to read the log: what needs it waits. */
+  /** Disables the modes that need the log while it is loading. */
   waitForLog() {
     const wanted = this.wanted ?? this.mode;
     this.hasLog = false;
@@ -93,7 +102,7 @@ export class Panel {
     this.setMode(wanted);
   }
 
-  /** Something to know that stays until it is read, beside what say() says of the moment. */
+  /** Shows a message until the user closes it. say() shows temporary messages. */
   tell(text) {
     this.note.firstElementChild.textContent = text;
     this.note.hidden = !text;
@@ -104,7 +113,7 @@ export class Panel {
     this.message.classList.toggle('alarm', isAlarm);
   }
 
-  /** Numbers of a scan that has come. */
+  /** Shows the numbers of a new scan. */
   setNumbers({ header, simulated, real }) {
     this.say('', false);
     const scan = simulated ?? real;

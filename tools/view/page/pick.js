@@ -1,9 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which place on the ground a click means: the level plane through the point of the background that is drawn nearest to it says the height.
+// Converts a click into a position on the ground. Its height is that of the visible
+// background point nearest to the click.
 
 /**
- * @param x,y of the click, -1..1, up positive @param scan of frame.js @param shown (i) => whether point i is drawn
- * @param level height where no point is drawn @return [x, y] of the world, or null where the click looks into the sky
+ * @param x,y position of the click, -1..1, up positive
+ * @param scan scan as returned by frame.js
+ * @param shown (i) => true if point i is drawn
+ * @param level height that is used if no point is drawn
+ * @return [x, y] in the world frame, or null if the click is above the horizon
  */
 export function pickGround(camera, aspect, [x, y], scan, shown, level) {
   const m = camera.matrix(aspect);

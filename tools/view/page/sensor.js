@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which sensor, in which weather, and where it is beside the log's: six numbers that can be typed, or changed by keys and mouse.
+// Selects the sensor, the weather, and the pose of the sensor relative to the log's
+// sensor. Its six numbers can be typed, or changed with keys and mouse.
 
 const FIELDS = [['x', 'forward m', 0.5], ['y', 'left m', 0.5], ['z', 'up m', 0.25], ['yaw', 'turn °', 5], ['pitch', 'pitch °', 1],
   ['roll', 'roll °', 1]];
@@ -29,7 +30,7 @@ export class SensorPanel {
   makeInput(i, name, label, step) {
     const input = Object.assign(document.createElement('input'), { type: 'number', step, value: 0, id: `place-${name}`, min: -LIMITS[i], max: LIMITS[i] });
     input.addEventListener('input', () => {
-      if (input.value === '') return;   // "-" and "1e" too: not a number yet
+      if (input.value === '') return;   // Ignores "-" and "1e", which are incomplete numbers.
       const typed = Number(input.value);
       if (Math.abs(typed) > LIMITS[i]) {
         this.say(`${label}: ${typed} is out of reach, expected -${LIMITS[i]} to ${LIMITS[i]}; it stays at ${this.place[i]}.`, true);
@@ -46,7 +47,10 @@ export class SensorPanel {
     return input;
   }
 
-  /** What there is to choose from, once a connection; what was chosen stays where it is there. @return whether a sensor is lost */
+  /**
+   * Sets the available choices, once per connection. Keeps the current choice if it is
+   * available. @return true if the chosen sensor is not available
+   */
   load({ sensors, lidars }) {
     const { sensor, lidar } = this.wish;
     const file = [...this.choice.options].find((o) => o.value === 'file');
@@ -56,7 +60,7 @@ export class SensorPanel {
     return !this.choose(sensor, lidar);
   }
 
-  /** @return whether there is such a sensor, in place of such a LiDAR; else it is the log's own */
+  /** Selects a sensor and a LiDAR, or the log's own sensor. @return true if both exist */
   choose(sensor, lidar) {
     this.choice.value = sensor;
     this.lidar.value = String(lidar);
@@ -66,7 +70,7 @@ export class SensorPanel {
     return isThere;
   }
 
-  /** A file of the user's was read. */
+  /** Adds the sensor of an uploaded file. */
   addFile({ name, rays }) {
     let option = [...this.choice.options].find((o) => o.value === 'file');
     if (!option) this.choice.add(option = new Option('', 'file'));
@@ -81,7 +85,7 @@ export class SensorPanel {
     this.hint.classList.toggle('alarm', isAlarm);
   }
 
-  /** Shows the number that is used. */
+  /** Shows the number in use. */
   showPlace(i) {
     this.inputs[i].value = String(Math.round(this.place[i] * 1000) / 1000);
   }
@@ -95,14 +99,17 @@ export class SensorPanel {
     this.onChange();
   }
 
-  /** Moves in the directions it faces, metres and degrees. */
+  /** Moves the sensor in its own frame, in metres and degrees. */
   drive(ahead, left, up, turn) {
     const yaw = (this.place[3] * Math.PI) / 180;
     const [x, y, z, heading, pitch, roll] = this.place;
     this.setPlace([x + ahead * Math.cos(yaw) - left * Math.sin(yaw), y + ahead * Math.sin(yaw) + left * Math.cos(yaw), z + up, heading + turn, pitch, roll]);
   }
 
-  /** Moves over the ground of the world. @param heading of the log's sensor, radians */
+  /**
+   * Moves the sensor over the ground. @param heading heading of the log's sensor in
+   * radians
+   */
   drag(dx, dy, heading) {
     const [c, s] = [Math.cos(heading), Math.sin(heading)];
     const [x, y, ...rest] = this.place;

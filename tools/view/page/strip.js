@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scan as an image: a row a beam, the highest on top, ahead in the middle.
+// Draws a scan as an image with one row per beam, the highest beam on top and the forward
+// direction in the middle.
 
 export class Strip {
-  /** @param onPoint (text) what is under the mouse */
+  /** @param onPoint (text) called with a description of the point under the mouse */
   constructor(canvas, onPoint) {
     this.canvas = canvas;
     this.context = canvas.getContext('2d');
@@ -10,7 +11,7 @@ export class Strip {
     canvas.addEventListener('pointerleave', () => onPoint('\u00a0'));
   }
 
-  /** @param rgba colours of its points @return whether the scan has an image */
+  /** @param rgba colours of the points @return true if the scan has an image */
   show(scan, rgba) {
     this.scan = scan;
     const hasImage = scan.rows > 1;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Time: played, dragged, or stepped from frame to frame.
+// The timeline: plays, drags, or steps from frame to frame.
 
 export class Timeline {
   /** @param onChange (time_s) */
@@ -17,7 +17,10 @@ export class Timeline {
     document.getElementById('forth').addEventListener('click', () => this.step(1));
   }
 
-  /** Frames of the log in order: [{time_s, index, held_out}]. @param time to begin at; none: the middle */
+  /**
+   * Sets the frames of the log in order: [{time_s, index, held_out}]. @param time start
+   * time; default: the middle of the log
+   */
   load(frames, time) {
     this.frames = frames;
     this.first = frames[0].time_s;
@@ -26,7 +29,7 @@ export class Timeline {
     this.set(time ?? frames[Math.floor(frames.length / 2)].time_s);
   }
 
-  /** The frame nearest to the time. */
+  /** Returns the frame that is nearest to the current time. */
   get nearest() {
     return this.frames.reduce((a, b) => (Math.abs(b.time_s - this.time) < Math.abs(a.time_s - this.time) ? b : a));
   }
