@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exploration of the Monte Carlo strategy: means move at random in their surfel's plane
-// (3D Gaussians: along all axes), by scales of the surfel, and only those of faint
-// surfels, which have nothing to lose (gate of "3D Gaussian Splatting as Markov Chain
-// Monte Carlo": sigmoid(-100 (s - faint)), faint = 0.005 there). One thread a surfel. In
+// Adds the exploration noise of the Monte Carlo strategy to the means. Moves each mean in
+// its surfel's plane (3D Gaussians: along all axes), in units of the surfel's scales. A
+// gate limits the noise to faint surfels ("3D Gaussian Splatting as Markov Chain Monte
+// Carlo": sigmoid(-100 (s - faint)), there with faint = 0.005). One thread per surfel. In
 // place: surfels.mean.
-// @differs the paper's noise is the covariance (m^2) times a number that only suits the
-// length unit of its scenes; here it is in scales.
+// @differs The paper's noise is the covariance (m^2) times a constant that depends on the
+// length unit of its scenes. Here the noise is relative to the scales.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

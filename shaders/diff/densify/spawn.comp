@@ -1,15 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// Values of surfels that were split or shared, where densify/move has put copies of the
-// original. One thread a surfel of the old order. Input: action, n_rows, starts. In
-// place: surfels. Split: each half at a random point of the surfel, in its plane, scales
-// / 1.6; of a 3D Gaussian along all three axes. Share among N ("3D Gaussian Splatting as
-// Markov Chain Monte Carlo", NeurIPS 2024, for surfels): opacity s' = 1 - (1 - s)^(1/N),
-// so that N of them let through what one did; and scales times sqrt(s / sum_{i=1..N} (1 -
-// (1 - s')^i) / i), so that what they blend to has the integral over the plane that the
-// one had: the paper's sums over one axis, with 1 / (k + 1) for its 1 / sqrt(k + 1)
-// because a Gaussian to the power k + 1 has that share of the area of a surfel. The inner
-// alternating sum is closed here. 3D Gaussians are shared alike: across a ray, from
-// wherever it comes, they are Gaussians over a plane whose scales go with theirs.
+// Computes the values of surfels that were split or shared. Kernel densify/move has
+// written copies of the original to their rows before. One thread per surfel of the old
+// order. Input: action, n_rows, starts. In place: surfels.
+//
+// Split: moves each half to a random point of the surfel, in its plane (3D Gaussians:
+// along all three axes), and divides its scales by 1.6.
+//
+// Share among N ("3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024,
+// adapted to surfels): the opacity becomes s' = 1 - (1 - s)^(1/N), so that N copies
+// transmit as much as the original. The scales are multiplied by sqrt(s / sum_{i=1..N} (1
+// - (1 - s')^i) / i), so that the blended copies have the same integral over the plane.
+// The paper sums over one axis with 1 / sqrt(k + 1). Here the factor is 1 / (k + 1), the
+// area of a Gaussian to the power k + 1 relative to the surfel. The inner alternating sum
+// has a closed form. 3D Gaussians use the same formula, because across a ray they are
+// Gaussians over a plane with proportional scales.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -29,7 +33,7 @@ void split(uint row) {
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
     mat3 r = rotation_matrix(q);
-    vec2 z = random_normal2(params.key, row, 2u);  // 0 and 1 are classify's
+    vec2 z = random_normal2(params.key, row, 2u);  // classify.comp uses the draws 0 and 1
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
     if (has_third_scale())
