@@ -4,16 +4,12 @@
 // Apetrei 2014, with the ends of ranges exchanged at splits) determines which ranges are
 // joined. When two ranges are joined, their at most 32 clusters are merged to at most 16.
 // Each cluster looks for its nearest neighbour among 8 on either side, and mutual
-// neighbours are merged. Each merge also computes the costs of wide nodes.
-//
-// One thread per sorted position. The second thread that reaches a split continues
-// upwards. All lanes of its subgroup then work on one range together, because few lanes
-// reach this point. A workgroup is one subgroup, because on lavapipe a subgroup barrier
-// stops all subgroups of a workgroup. Nodes are numbered by sorted positions instead of
-// by a counter, so that builds are repeatable.
-//
-// Input: boxes, keys, surfels, models. Output: tree, roots. Memory traffic: at least 36 B
-// read per surfel, 68 B written and read again per node. About 500 box unions per surfel.
+// neighbours are merged. One thread per sorted position. The second thread that reaches a
+// split continues upwards. All lanes of its subgroup then work on one range together. A
+// workgroup is one subgroup, because on lavapipe a subgroup barrier stops all subgroups
+// of a workgroup. Nodes are numbered by sorted positions, so that builds are repeatable.
+// Input: boxes, keys, surfels, models. Output: tree, roots. At least 36 B read per
+// surfel, 68 B written and read per node, 500 box unions per surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -39,8 +35,8 @@ struct Cluster {
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// The range to join: first position, last position of the left range, last position. The
-// fourth component is the model if the range covers all its surfels, otherwise -1.
+// Range to join: first, last of the left range, last position. w: the model if the range
+// covers it, or -1.
 shared ivec4 task;
 
 /// Makes all writes of the subgroup to shared memory visible to the subgroup.

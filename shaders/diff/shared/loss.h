@@ -11,8 +11,7 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Constants kTerm_depth, ...: column of each term in a row of `terms`. Each column holds
-// one weighted value.
+// Constants kTerm_depth, ...: column of each term in a row of `terms`.
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) const uint kTerm_##name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
@@ -54,12 +53,11 @@ struct SsimParams {
     uint circular;  // 1: the first column follows the last column
 };
 
-// Value of all coordinates if a ray has no point. It is farther away than any real point.
+// Value of all coordinates if a ray has no point.
 #define RELIDAR_NO_POINT 1e30
 #define RELIDAR_NO_INDEX 0xffffffffu
 
-/// Parameters of the kernel that computes the simulated and the measured point of each
-/// ray.
+/// Parameters of the kernel that computes the points of each ray.
 struct ChamferPointsParams {
     Rays rays;              // input
     RenderedRays rendered;  // input [n_rays]
@@ -74,8 +72,7 @@ struct ChamferPointsParams {
     uint normalised_depth;  // 1: the range is D / W, 0: the range is D
 };
 
-/// Parameters of the kernel that bounds rectangles of points or of boxes. A point is a
-/// box with low = high.
+/// Parameters of the kernel that bounds rectangles of points or of boxes.
 struct ChamferBoxesParams {
     RELIDAR_OF(Vec3s, LowCorners) low;    // input [rows,columns]
     RELIDAR_OF(Vec3s, HighCorners) high;  // input [rows,columns]
@@ -97,8 +94,7 @@ struct ChamferCloud {
     RELIDAR_OF(Vec3s, GroupHighs) group_high;
 };
 
-/// Parameters of the search for the nearest point of a cloud for every point of another
-/// cloud of the same shape.
+/// Parameters of the nearest-point search between two clouds of one shape.
 struct ChamferNearestParams {
     RELIDAR_OF(Vec3s, QueryPoints) queries;  // input [rows,columns]
     ChamferCloud cloud;                      // input
@@ -118,9 +114,9 @@ struct ChamferParams {
     RenderedRays rendered;                         // input [n_rays]
     RELIDAR_OF(Vec3s, SimulatedPoints) simulated;  // input [n_rays]
     RELIDAR_OF(Vec3s, MeasuredPoints) measured;    // input [n_rays]
-    // input [n_rays] index of the measured point nearest to each simulated point
+    // input [n_rays] index, per simulated point
     RELIDAR_OF(Uints, NearestMeasured) nearest_measured;
-    // input [n_rays] index of the simulated point nearest to each measured point
+    // input [n_rays] index, per measured point
     RELIDAR_OF(Uints, NearestSimulated) nearest_simulated;
     RELIDAR_OF(Floats, PointCounts) counts;  // input [2]
     // [n_rays,2] Fixed point, m: accumulated by chamfer, input of chamfer_vjp.
@@ -143,8 +139,7 @@ struct SurfelLossParams {
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated
     Models models;                        // input [n_models]
-    // A surfel counts as outside if its standard deviation exceeds this share of half the
-    // box's diagonal.
+    // A larger scale, relative to half the box's diagonal, counts as outside.
     float box_scale_share;
     float box_weight;
     uint first_surfel;  // first surfel of the launch

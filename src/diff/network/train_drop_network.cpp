@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of the ray-drop network: images in a new order each epoch, turned by random
-// columns, cross-entropy (Eq. 13), Adam.
+// Training of the ray-drop network with cross-entropy (Eq. 13) and Adam. Each epoch
+// shuffles the images and rotates them by random columns.
 #include <chrono>
 #include <cmath>
 #include <numeric>
@@ -16,14 +16,14 @@
 namespace relidar {
 namespace {
 
-/// Sample and turn of each image of an epoch, by a generator of its own, so that no epoch
-/// depends on how another one was drawn.
+/// Draws the image order and rotations of an epoch. Each epoch has a separate random
+/// generator, so that it does not depend on other epochs.
 std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, bool turn, std::uint64_t seed,
                                                    int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<refine::DropInputs::Chosen> chosen(n);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::size_t j = random() % (i + 1);  // Fisher and Yates, inside out
+        const std::size_t j = random() % (i + 1);  // Fisher-Yates shuffle, inside-out variant
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
@@ -32,12 +32,12 @@ std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, b
     return chosen;
 }
 
-/// Where a training stands between two steps.
+/// Progress of a training between two steps.
 struct Course {
-    const std::size_t batch, n_steps;  ///< images of a step, steps of an epoch
+    const std::size_t batch, n_steps;  ///< images per step, steps per epoch
     RefineProgress told;
     double entropy, accuracy;  ///< sums over the steps of the epoch
-    const double before_s;     ///< that earlier sessions took
+    const double before_s;     ///< seconds of earlier sessions
     const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
 
     Course(const refine::DropTraining& training, const RefineOptions& options, const RefineState& start)
@@ -54,7 +54,8 @@ struct Course {
                                         told.step, told.n_steps));
     }
 
-    /// The next step: begins an epoch where one is over. @return its place in the epoch
+    /// Advances to the next step, and to the next epoch after the last step of an epoch.
+    /// @return index of the step in the epoch
     std::size_t advance() {
         const std::size_t k = std::size_t(told.step++) % n_steps;
         if (k == 0) entropy = accuracy = 0.0;
