@@ -75,8 +75,7 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Appends the clusters of a range to the `n` clusters in shared memory.
-/// @return number of clusters after that
+/// Appends the clusters of a range to the `n` clusters. Returns their new number.
 uint load_clusters(int from, int to, uint n) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);

@@ -107,8 +107,8 @@ struct ChamferNearestParams {
     uint tile_columns;
 };
 
-/// Parameters of the squared distances in both directions (loss/chamfer) and of their
-/// derivative with respect to the simulated ranges (loss/chamfer_vjp).
+/// Parameters of the squared distances in both directions (loss/chamfer) and their
+/// gradient (loss/chamfer_vjp).
 struct ChamferParams {
     Rays rays;                                     // input
     RenderedRays rendered;                         // input [n_rays]
@@ -130,8 +130,7 @@ struct ChamferParams {
     uint normalised_depth;
 };
 
-/// Parameters of the loss on surfel parameters, which penalises surfels outside their
-/// actor's box.
+/// Parameters of the loss that penalises surfels outside their actor's box.
 struct SurfelLossParams {
     SurfelPointers surfels;    // input
     SurfelPointers d_surfels;  // accumulated: mean, log_scale

@@ -20,12 +20,12 @@ DropNetwork shape_of(const RefineOptions& options);
 /// @throws UsageError if the network is unknown
 int batch_of(const RefineOptions& options);
 
-/// What keeps a network in training from knowing its images by heart. Little helps small
-/// networks, and turning them cost accuracy.
+/// Settings that reduce overfitting. Dropout helps small networks little, and rotating
+/// the images reduced their accuracy.
 struct Regularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
-    /// images are turned about the sensor by random columns; what belongs to its pixels
-    /// stays
+    /// True: images are rotated around the sensor by random columns. Channels of the
+    /// sensor's pixels are not rotated.
     bool turns = false;
 };
 /// Returns the regularisation of a network.

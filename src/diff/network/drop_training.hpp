@@ -23,7 +23,7 @@ public:
     ~DropTraining();
 
     std::size_t batch() const;  ///< images per step
-    /// steps per epoch; the remaining images of an epoch are not used
+    /// steps per epoch; other epochs may use the images that remain
     std::size_t steps_of_epoch() const;
 
     /// Trains on one batch.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The same map with large cells and small ones: scans are placed from coarse to fine.
+// One map at several cell sizes, so that scans are placed from coarse to fine.
 #pragma once
 
 #include <vector>
@@ -13,7 +13,8 @@ class LevelMaps {
 public:
     static constexpr int kLevels = 3;
 
-    /// @param first, last  cells and kernel of the coarsest level and of the finest
+    /// Creates empty maps.
+    /// @param first,last  cell size and kernel scale of the coarsest and the finest level
     LevelMaps(const RegisterRound& first, const RegisterRound& last) : first_(first), last_(last) { clear(); }
 
     void clear() {
@@ -22,7 +23,7 @@ public:
     }
     bool empty() const { return maps_.front().empty(); }
     RegisterRound round(int level) const { return between(first_, last_, level / double(kLevels - 1)); }
-    /// As VoxelPlanes has them, on every level.
+    /// Adds points to the maps of all levels, as VoxelPlanes::add() does.
     void add(const std::vector<glm::dvec3>& points_m, double travelled_m) {
         run_parallel(kLevels, [&](int level) {
             for (const glm::dvec3& point_m : points_m) maps_[std::size_t(level)].add(point_m, travelled_m);
@@ -31,8 +32,9 @@ public:
     void forget(double travelled_m) {
         for (VoxelPlanes& map : maps_) map.forget(travelled_m);
     }
-    /// Of the maps up to a level: what lies far away fills large cells only. Null where
-    /// none has a plane.
+    /// Returns the plane of the finest map, up to a level, that has a plane at a point.
+    /// Sparse distant points form planes only in large cells. Returns null if no map has
+    /// a plane.
     const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
         const Plane* plane = nullptr;
         for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);

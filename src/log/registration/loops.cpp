@@ -14,30 +14,33 @@
 namespace relidar {
 namespace {
 
-constexpr double kKey_m = 4.0;  // between poses that are looked at
-// of the way between two passes: nearer, odometry has seen both on one map
+constexpr double kKey_m = 4.0;  // travelled distance between key poses
+// Minimum path length between two passes. Over shorter paths, odometry has used both
+// passes in one map.
 constexpr double kApart_m = 80.0;
-// how near the passes come: more after a longer way
+// Maximum distance between two passes. It grows with the length of the path.
 constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
-constexpr double kMap_m = 14.0;  // of the earlier pass, to either side
-// starts about the place that the track says
+constexpr double kMap_m = 14.0;  // the map contains this distance of the earlier pass to either side
+// grid of start positions around the position from the track
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-constexpr double kGridPenalty = 0.01;  // share of points that a step of the grid away must bring more
+constexpr double kGridPenalty = 0.01;  // required gain in the share of points per grid step of distance
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-// of a scan's points on planes of the earlier pass: odometry has 0.5 to 0.8
+// Minimum share of a scan's points on planes of the earlier pass. Odometry reaches 0.5 to
+// 0.8.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kFewestPlaces = 2;
-constexpr double kWay_m = 0.01, kWay_rad = 3e-4;      // standard deviations of odometry over kKey_m
-constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;  // and of a place that is found again
-constexpr double kBelieved_m = 0.5;                   // kernel of places that contradict the others
+constexpr double kWay_m = 0.01, kWay_rad = 3e-4;  // standard deviations of odometry over kKey_m
+// standard deviations of a registration to an earlier pass
+constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;
+constexpr double kBelieved_m = 0.5;  // kernel scale for matches that contradict the others
 constexpr int kReweighted = 6;
 
-/// A later pose seen on the map of an earlier one.
+/// Match of a later pose with the map of an earlier pose.
 struct SeenAgain {
-    std::size_t earlier, later;  // keys
-    Twist off;                   // of the later one, if the earlier stays
+    std::size_t earlier, later;  // indices of key poses
+    Twist off;                   // correction of the later pose if the earlier pose is fixed
 };
 
 class Loops {
@@ -76,10 +79,10 @@ private:
     const PoseTrack& track_;
     const std::vector<std::vector<ThinPoint>>& scans_;
     const LoopOptions& options_;
-    std::vector<double> way_m_;      // [poses] driven
-    std::vector<std::size_t> keys_;  // poses that are looked at
+    std::vector<double> way_m_;      // [poses] travelled distance
+    std::vector<std::size_t> keys_;  // indices of the key poses
     std::vector<SeenAgain> places_;
-    LevelMaps maps_;  // about the key of map_of_
+    LevelMaps maps_;  // maps around the key pose map_of_
     std::optional<std::size_t> map_of_;
 
     const Pose& pose(std::size_t key) const { return track_.pose[keys_[key]]; }
@@ -111,7 +114,8 @@ private:
         maps_.add(points_m, 0.0);
     }
 
-    /// Points of a scan in the frame of its pose, each seen from where the sensor was.
+    /// Returns the points of a scan in the frame of its pose, each with the sensor's
+    /// position.
     std::vector<PlacedPoint> points_of(std::size_t key) const {
         const Pose pose_from_world = inverse(pose(key));
         std::vector<PlacedPoint> points;
@@ -134,7 +138,7 @@ private:
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
-    /// The best of a grid of starts about a pose.
+    /// Returns the best of a grid of start poses around a pose.
     Pose best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
@@ -155,7 +159,8 @@ private:
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
-    /// One Gauss-Newton step of a rigid scan. @return its length
+    /// Performs one Gauss-Newton step of a rigid scan.
+    /// @return length of the step
     double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
         const double scale_m = maps_.round(level).scale_m;
         const RigidEquations equations =
@@ -190,7 +195,8 @@ private:
         Pose at = before ? carried(before->off, pose(before->later), pose(later))
                          : best_start(points, pose(later), reach_m);
         double share = settle(points, at);
-        if (before && share < kLeastShare) {  // not as the place before: anew
+        // the correction of the previous match does not fit, so search again
+        if (before && share < kLeastShare) {
             at = best_start(points, pose(later), reach_m);
             share = settle(points, at);
         }
@@ -198,7 +204,7 @@ private:
         return SeenAgain{earlier, later, twist_between(pose(later), at)};
     }
 
-    /// Where a correction at one pose brings another.
+    /// Applies the rigid motion of a correction at one pose to another pose.
     static Pose carried(const Twist& correction, const Pose& at, const Pose& other) {
         const Pose world_from_world = moved(at, correction) * inverse(at);
         return world_from_world * other;
@@ -249,19 +255,19 @@ private:
             equations.add(places_[i].earlier, places_[i].later,
                           between_keys(places_[i].earlier, places_[i].later), places_[i].off,
                           weights(kPlace_m, kPlace_rad, believed[i]));
-        for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // the first pose stays
+        for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // keeps the first pose fixed
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
         h.setFromTriplets(equations.h.begin(), equations.h.end());
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// A key's correction at another pose.
+    /// Returns a key pose's correction, transferred to another pose.
     Vector6 carried_to(std::size_t k, std::size_t key, const Eigen::VectorXd& x) const {
         return carried_by(track_.pose[k].translation - pose(key).translation) *
                x.segment<6>(6 * Eigen::Index(key));
     }
 
-    /// What a place is still off under corrections of all keys.
+    /// Returns the remaining error of a match after the corrections of all key poses.
     double contradiction_m(const SeenAgain& place, const Eigen::VectorXd& x) const {
         const Vector6 moves =
             x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);

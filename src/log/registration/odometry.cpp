@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scan to map: a scan starts where its motion is predicted to bring it, by the given
-// poses and by the velocity of the scan before, and moves as a rigid body in Gauss-Newton
-// steps onto planes of cells of 2 m, then finer. Its points are placed at their own
-// firing times: the pose before is known, the pose after moves along. Of several
-// predictions the one counts on which most points find a plane.
+// Scan-to-map registration. The start pose of a scan is predicted from the given poses
+// and from the velocity of the previous scan. The scan is then moved as a rigid body by
+// Gauss-Newton steps, onto planes of 2 m cells first, then of finer cells. Points are
+// placed at their firing times: the previous pose is known, the next pose moves along. Of
+// several predictions, the one with the most points on planes is used.
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
@@ -22,34 +22,37 @@ namespace relidar {
 namespace {
 
 constexpr int kMostSteps = 8;
-constexpr double kConverged_m = 1e-3;  // length of the last step
-// of the mean stiffness, towards the prediction: decides along what no point sees, such
-// as a bare road
+constexpr double kConverged_m = 1e-3;  // convergence limit on the length of a step
+// Stiffness towards the prediction, relative to the mean stiffness. It determines the
+// directions that no point constrains, such as along a bare road.
 constexpr double kPrior = 3e-4;
-// of a scan's points that lie on planes of the map: streets 0.5 to 0.8
+// Minimum share of a scan's points on planes of the map. Streets have 0.5 to 0.8.
 constexpr double kFewestShare = 0.1;
-// what was last seen so far back is forgotten: odometry must not close loops
+// Cells that were last seen farther back are removed, because odometry must not close
+// loops.
 constexpr double kMemory_m = 80.0;
-// of the way at a time: looking through all cells takes as long as adding a scan
+// Travelled distance between two removals. Visiting all cells takes as long as adding a
+// scan.
 constexpr double kForgotten_m = 5.0;
-constexpr double kSame_m = 0.05;       // predictions nearer to each other lead to the same place
-constexpr int kLostInARow = 5;         // after which the map begins anew
-constexpr std::size_t kStretch = 200;  // poses
-// poses that a stretch and the one before it both have: enough for a map
+constexpr double kSame_m = 0.05;       // predictions closer to each other lead to the same pose
+constexpr int kLostInARow = 5;         // number of consecutive failures after which the map is restarted
+constexpr std::size_t kStretch = 200;  // poses per segment
+// Poses that consecutive segments share: enough to build a map.
 constexpr std::size_t kOverlap = 20;
-constexpr int kTrialScans = 4;  // by which the first motion is chosen
-// between scans: 40 m/s at 10 Hz
+constexpr int kTrialScans = 4;  // number of scans for choosing the initial motion
+// Motion between scans: 4 m is 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-/// The motion from a to b, s times.
+/// Returns the motion from a to b, scaled by s.
 Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
 
-/// Poses that are followed one after the other.
+/// Poses that are registered one after the other.
 struct Stretch {
     std::size_t begin, end;
 };
 
-/// Stretches of a log: the last one may be up to twice as long as the others.
+/// Divides a log into segments. The last segment may be up to twice as long as the
+/// others.
 std::vector<Stretch> stretches_of(std::size_t n_poses) {
     std::vector<Stretch> stretches{{0, n_poses}};
     for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
@@ -72,7 +75,7 @@ public:
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
     }
 
-    /// Poses are followed in their order.
+    /// Registers the next scan. Poses must be passed in order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
             pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
@@ -94,12 +97,12 @@ public:
     }
 
     const PoseTrack& track() const { return track_; }
-    double share() const { return share_; }  ///< of points on planes, summed over scans
+    double share() const { return share_; }  ///< share of points on planes, summed over scans
 
 private:
     struct Candidate {
         Pose pose;
-        double share = 0.0;  // of its points that lie on planes
+        double share = 0.0;  // share of the scan's points on planes
     };
     const PoseTrack& given_;
     PoseTrack track_;
@@ -119,7 +122,7 @@ private:
         maps_.forget(forgotten_m_);
     }
 
-    /// Motion from pose k - 1 to k as the velocity from pose k - 2 to k - 1 has it.
+    /// Returns the motion from pose k - 1 to k at constant velocity.
     Pose kept_motion(std::size_t k) const {
         if (k < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -129,7 +132,7 @@ private:
 
     Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
 
-    /// Where a pose after the first may be, the likeliest first.
+    /// Returns possible poses of a scan, the most likely first.
     std::vector<Pose> predictions(std::size_t k) const {
         const Pose kept = track_.pose[k - 1] * kept_motion(k);
         if (!options_.given_motion) return {kept};
@@ -138,15 +141,15 @@ private:
         return {given, kept};
     }
 
-    /// Sets a pose; the next one moves along, as far as it is known.
+    /// Sets a pose. Moves the next pose along, as predicted.
     void set(std::size_t k, const Pose& pose) {
         track_.pose[k] = pose;
         if (k + 1 < track_.pose.size())
             track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
     }
 
-    /// A scan moved onto the maps. @return where it ends, and the share of its points
-    /// that lie on planes there
+    /// Registers a scan to the maps.
+    /// @return the final pose, and the share of points on planes at this pose
     Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
         set(k, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
@@ -159,6 +162,7 @@ private:
         return {track_.pose[k], share};
     }
 
+    /// Performs one Gauss-Newton step.
     /// @return length of the step
     double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level,
                 double scale_m, double& share) {
@@ -181,8 +185,8 @@ private:
     }
 };
 
-/// How the sensor moved from a stretch's first pose to the second, where nothing says so:
-/// the speed ahead on which the first scans agree best.
+/// Finds the motion from a segment's first pose to the second if no pose is given: the
+/// forward speed for which the first scans fit best.
 Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options, const Stretch& stretch) {
     Pose best;
@@ -200,8 +204,9 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
     return best;
 }
 
-/// @param proceed asked before each scan @return poses of the stretch, the first as
-/// given; nothing where ended
+/// Registers the scans of a segment.
+/// @param proceed  called before each scan; false ends the registration
+/// @return poses of the segment, the first as given; empty if ended
 std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                            const OdometryOptions& options, const Stretch& stretch,
                            const std::function<bool()>& proceed) {
@@ -217,10 +222,10 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
     return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
 }
 
-/// Puts each stretch where the one before it has seen the last scan that both have.
+/// Aligns each segment with its predecessor at the last scan that both contain.
 std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
                           const std::vector<std::vector<ThinPoint>>& scans) {
-    auto own = poses.begin();  // of the first pose of a stretch, by that stretch
+    auto own = poses.begin();  // first pose of the current segment in `poses`
     std::vector<Pose> track(own, own + std::ptrdiff_t(stretches.front().end));
     for (std::size_t i = 1; i < stretches.size(); ++i) {
         own += std::ptrdiff_t(stretches[i - 1].end - stretches[i - 1].begin);

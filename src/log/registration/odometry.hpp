@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses found scan by scan, each on the map of the scans before it: where given poses
-// drift or jump, or where there are none. A long log is followed in stretches, which
-// threads and processes do at the same time; a stretch begins some scans before the one
-// before it ends, and is put where that one has seen the last of these.
+// LiDAR odometry: registers each scan to the map of the scans before it. Used if the
+// given poses drift, jump or are missing. A long log is divided into segments, which
+// threads and processes register concurrently. Consecutive segments overlap by some
+// scans. Each segment is aligned with its predecessor at the last common scan.
 #pragma once
 
 #include <functional>
@@ -16,19 +16,19 @@
 namespace relidar {
 
 struct OdometryOptions {
-    RegisterRound first, last;  ///< cells and kernels of a scan's steps, from coarse to fine
-    /// the given poses say how the sensor moved from scan to scan; false: it keeps its
-    /// velocity
+    RegisterRound first, last;  ///< cell size and kernel scale of a scan's steps, from coarse to fine
+    /// True: the given poses predict the motion between scans. False: constant velocity.
     bool given_motion = true;
-    /// called now and then, from the calling thread; false ends it
+    /// Called regularly from the calling thread; if it returns false, odometry ends.
     std::function<bool(double done)> proceed;
     ProcessGroup group = {};
 };
 
-/// Scans that do not find their place move as predicted. @param scans  [poses] points of
-/// each scan; empty where a pose has none of its own
-/// @return the same in all processes; starts where the given poses start; the given poses
-/// where proceed() ended it
+/// Registers all scans in order. A scan that cannot be registered keeps its predicted
+/// pose.
+/// @param scans  [poses] points of each scan; empty for poses without points
+/// @return the same track in all processes. It starts at the first given pose. If
+/// proceed() returned false, the given poses.
 PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options);
 

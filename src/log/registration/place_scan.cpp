@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One scan onto a scene that stays: each point towards the surface along its own ray, so
-// that nothing has to be searched for.
+// Registers one scan to a fixed scene. Each point moves towards the surface along its
+// ray, so no nearest-neighbour search is needed.
 #include <relidar/log/registration.hpp>
 
 #include "base/parallel.hpp"
@@ -10,13 +10,14 @@
 namespace relidar {
 namespace {
 
-constexpr double kThin_m = 0.1;        // nearly all returns: what is fitted is one pose
-constexpr double kScale_m = 0.05;      // of the kernel: registration has brought scans nearer than that
-constexpr double kPlacePrior = 1e-4;   // of the mean stiffness, towards where the scan was
-constexpr double kPlaceStep_m = 2e-4;  // length of the last step
+constexpr double kThin_m = 0.1;    // keeps nearly all returns, because only one pose is fitted
+constexpr double kScale_m = 0.05;  // kernel scale; earlier registration is more accurate than that
+// stiffness towards the initial pose, relative to the mean stiffness
+constexpr double kPlacePrior = 1e-4;
+constexpr double kPlaceStep_m = 2e-4;  // convergence limit on the length of a step
 constexpr int kMostPlaceSteps = 8;
 
-/// Rays of one frame that are looked at, and their returns.
+/// Selected rays of one frame and their returns.
 struct FrameRays {
     int position;
     std::vector<std::size_t> rays;

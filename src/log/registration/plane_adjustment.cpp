@@ -11,15 +11,17 @@
 namespace relidar {
 namespace {
 
-constexpr int kChunks = 64;  // sums are added up in this many parts, whatever the number of threads
-constexpr int kShrinking = 8, kLastRounds = 2;  // rounds
-constexpr double kShift = 0.37;                 // of a cell from round to round
-// of the mean stiffness of poses, towards no correction: decides only what no point sees
+constexpr int kChunks = 64;  // sums are split into this many parts, whatever the number of threads
+constexpr int kShrinking = 8, kLastRounds = 2;  // numbers of rounds
+constexpr double kShift = 0.37;                 // offset of the grid from round to round, in cells
+// Stiffness towards zero correction, relative to the mean stiffness of the poses. It
+// determines only the directions that no point constrains.
 constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
-constexpr double kFewestOnPlanes = 0.05;  // of its points: streets 0.3 to 0.7, ranges at random 0.003
+// share of a scan's points; streets have 0.3 to 0.7, random ranges have 0.003
+constexpr double kFewestOnPlanes = 0.05;
 
-/// task(begin, end, chunk) over [0, n) in kChunks parts.
+/// Calls task(begin, end, chunk) for kChunks parts of [0, n).
 template <class Task>
 void in_chunks(std::size_t n, const Task& task) {
     const std::size_t size = n / kChunks + 1;
@@ -51,7 +53,7 @@ Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
     return result;
 }
 
-/// The planes of all cells that points of two sweeps or more lie in.
+/// Fits planes to all cells with points of two or more sweeps.
 std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
                                              const std::vector<PlacedPoint>& placed,
                                              const RegisterRound& round) {
@@ -122,7 +124,8 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
 
 void PlaneAdjustment::remove_common_motion() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    for (int i = 0; i < 3; ++i) {  // a mean of rotation vectors is not quite one of rotations
+    // iterates, because the mean of rotation vectors only approximates the mean rotation
+    for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             if (!gauge_[k]) continue;
@@ -157,7 +160,7 @@ void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known)
     for (std::size_t k = 0; k < is_known.size(); ++k) {
         if (is_known[k]) continue;
         auto [before, after] = neighbours_of(k, is_known);
-        if (before == k && after == k) continue;  // none at all
+        if (before == k && after == k) continue;  // no known pose exists
         if (before == k) before = after;
         if (after == k) after = before;
         const double s = before == after ? 0.0 : share_of_time(before, k, after);
@@ -190,7 +193,7 @@ double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& 
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), share_of_time(before, pose, after));
-    // given poses that jump have one neighbour that jumps along
+    // If given poses jump, one of the two neighbours jumps in the same way.
     double least = glm::distance(correction(pose), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose), correction(neighbour)));

@@ -15,17 +15,20 @@ namespace {
 
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
-// of the cell's edge: standard deviation along the narrower axis; 0.29 fills the cell
+// Minimum standard deviation along the narrower axis, relative to the cell's edge. A
+// filled cell has 0.29.
 constexpr double kSpread = 0.12;
-// of the scale: one ring seen from many wrong poses is a ribbon that wide, and no surface
+// Minimum standard deviation relative to the kernel scale. One ring seen from many wrong
+// poses forms a ribbon of this width, which is not a surface.
 constexpr double kSpreadScale = 0.8;
-constexpr double kInliers = 0.7;  // of the points must lie within the scale
+constexpr double kInliers = 0.7;  // minimum share of the points that must lie within the scale
 
 glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) {
     return {axes(0, column), axes(1, column), axes(2, column)};
 }
 
-/// One weighted fit. @return eigenvalues of the weighted covariance, ascending
+/// Fits a plane once with the given weights.
+/// @return eigenvalues of the weighted covariance, ascending
 glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
                     const std::vector<double>& weight, Plane& plane) {
     double sum = 0.0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Planes of the world, one a cell of a grid, fitted to the points of all scans at their
-// present poses.
+// Planes in the world frame, one per grid cell, fitted to the points of all scans at
+// their current poses.
 #pragma once
 
 #include <cmath>
@@ -14,39 +14,42 @@
 
 namespace relidar {
 
-/// Cells and kernel of a round between two others: t = 0 is the first, 1 the last,
-/// geometrically.
+/// Interpolates cell size and kernel scale between two rounds geometrically. t = 0 is the
+/// first round, 1 the last.
 inline RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
     return {first.cell_m * std::pow(last.cell_m / first.cell_m, t),
             first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
 }
 
-/// n . (p - point) = 0, with the two directions within it.
+/// A plane n . (p - point) = 0, with two directions u and v within the plane.
 struct Plane {
-    glm::dvec3 point_m{0.0};  ///< weighted mean of its points
+    glm::dvec3 point_m{0.0};  ///< weighted mean of the points
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
 };
 
-/// rho'(r) / 2r of rho(r) = r^2 / (1 + r^2 / s^2) (Geman and McClure 1985)
+/// Returns the weight rho'(r) / 2r of rho(r) = r^2 / (1 + r^2 / s^2) (Geman and McClure
+/// 1985).
 double weight_of(double residual_m, double scale_m);
 
-/// Least squares with the robust weights, iterated. Nothing where the points do not
-/// spread over a surface of the cell, or too many lie off it.
+/// Fits a plane by iterated least squares with robust weights. Returns nothing if the
+/// points do not cover a surface of the cell, or if too many points lie off the plane.
 std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
                                double cell_m, double scale_m);
 
-/// The grid at one round.
+/// Points sorted into the cells of a grid.
 class PlaneCells {
 public:
-    /// @param shift of the grid in cells: other shifts cut surfaces elsewhere
+    /// Sorts points into cells.
+    /// @param shift  offset of the grid in cells; different offsets cut surfaces at
+    /// different places
     PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift);
 
     std::size_t size() const { return first_.size() - 1; }
-    /// Points of a cell, ascending.
+    /// Returns the indices of the points of a cell, ascending.
     std::span<const std::uint32_t> members(std::size_t cell) const {
         return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
     }
-    /// The cell that a point lies in, if any point of the grid does.
+    /// Returns the cell that contains a point, or nothing if the cell has no points.
     std::optional<std::size_t> find(const glm::dvec3& point_m) const;
 
 private:

@@ -16,19 +16,22 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostIterations = 100;  // 20 to 30 are usual, however long the log
-// of the sums over planes, whatever the number of threads: most, fewest
+constexpr int kMostIterations = 100;  // 20 to 30 iterations are usual, whatever the length of the log
+// Maximum number of parts and minimum size of a part of the sums over planes. The parts
+// do not depend on the number of threads.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
-constexpr double kTolerance = 1e-4;  // of the residual's norm: the next round corrects what is left
+// on the residual's norm; the next round corrects the remaining error
+constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
-/// The poses that a point moves with, and how much.
+/// Returns the two poses that a point moves with, and their weights.
 std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
-/// Of a point's residual, by offset and tilts of its plane.
+/// Returns the derivative of a point's residual with respect to the offset and the tilts
+/// of its plane.
 Eigen::Vector3d row_of_plane(const PlacedPoint& point, const Plane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
@@ -62,7 +65,7 @@ Twist RigidEquations::solve(double prior, const Twist& correction) const {
     Vector6 gradient = gradient_;
     const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(),
                             prior * stiffness_.diagonal().tail<3>().mean()};
-    for (int i = 0; i < 6; ++i) {  // metres and radians have stiffnesses of their own
+    for (int i = 0; i < 6; ++i) {  // metres and radians have separate stiffnesses
         stiffness(i, i) += pulls[i / 3];
         gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
     }
@@ -102,15 +105,16 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
 void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                              std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
     const std::size_t begin = couplings_.size();
-    // members ascend, and so do, almost, their poses
+    // Searches from the end, because members are sorted and their poses are almost
+    // sorted.
     const auto coupling = [&](std::size_t pose) -> Coupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(
             Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // of the plane's own unknowns, with the weights that its points have now: with those
-    // of its fit H would not be positive
+    // Stiffness and gradient of the plane's unknowns, with the current weights of its
+    // points. With the weights of the plane fit, H would not be positive.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : members) {
@@ -149,7 +153,7 @@ void PoseEquations::add(PoseEquations&& other) {
     n_planes_ += other.n_planes_;
     cost_ += other.cost_;
     weight_ += other.weight_;
-    other = PoseEquations(0);  // gives its memory back
+    other = PoseEquations(0);  // releases its memory
 }
 
 Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
@@ -186,8 +190,8 @@ Vector6 PoseEquations::pull_of(double prior) const {
     return prior * mean;
 }
 
-/// The equations among rigid motions of groups of poses: twists about the first pose of
-/// each, that carry the others along.
+/// The equations restricted to rigid motions of groups of poses. A twist about the first
+/// pose of a group moves all poses of the group.
 class GroupMotions {
 public:
     GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -208,7 +212,7 @@ public:
         factorise();
     }
 
-    /// Adds the groups' motions that answer a residual.
+    /// Adds the group motions that solve for a residual.
     void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
@@ -224,7 +228,7 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    std::vector<Matrix6> carry_;  // [poses] what its group's twist is at a pose
+    std::vector<Matrix6> carry_;  // [poses] converts the group's twist to a pose's twist
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gauss-Newton equations of all poses of a track, planes eliminated. A point at fraction
-// s between poses l and l + 1 moves by
-//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o where the vehicle was,
-// so its residual n . (p - point) - b . (offset, tilts) has the row a_k j, j = (n, (p -
-// o) x n). The Schur complement of the three unknowns of a plane with couplings C,
-// stiffness B and gradient h is
-//   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h,
-// positive where B is of the same weights w.
+// Gauss-Newton equations of all poses of a track, with the planes eliminated. A point at
+// fraction s between poses l and l + 1 moves by
+//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o the position of the vehicle.
+// Its residual n . (p - point) - b . (offset, tilts) has the row a_k j with j = (n, (p -
+// o) x n). The Schur complement of a plane's three unknowns, with couplings C, stiffness
+// B and gradient h, is
+//   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h.
+// H is positive if B uses the same weights w.
 #pragma once
 
 #include <cstdint>
@@ -23,7 +23,7 @@ namespace relidar {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-/// What a residual of a point is made of.
+/// Residual of a point, its weight and its derivative.
 struct Row {
     double residual_m, weight;
     Vector6 j;
@@ -31,18 +31,21 @@ struct Row {
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
 
-/// Gauss-Newton equations of one pose while all else stays, and how many points lie on
-/// their planes.
+/// Gauss-Newton equations of a single pose while all other poses are fixed. Also counts
+/// the points that lie on their planes.
 class RigidEquations {
 public:
-    /// @param share  of the pose's motion that the point takes part in
+    /// Adds the residual of a point.
+    /// @param share  share of the pose's motion that applies to the point
     void add(const Row& row, double share = 1.0);
     RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t n_on_planes() const { return n_on_planes_; }
-    /// @param prior  share of the mean stiffness, of translations and of rotations, that
-    /// pulls the pose back: decides what no point sees
-    /// @param correction  what it is pulled back by
+    /// Solves for the step of the pose.
+    /// @param prior  stiffness that pulls the pose back, relative to the mean stiffness
+    /// of translations and of rotations. It determines the directions that no point
+    /// constrains.
+    /// @param correction  current correction, which the prior pulls to zero
     Twist solve(double prior, const Twist& correction = {}) const;
 
 private:
@@ -51,37 +54,39 @@ private:
     std::size_t n_on_planes_ = 0;
 };
 
-/// How far a step moves points that lie some ten metres away.
+/// Returns the displacement that a step causes for points about ten metres away.
 double length_m(const Twist& step);
 
-/// What a twist about one place is about another, at d from it, that it carries along: v
-/// + w x d, w.
+/// Returns the matrix that converts a twist about one point to the twist of the same
+/// rigid motion about a point at offset d: v + w x d, w.
 Matrix6 carried_by(const glm::dvec3& d);
 
-/// Sums over some cells. Added up in their order they are the same on any number of
-/// threads.
+/// Sums of the equations over some cells. They are added in order, so that the result
+/// does not depend on the number of threads.
 class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_point(const ThinPoint& point, const Row& row);
-    /// Points of a cell on its plane.
+    /// Adds the points of a cell and its plane.
     void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                   std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
 
-    /// Step of all poses, [n_poses,6], by conjugate gradients. Preconditioner: the
-    /// diagonal blocks, and rigid motions of eight poses at a time, solved directly,
-    /// without which the number of iterations would grow with the length of the log.
-    /// @param track  of the poses @param prior added to the diagonal, as a share of its
-    /// mean; pulls `correction` to zero
+    /// Computes the step of all poses, [n_poses,6], by conjugate gradients. The
+    /// preconditioner combines the diagonal blocks with a direct solution for rigid
+    /// motions of groups of eight poses. Without these groups the number of iterations
+    /// would grow with the length of the log.
+    /// @param track  current poses
+    /// @param prior  added to the diagonal, relative to its mean; pulls `correction` to
+    /// zero
     Eigen::VectorXd solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const;
 
     std::size_t n_planes() const { return n_planes_; }
     double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// C L^-T of one plane and one pose, B = L L^T.
+    /// C L^-T of one plane and one pose, where B = L L^T.
     struct Coupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
@@ -94,7 +99,7 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd times(const Eigen::VectorXd& x) const;
-    /// Diagonal of what pulls a correction to zero, [6].
+    /// Returns the diagonal [6] of the prior, which pulls a correction to zero.
     Vector6 pull_of(double prior) const;
     friend class GroupMotions;
 };

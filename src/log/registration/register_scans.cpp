@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration of the sensor's poses: training scans together, then every held-out scan
-// on what they found.
+// Registers the sensor's poses: first all training scans together, then each held-out
+// scan to the resulting planes.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -18,15 +18,16 @@
 namespace relidar {
 namespace {
 
-// 12 thousand points of a 64-beam scan, and nearly all
+// Cell size for thinning: 12 thousand points of a 64-beam scan, or nearly all points.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-constexpr double kScansOnACell = 24.0;     // fewer: more points of each, since a plane takes eight
-constexpr RegisterRound kLast{0.5, 0.05};  // cells and kernel of the last rounds
-// of a scan that is followed: a map of running sums is coarser
+// with fewer scans, more points of each are used, because a plane needs eight points
+constexpr double kScansOnACell = 24.0;
+constexpr RegisterRound kLast{0.5, 0.05};  // cell size and kernel scale of the last rounds
+// Last round of odometry. Its map of running sums is coarser.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
-constexpr int kLevels = 5, kStepsALevel = 3;  // of held-out scans
+constexpr int kLevels = 5, kStepsALevel = 3;  // for held-out scans
 
-/// Edge of the cells of which one point is kept.
+/// Returns the edge of the cells in which one point is kept.
 double thinning_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
@@ -37,9 +38,9 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
     return points;
 }
 
-/// Coarse to fine like the training scans, but on planes that know nothing of them.
-/// @param scans [sweeps] points of those that are held out; empty for others @return
-/// those that did not find their place
+/// Registers held-out scans from coarse to fine, to planes that do not include them.
+/// @param scans  [sweeps] points of held-out sweeps; empty for others
+/// @return sweeps that could not be registered
 std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
                                         const std::vector<bool>& is_train,
                                         const std::vector<std::vector<ThinPoint>>& scans,
@@ -65,7 +66,7 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
     return lost;
 }
 
-/// [sweeps] those of which a frame is among some.
+/// Returns, for each sweep, whether one of its frames is in `positions`.
 std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions, std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : positions) among[std::size_t(position)] = true;
@@ -75,7 +76,7 @@ std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions
     return is;
 }
 
-/// [sweeps] the middle one of some.
+/// Returns a mask [sweeps] with only the middle one of the marked sweeps.
 std::vector<bool> middle_of(const std::vector<bool>& some) {
     std::vector<bool> is(some.size(), false);
     auto to_go = std::ranges::count(some, true) / 2;
@@ -84,7 +85,8 @@ std::vector<bool> middle_of(const std::vector<bool>& some) {
     return is;
 }
 
-/// @param among [sweeps] those that count
+/// Returns the median share of points on planes.
+/// @param among  [sweeps] sweeps that count
 double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                     const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {
     std::vector<double> all(scans.size()), shares;

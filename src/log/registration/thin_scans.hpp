@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The points that registration looks at: a few thousand a scan, evenly over the surfaces,
-// none of a moving box.
+// Points that registration uses: a few thousand per scan, evenly distributed over the
+// surfaces, without points in moving boxes.
 #pragma once
 
 #include <cstdint>
@@ -10,49 +10,52 @@
 
 namespace relidar {
 
-/// What is registered: a sweep for each time at which the LiDAR with the most returns
-/// sweeps, with what others saw at the same times. LiDARs that sweep at other times ride
-/// along.
+/// Sweeps that registration uses: one for each sweep time of the LiDAR with the most
+/// returns, with the frames of other LiDARs at the same times. LiDARs that sweep at other
+/// times are not registered themselves.
 struct Sweeps {
-    PoseTrack track;                       ///< [sweeps] the vehicle as given
-    std::vector<std::size_t> pose;         ///< [sweeps] of Sequence::world_from_vehicle, ascending
-    std::vector<std::vector<int>> frames;  ///< [sweeps] positions in Sequence::frames
+    PoseTrack track;                       ///< [sweeps] given poses of the vehicle
+    std::vector<std::size_t> pose;         ///< [sweeps] index in Sequence::world_from_vehicle, ascending
+    std::vector<std::vector<int>> frames;  ///< [sweeps] indices in Sequence::frames
 };
 Sweeps sweeps_of(const Sequence& sequence);
-/// All poses of a log from those of its sweeps: what lies between two sweeps is corrected
-/// by what lies between their corrections.
+/// Computes all poses of a log from the poses of its sweeps. Poses between two sweeps get
+/// the interpolated correction.
 PoseTrack ride_along(const PoseTrack& given, const Sweeps& sweeps, const PoseTrack& found);
 
-/// A return and between which poses of the track it was fired.
+/// A return, and the two poses of the track between which it was fired.
 struct ThinPoint {
-    glm::vec3 point_m;  ///< vehicle frame at its firing
-    float s = 0.0f;     ///< share of pose left + 1
+    glm::vec3 point_m;  ///< in the vehicle frame at its firing time
+    float s = 0.0f;     ///< weight of pose left + 1
     std::uint32_t left = 0;
-    std::uint32_t pose = 0;  ///< whose sweep it belongs to
+    std::uint32_t pose = 0;  ///< pose of the sweep that contains the point
 };
 
-/// Points of which the equations are summed by one thread.
+/// Number of points whose equations one thread sums.
 inline constexpr std::size_t kPointsOfPart = 512;
 
-/// Where a point lies, and the vehicle when it was fired.
+/// Position of a point, and of the vehicle when the point was fired.
 struct PlacedPoint {
     glm::dvec3 point_m, vehicle_m;
 };
 PlacedPoint place(const PoseTrack& track, const ThinPoint& point);
-/// How far a point moves along with a pose of the track: 1 for all of it.
+/// Returns the share of a pose's motion that applies to a point, from 0 to 1.
 double share_of(const ThinPoint& point, std::size_t pose);
 
-/// Rays of a frame's returns, at most one a cell of edge cell_m in the sensor's frame,
-/// none of a mover. @return in the order of the scan
+/// Selects rays of a frame that have a return, at most one per cell of edge cell_m in the
+/// sensor's frame. Excludes moving objects.
+/// @return ray indices in the order of the scan
 std::vector<std::size_t> thin_rays(const Sequence& sequence, int position, const RegisterOptions& options,
                                    double cell_m);
-/// A return of a frame, its beam's offset taken off. @param track  that it is placed by
-/// @param pose  of the track, of the frame's sweep
+/// Returns the point of a ray, with the range offset of its beam removed.
+/// @param track  track that defines the point's position between poses
+/// @param pose  index in the track of the frame's sweep
 ThinPoint point_of(const Sequence& sequence, const PoseTrack& track, std::size_t pose, int position,
                    std::size_t ray);
-/// At most one point a cell of edge cell_m in each scan's sensor frame. @param chosen
-/// [sweeps] @return [sweeps] frame by frame, in the order of the scan; none of sweeps
-/// that are not chosen
+/// Selects at most one point per cell of edge cell_m in each scan's sensor frame.
+/// @param chosen  [sweeps] sweeps to read
+/// @return [sweeps] points frame by frame, in the order of the scan; empty for other
+/// sweeps
 std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const Sweeps& sweeps,
                                                const std::vector<bool>& chosen,
                                                const RegisterOptions& options, double cell_m);

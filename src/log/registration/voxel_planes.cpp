@@ -9,11 +9,12 @@ namespace relidar {
 namespace {
 
 constexpr double kFewestOfVoxel = 6;
-// of the cell's edge: least standard deviation along the narrower axis; 0.29 fills the
-// cell
+// Minimum standard deviation along the narrower axis, relative to the cell's edge. A
+// filled cell has 0.29.
 constexpr double kVoxelSpread = 0.12;
-constexpr double kThickness = 0.1;  // of the cell's edge: largest standard deviation along the normal
-/// One of a few, by the cell: threads seldom fit planes at the same time.
+// largest standard deviation along the normal, relative to the cell's edge
+constexpr double kThickness = 0.1;
+/// Returns one of 64 mutexes for a cell. Threads rarely fit planes at the same time.
 std::mutex& mutex_of(const void* cell) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell) / 64 % mutexes.size()];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A map that grows scan by scan: per cell of a grid the sums from which the plane of its
-// points follows, so that a scan is added, and a point asked for, in constant time.
+// A map that grows with every scan. Each cell of a grid holds sums that determine the
+// plane of its points. So adding a point and finding a plane take constant time.
 #pragma once
 
 #include <atomic>
@@ -17,23 +17,27 @@ public:
     explicit VoxelPlanes(double cell_m) : cell_m_(cell_m) {}
 
     bool empty() const { return cells_.empty(); }
-    /// @param travelled_m  how far the sensor had come when the point was seen
+    /// Adds a point.
+    /// @param travelled_m  distance that the sensor had travelled when the point was
+    /// measured
     void add(const glm::dvec3& point_m, double travelled_m);
-    /// The plane of the cell that a point lies in; null where its points spread over no
-    /// surface, or are too thick for one. Several threads may ask at a time.
+    /// Returns the plane of the cell that contains a point. Returns null if the cell's
+    /// points do not cover a surface or scatter too much across it. Can be called from
+    /// several threads.
     const Plane* at(const glm::dvec3& point_m) const;
-    /// Drops cells that were last seen before the sensor had come so far.
+    /// Removes cells whose last point was added at a smaller travelled distance.
     void forget(double travelled_m);
 
 private:
     struct Cell {
-        PlaneSums sums;  ///< from the centre of the cell
+        PlaneSums sums;  ///< relative to the centre of the cell
         double travelled_m = 0.0;
-        mutable std::atomic<double> n_fitted = 0.0;  ///< points in `plane`, which is written before
+        /// number of points when `plane` was fitted; written after `plane`
+        mutable std::atomic<double> n_fitted = 0.0;
         mutable std::optional<Plane> plane;
 
         bool is_outgrown() const {
-            constexpr double kRefit = 1.1;  // growth after which a plane is fitted anew
+            constexpr double kRefit = 1.1;  // growth after which a plane is fitted again
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
         }
     };

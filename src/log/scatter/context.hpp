@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tree is asked about a ray: what is rendered there and around it, and how what
-// was measured or drawn before it, along its beam and by the beams above, lies about what
-// is rendered there. Private to scatter.
+// Features of a ray for the decision tree: the rendered values at the ray and around it,
+// and the residuals of rays before it, along its beam and in the beams above. A residual
+// is a measured or drawn intensity minus the rendered intensity. Private to scatter.
 #pragma once
 
 #include <algorithm>
@@ -15,19 +15,19 @@
 
 namespace relidar::scatter_detail {
 
-/// Another ray, from where the ray of interest is. Up is negative.
+/// Offset to another ray. Rows above have negative offsets.
 struct Step {
     int rows, columns;
 };
-/// Rays from one to another, both included.
+/// Rectangle of rays, both corners included.
 struct Window {
     Step first, last;
 };
 
 constexpr std::array<Step, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
 constexpr std::array<Window, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
-/// All of them before the ray of interest. Lasers of one unit fire by turns: the second
-/// along a beam, or above, is like it more than the first.
+/// Offsets of earlier rays whose residuals are features. Lasers of one unit fire
+/// alternately, so the second ray along a beam, or above, is more similar than the first.
 constexpr std::array<Step, 7> kResiduals{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
 constexpr std::array<Step, 10> kLevels{
     {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
@@ -35,7 +35,7 @@ constexpr std::array<Window, 5> kMeans{
     {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
 constexpr std::array<Window, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
 
-/// Columns ahead of the ray of interest at which something above it is asked for.
+/// Largest column offset, relative to the ray, of a feature in the rows above.
 constexpr int kAhead = 3;
 static_assert(std::ranges::all_of(kMeans, [](const Window& w) {
     return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
@@ -53,11 +53,12 @@ constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() +
                                   kLevels.size() + kMeans.size() + kSizes.size();
 using Features = std::array<float, kFeatures>;
 
-/// Asks for a scan of which some intensities are known already.
+/// Computes features of a scan whose intensities are partly known.
 class Context {
 public:
-    /// @param known [rows*columns] kNoIntensity where nothing came back; it may be filled
-    /// in between calls
+    /// Keeps references to the scan.
+    /// @param known  [rows*columns] intensities, kNoIntensity if unknown; may be filled
+    /// between calls
     Context(const RenderedIntensities& rendered, std::span<const float> known)
         : scan_(rendered), known_(known) {}
 
@@ -67,14 +68,13 @@ public:
         return result;
     }
 
-    /// One of them alone: whoever goes down a tree asks for few. Their order is that of
-    /// the lists above.
+    /// Returns a single feature, because a walk down the tree needs only a few. The order
+    /// is that of the lists above.
     float feature(std::size_t k, int row, int column) const {
         const auto at = [&](Step s) {
             return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
         };
-        // nothing is known before the first column, so that rows can be drawn one behind
-        // the other
+        // Columns do not wrap around here, so that rows can be drawn one after the other.
         const auto level = [&](Step s) {
             return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_[at(s)];
         };
@@ -86,7 +86,8 @@ public:
             const float r = residual(s);
             return r == kNoIntensity ? r : std::abs(r);
         };
-        /// Whether it is one of the next ones; else k counts from behind them.
+        /// Returns true if k is in the next group of n features. Otherwise subtracts n
+        /// from k.
         const auto is_of = [&](std::size_t n) { return k < n || (k -= n, false); };
         if (is_of(kOwn)) return own(k, index(row, column));
         if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
@@ -105,7 +106,7 @@ private:
 
     std::size_t index(int row, int column) const {
         const int columns = scan_.columns;
-        // few are, and divisions are slow
+        // The test avoids two divisions, which are slow and rarely needed.
         if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
         return std::size_t(row) * std::size_t(columns) + std::size_t(column);
     }
@@ -114,13 +115,13 @@ private:
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
         return (*values[k])[i];
     }
-    /// How much farther away another ray's surface is, as the logarithm of their ratio.
+    /// Returns the logarithm of the ratio of another ray's range to this ray's range.
     float steepness(std::size_t other, std::size_t i) const {
         return scan_.range_m[other] > 0.0f && scan_.range_m[i] > 0.0f
                    ? std::log(scan_.range_m[other] / scan_.range_m[i])
                    : kNoIntensity;
     }
-    /// Of what is there; kNoIntensity where nothing is.
+    /// Returns the mean of the known values, or kNoIntensity if none is known.
     template <class Value>
     static float mean(const Window& window, const Value& value) {
         float sum = 0.0f;

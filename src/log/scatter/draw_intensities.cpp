@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each ray goes down the tree and takes one of the intensities of its leaf. It asks what
-// was drawn before it, along its beam and above. Rows are drawn at the same time, each so
-// far behind the one above that all is there: the result is that of one row after the
-// other.
+// Draws an intensity for each ray: walks down the tree and picks a random value of its
+// leaf. The features use intensities that were drawn before, along the beam and above.
+// Rows are drawn concurrently. Each row stays so far behind the row above that all needed
+// values exist. The result is the same as for sequential rows.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>
@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kColumnsTogether = 64;  // between two looks at the row above
+constexpr int kColumnsTogether = 64;  // columns between two checks of the row above
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,
                                       int row, int column) {
@@ -38,7 +38,7 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
     RELIDAR_ASSERT_EQ(returns.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(returns.size(), kNoIntensity);
     const scatter_detail::Context context(rendered, drawn);
-    // of each row so far
+    // Number of drawn columns of each row.
     std::vector<std::atomic<int>> drawn_columns(static_cast<std::size_t>(rendered.rows));
     run_parallel(rendered.rows, [&](int row) {
         for (int first = 0; first < rendered.columns; first += kColumnsTogether) {

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree is grown from all returns, layer by layer. A node is parted at the feature and
-// value that lower the entropy of its classes most,
-//   gain = sum n_c ln(n_c / n) of both children - that of the node,   c a class of 24 quantiles of all intensities,
-// as long as that is more than chance gives.
+// Grows the decision tree from all returns, layer by layer. Splits a node at the feature
+// and value that reduce the entropy of its classes most. The classes c are 24 quantiles
+// of all intensities.
+//   gain = sum n_c ln(n_c / n) of both children - the same sum of the node
+// A node is split only if the gain exceeds the gain expected by chance.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -27,27 +28,26 @@ using scatter_detail::kFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// twice it is chi-square with 23 degrees of freedom: one in 100 by chance, of the best of
-// all cuts
+// Minimum gain. Twice the gain follows a chi-square distribution with 23 degrees of
+// freedom. For the best of all cuts the limit is exceeded by chance in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
-constexpr std::size_t kQuantileReturns = 100000;  // that quantiles are taken from
+constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// What is known of a return.
+/// Features, class and intensity of a return.
 struct Return {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
     float value;
 };
 
-/// Those of a node lie side by side, so that whoever counts them reads memory in its
-/// order.
+/// Returns in the order of the nodes, so that counting a node reads memory sequentially.
 struct Returns {
     std::vector<Return> all;
-    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins but the last
+    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper bounds of all bins except the last
 };
 
-/// Where a sorted list is parted into n parts; none twice.
+/// Returns the values that divide a list into n parts, without duplicates.
 std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
     sort_parallel(values, std::less<>());
     std::vector<float> cuts;
@@ -60,7 +60,7 @@ std::uint8_t bin(const std::vector<float>& cuts, float value) {
     return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
 }
 
-/// A return of the images.
+/// Position of a return in the images.
 struct ReturnPlace {
     std::uint32_t image, ray;
 };
@@ -69,8 +69,8 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns on rendered surfaces; about `most` of them, chosen by chance, where there are
-/// more.
+/// Returns the returns on rendered surfaces. If there are more than `most`, draws about
+/// `most` of them at random.
 std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
@@ -115,7 +115,7 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
     return result;
 }
 
-/// k ln k of whole numbers.
+/// Table of k ln k for integers.
 class Terms {
 public:
     explicit Terms(std::size_t most) : of_(most + 1, 0.0) {
@@ -127,7 +127,7 @@ private:
     std::vector<double> of_;
 };
 
-/// Returns counted by class.
+/// Number of returns per class.
 struct Counts {
     std::array<std::uint32_t, kClasses> of{};
 
@@ -140,7 +140,7 @@ struct Counts {
         for (std::size_t c = 0; c < kClasses; ++c) rest.of[c] -= other.of[c];
         return rest;
     }
-    /// Sum of n_c ln(n_c / n).
+    /// Returns the sum of n_c ln(n_c / n).
     double order(const Terms& terms) const {
         double sum = -terms(n());
         for (const std::uint32_t k : of) sum += terms(k);
@@ -148,17 +148,17 @@ struct Counts {
     }
 };
 
-/// Where a node is parted: up to the end of a bin of a feature.
+/// Split of a node: a feature, and the last bin of the first child.
 struct Cut {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
 };
 
-constexpr std::size_t kTogether = 4;  // features whose counts stay in the first cache
+constexpr std::size_t kTogether = 4;  // number of features whose counts fit into the first-level cache
 using Bins = std::array<Counts, kBins>;
 
-/// The best cut of a feature, by the counts of its bins.
+/// Returns the best cut of a feature from the counts of its bins.
 Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
     Counts all, low;
@@ -168,7 +168,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
-        if (of_bin == 0) continue;  // as good as the cut before
+        if (of_bin == 0) continue;  // an empty bin gives the same split as the bin before
         low.add(counts[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
@@ -178,7 +178,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     return best;
 }
 
-/// The best cut of a few features from `first` on.
+/// Returns the best cut of a few features from `first` on.
 Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first,
                      const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
@@ -193,8 +193,8 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
     return best;
 }
 
-/// The best cut of a node; of equal ones that of the first feature. @param each  runs a
-/// task for 0, 1, ... below a number
+/// Returns the best cut of a node. Of equal cuts, returns the one of the first feature.
+/// @param each  function that runs a task for 0, 1, ... n - 1
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
     Cut best;
@@ -208,8 +208,8 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
     return best;
 }
 
-/// Cuts of the nodes from `first` on, at the same time; of a large node the features as
-/// well.
+/// Finds the cuts of several nodes concurrently. For a large node, the features are
+/// processed concurrently as well.
 std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
@@ -227,7 +227,8 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     return cuts;
 }
 
-/// Parts the nodes from `first` on where it pays, and their returns with them.
+/// Splits the nodes from `first` on if a cut is good enough, and partitions their
+/// returns.
 void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
                 std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
@@ -265,7 +266,7 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
     }
 }
 
-/// The common divisor of two numbers, but for what is less than `error`.
+/// Returns the greatest common divisor of two numbers. Ignores remainders below `error`.
 double common_divisor(double a, double b, double error) {
     while (b > error) {
         const double rest = std::abs(std::remainder(a, b));
@@ -278,7 +279,7 @@ double common_divisor(double a, double b, double error) {
 }  // namespace
 
 double find_step(std::vector<float> values) {
-    constexpr double kError = 1e-6, kFinest = 1e-5;  // of the largest value
+    constexpr double kError = 1e-6, kFinest = 1e-5;  // relative to the largest value
     constexpr std::size_t kFewestLevels = 8;
     sort_parallel(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
@@ -288,7 +289,7 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // as exact as the largest value so far tells it
+        // Refines the step with the largest value so far, which gives the best accuracy.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the head of a spinning LiDAR pointed at each firing of one sweep, beside where it
-// nominally does: motors are uneven, firings come in packets, and a sweep begins at an
-// azimuth of its own.
+// Estimates, for each firing of a sweep, the difference between the actual and the
+// nominal azimuth of a spinning LiDAR. Motors rotate unevenly, firings are sent in
+// packets, and each sweep begins at a different azimuth.
 #include <algorithm>
 #include <cmath>
 
@@ -10,13 +10,13 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kFewest = 3;   // returns of a firing that say where it pointed
-constexpr double kExact_rad = 1e-5;  // such shifts are rounding
-// half of the rays are so near to their firing's median, or the beams have no head in
-// common
+constexpr std::size_t kFewest = 3;   // minimum number of returns of a firing for an estimate
+constexpr double kExact_rad = 1e-5;  // smaller shifts are rounding errors
+// Tolerance in columns. If the median deviation from a firing's median is larger, the
+// beams do not rotate together.
 constexpr double kAgree_columns = 0.1;
 
-/// Azimuth from one direction to another, to the left.
+/// Returns the azimuth from one direction to another, positive to the left.
 double azimuth_between(const glm::vec3& from, const glm::vec3& to) {
     return std::atan2(double(from.x) * to.y - double(from.y) * to.x,
                       double(from.x) * to.x + double(from.y) * to.y);
@@ -39,8 +39,8 @@ float median_of(std::vector<float>& values) {
     return *middle;
 }
 
-/// Firings that are not known (NAN) take what lies between their neighbours. @return
-/// whether any is known
+/// Interpolates unknown firings (NAN) between their neighbours.
+/// @return false if no firing is known
 bool fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Returns of a log for comparing beams. Private to sequence.
+// Access to the returns of a log by beam, for the calibration of beams. Private to
+// sequence.
 #pragma once
 
 #include <optional>
@@ -11,8 +12,8 @@
 
 namespace relidar {
 
-/// The beam (Sequence::beam_number) of a ray that returned from within max_range_m;
-/// nothing of any other.
+/// Returns the beam (Sequence::beam_number) of a ray whose range is below max_range_m, or
+/// nothing for other rays.
 inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, const Frame& frame,
                                                   std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
@@ -21,7 +22,7 @@ inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, cons
                : std::nullopt;
 }
 
-/// The beams of all LiDARs, as Sequence::beam_number() counts them.
+/// Returns the beams of all LiDARs in the order of Sequence::beam_number().
 inline std::vector<Beam*> beams_of(Sequence& sequence) {
     std::vector<Beam*> beams;
     for (Lidar& lidar : sequence.lidars)
@@ -29,8 +30,8 @@ inline std::vector<Beam*> beams_of(Sequence& sequence) {
     return beams;
 }
 
-/// read(frame) of the frames at some positions; of every n-th, where all of them have
-/// more than most_rays rays.
+/// Returns read(frame) for the frames at some positions. If these frames have more than
+/// most_rays rays, reads only every n-th frame.
 template <class Read>
 auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t most_rays,
                  const Read& read) {

@@ -13,16 +13,17 @@
 namespace relidar {
 namespace {
 
-constexpr double kPlace_m = 0.1;    // small enough to be one surface, large enough to be hit again
-constexpr double kSurface_m = 0.4;  // cells whose planes say how the place lies
+constexpr double kPlace_m = 0.1;    // small enough to contain one surface, large enough to be hit again
+constexpr double kSurface_m = 0.4;  // edge of the cells whose planes define the surface normal
 constexpr double kMinPoints = 8.0;
-constexpr double kMaxThickness = 0.15;  // of a surface over its narrower extent, standard deviations
+// thickness of a surface relative to its narrower extent, as standard deviations
+constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 
 struct SeenPlace {
     glm::dvec3 point_m{0.0};
     glm::vec3 direction{0.0f};
-    PlaceReturn given;  ///< place and cosine are still to be found
+    PlaceReturn given;  ///< place and cosine are set later
 };
 
 std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) {
@@ -40,12 +41,14 @@ std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) 
     return result;
 }
 
-/// Cells of all returns. @param seen  of all frames
+/// Assigns all returns to cells.
+/// @param seen  returns of all frames
 CellNumbers cells_of(const std::vector<SeenPlace>& seen, double cell_m) {
     return number_cells(seen.size(), [&](std::size_t i) { return cell_key(seen[i].point_m, cell_m); });
 }
 
-/// [cells of kSurface_m] Normals; zero where the returns lie on no surface.
+/// Returns the normal of each cell of kSurface_m, or zero if its returns do not form a
+/// surface.
 std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const CellNumbers& cells) {
     const ItemsOfCells items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
@@ -79,7 +82,7 @@ PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>&
     }
     const CellNumbers places = cells_of(seen, kPlace_m);
     const ItemsOfCells items(places);
-    std::vector<PlaceReturn> by_place;  // those that nobody shares left out
+    std::vector<PlaceReturn> by_place;  // without places that were hit only once
     for (std::uint32_t place = 0; place < places.n_cells; ++place) {
         if (items.of(place).size() < 2) continue;
         for (const std::uint32_t i : items.of(place)) {

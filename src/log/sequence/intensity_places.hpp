@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What several sweeps or beams have seen of the same small places, for comparing
+// Small surface patches ("places") that several sweeps or beams have hit, for comparing
 // intensities. Private to sequence.
 #pragma once
 
@@ -10,17 +10,17 @@
 
 namespace relidar {
 
-/// One return: from which place, by which beam, how far, how squarely, how bright.
+/// One return: its place, beam, range, incidence and intensity.
 struct PlaceReturn {
     std::uint32_t place;
     std::uint32_t beam;
     float range_m;
-    float cosine;     ///< of the angle of incidence
+    float cosine;     ///< cosine of the angle of incidence
     float intensity;  ///< as measured
 };
 
-/// Returns of frames at some positions, of places on a surface that are hit twice or
-/// more; in the order of the places, which are numbered from 0.
+/// Returns of the frames at some positions, from places on a surface that were hit at
+/// least twice. Sorted by place. Places are numbered from 0.
 struct PlaceReturns {
     std::vector<PlaceReturn> seen;
     std::size_t n_places = 0;

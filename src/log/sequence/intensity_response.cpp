@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// How intensities fall with range and incidence, and how the beams of a sensor differ,
-// from how differently the same places are seen. Gauss-Newton for
-//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear,
-// albedos eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T / sum c^2,
-// c the derivative by the place's albedo. What one part explains as well as two is left
-// to the one.
+// Estimates how intensities depend on range and incidence, and how the beams of a sensor
+// differ, from places that were measured several times. Gauss-Newton for
+//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear.
+// The albedos are eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
+// sum c^2, where c is the derivative with respect to the place's albedo. If a single part
+// (range and incidence, or beams) explains the data as well as both, only this part is
+// used.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -22,16 +23,17 @@ namespace relidar {
 namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
-constexpr std::size_t kReference = 3;  // of the knots: where rho is 1
-// a beam starts as if so many of its returns had followed the mean beam; a knot, a
-// straight line
+constexpr std::size_t kReference = 3;  // index of the knot with rho = 1
+// Strength of the prior: a beam starts as if this many returns had followed the mean
+// beam. The prior of a knot is a straight line.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-// what does not bring the error down to this share of what it was is not there
+// A part is used only if it reduces the error to less than this share.
 constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
-constexpr std::size_t kChunks = 64;  // sums are added up in this many parts, whatever the number of threads
+// sums are split into this many parts, whatever the number of threads
+constexpr std::size_t kChunks = 64;
 
 struct Response {
     double gain = 1.0;
@@ -50,8 +52,8 @@ struct Parts {
     bool shared, beams;
 };
 
-/// The knot at or before a range, and how far on to the next one it is. The first and
-/// last segment go on.
+/// Returns the knot at or before a range, and the fraction of the segment after it.
+/// Clamps the fraction at both ends.
 std::pair<std::size_t, double> knot_at(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
@@ -59,8 +61,8 @@ std::pair<std::size_t, double> knot_at(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Where the chunks of some returns begin, and their end; all returns of a place are in
-/// one chunk.
+/// Returns the bounds of the chunks of some returns. All returns of a place are in one
+/// chunk.
 std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -72,7 +74,8 @@ std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     return bounds;
 }
 
-/// task(returns of one place, chunk) for each place, chunks at the same time.
+/// Calls task(returns of one place, chunk) for each place. Chunks are processed
+/// concurrently.
 template <class Task>
 void for_each_place(const std::vector<PlaceReturn>& seen, const Task& task) {
     const std::vector<std::size_t> bounds = chunk_bounds(seen);
@@ -98,7 +101,7 @@ void fit_albedos(Model& m, const PlaceReturns& returns) {
     });
 }
 
-/// Where the unknowns of the wanted parts stand in the system: rho, q, then gain and
+/// Positions of the unknowns of the selected parts in the system: rho, q, then gain and
 /// offset of each beam.
 struct Layout {
     Parts parts;
@@ -112,12 +115,12 @@ struct Layout {
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// The derivatives of what is expected of one return, by the few unknowns that it depends
-/// on, in ascending order.
+/// Derivatives of the expected intensity of one return with respect to the unknowns that
+/// it depends on, in ascending order.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    double by_albedo, error;  ///< error: measured - expected
+    double by_albedo, error;  ///< `error`: measured - expected
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
 
@@ -140,18 +143,18 @@ Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
 }
 
 struct System {
-    Eigen::MatrixXd h;  ///< its lower half
+    Eigen::MatrixXd h;  ///< lower triangle
     Eigen::VectorXd g;
-    double mean = 0.0, spread = 0.0;  ///< of what the mean beam measures
+    double mean = 0.0, spread = 0.0;  ///< mean and standard deviation of the mean beam's intensities
 };
 
-/// Sums over the places of a chunk; of the symmetric h its lower half. In cache lines of
-/// its own: threads write side by side.
+/// Sums over the places of a chunk. Only the lower triangle of h is used. Aligned to
+/// cache lines to avoid false sharing between threads.
 struct alignas(64) Sums {
     System system;
-    std::vector<double> coupling;       // of the place at hand with each unknown; zero between places
-    std::vector<Eigen::Index> touched;  // of its unknowns
-    double sum = 0.0, squares = 0.0;    // of what is expected
+    std::vector<double> coupling;  // coupling of the current place with each unknown; zero between places
+    std::vector<Eigen::Index> touched;  // unknowns of the current place
+    double sum = 0.0, squares = 0.0;    // sums of the expected intensities
 
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
@@ -203,7 +206,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.h(i, i) += weight, sys.g[i] += weight * error;
     };
     const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
-    // what few returns say continues the line of its neighbours
+    // Knots with few returns continue the line of their neighbours.
     for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -212,7 +215,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
     if (at.parts.shared) {
-        // the scale of albedos is free
+        // Fixes the scale of the albedos, which is otherwise free.
         pull(at.factor(kReference), 1e3 * prior, 1.0 - m.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
             pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
@@ -239,8 +242,8 @@ void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     }
 }
 
-/// One scale and one shift of all albedos are free: the mean beam, by returns, has gain 1
-/// and offset 0.
+/// Normalises the beams. One scale and one offset of all albedos are free, so the mean
+/// beam, weighted by returns, gets gain 1 and offset 0.
 void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
@@ -254,7 +257,7 @@ void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
 }
 
 double error_of(const Model& m, const PlaceReturns& returns) {
-    struct alignas(64) Sum {  // a cache line each: threads write side by side
+    struct alignas(64) Sum {  // one cache line each, to avoid false sharing between threads
         double of = 0.0;
     };
     std::array<Sum, kChunks> squares;
@@ -280,7 +283,7 @@ Model fitted(const PlaceReturns& returns, std::size_t n_beams, Parts parts) {
     m.rms = error_of(m, returns);
     const Layout at{parts, n_beams};
     double damping = kDamping;
-    for (int i = 0; i < kSteps && at.size() > 0; ++i) {  // Levenberg and Marquardt
+    for (int i = 0; i < kSteps && at.size() > 0; ++i) {  // Levenberg-Marquardt
         System sys = system_of(m, at, returns);
         add_priors(sys, m, at);
         sys.h.diagonal() *= 1.0 + damping;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scatter of ranges by range and incidence, from second differences along a beam's own
-// sweep, which hold no pose, no other beam and, on what is smooth for three firings, no
-// surface:
+// Measures the range noise as a function of range and incidence. Uses second differences
+// along one beam's sweep. They do not depend on poses or on other beams, and on surfaces
+// that are smooth over three firings not on the surface:
 //   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
 #include <array>
@@ -21,7 +21,7 @@ constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
 constexpr float kEdge_m = 0.5f;  // larger differences are edges, not noise
-// a normal deviate's standard deviation over its median absolute value
+// Ratio of a normal distribution's standard deviation to its median absolute value.
 constexpr double kOfMedian = 1.4826;
 
 using Differences = std::array<std::vector<float>, kBins>;
@@ -59,8 +59,8 @@ double sigma_of(std::vector<float>& differences_m) {
     return kOfMedian * double(*middle) / std::sqrt(6.0);
 }
 
-/// What no bin of its row or column has seen is as its neighbour: nearer first, then
-/// squarer.
+/// Fills bins without data from their neighbours: first from the next smaller range, then
+/// from the next larger range, then with the largest value.
 void fill_gaps(RangeNoise& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
@@ -73,8 +73,8 @@ void fill_gaps(RangeNoise& noise) {
             noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
-/// What the frames of one LiDAR say, and of how many returns; none where no bin has seen
-/// enough.
+/// Returns the noise of one LiDAR from its frames, and the number of returns. Returns an
+/// empty result if no bin has enough returns.
 std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& frames) {
     RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()},
                      {kCosines.begin(), kCosines.end()},

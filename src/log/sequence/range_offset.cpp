@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range offsets of the beams of a log: what each adds to every range, from planes that
-// several beams have seen.
+// Estimates the range offset of each beam of a log from planes that several beams have
+// measured.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -17,23 +17,26 @@
 namespace relidar {
 namespace {
 
-// large enough for a plane to be told from noise, small enough for a street to be flat in
+// Edge of a cell: large enough to separate a plane from noise, small enough for a street
+// to be flat.
 constexpr double kCell_m = 0.3;
-constexpr double kMaxRange_m = 40.0;  // farther out a cell has too few returns
+constexpr double kMaxRange_m = 40.0;  // cells farther away have too few returns
 constexpr std::size_t kMostOffsetReturns = 6000000;
-constexpr int kMinReturns = 20;           // of a cell that may be a plane
-constexpr double kMaxThickness_m = 0.05;  // standard deviation across a plane, and at least along it
-constexpr double kMaxResidual_m = 0.15;   // what lies farther off its cell's plane belongs to something else
-// a beam starts as if so many of its returns, met squarely, had shown no offset
+constexpr int kMinReturns = 20;  // minimum number of returns in a cell for a plane
+// maximum standard deviation across a plane, and minimum along it
+constexpr double kMaxThickness_m = 0.05;
+constexpr double kMaxResidual_m = 0.15;  // returns farther from the plane belong to other objects
+// Strength of the prior: each beam starts as if this many perpendicular returns had shown
+// no offset.
 constexpr double kPriorReturns = 20.0;
-// beams whose planes do not get this much thinner have no offsets: what was found is
-// noise
+// If the residuals do not shrink to this share, the estimated offsets are noise and are
+// discarded.
 constexpr double kLeastGain = 0.97;
-constexpr int kRounds = 30;  // planes that few beams share follow them only slowly
+constexpr int kRounds = 30;  // offsets of planes that few beams share converge slowly
 
-/// One return in the world, by its beam's own word.
+/// One return in the world frame, with the range as its beam measured it.
 struct Observation {
-    glm::vec3 point_m;  ///< from the world's origin, which is in the middle of the log
+    glm::vec3 point_m;  ///< relative to the world's origin, which is in the middle of the log
     glm::vec3 direction;
     std::uint32_t beam;
 };
@@ -49,8 +52,8 @@ std::vector<Observation> observations_of(const Sequence& sequence, const Frame& 
     return result;
 }
 
-/// Returns cell by cell, in the order of their frames. A cell keeps its returns while
-/// they move by centimetres.
+/// Returns sorted by cell, then by frame. A return stays in its cell when its point moves
+/// by centimetres.
 struct Cells {
     std::vector<Observation> seen;
     std::vector<std::size_t> first;  ///< [cells + 1] in `seen`
@@ -81,7 +84,7 @@ glm::dvec3 moved(const Observation& o, const std::vector<double>& offset_m) {
     return glm::dvec3(o.point_m) - offset_m[o.beam] * glm::dvec3(o.direction);
 }
 
-/// A cell's plane.
+/// Plane of a cell.
 struct Plane {
     glm::dvec3 point;
     glm::dvec3 normal;
@@ -99,8 +102,7 @@ std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vect
     return Plane{about + fit.mean, fit.axes[0]};
 }
 
-/// Sums of one beam's returns: residuals across their planes, by how squarely they were
-/// met.
+/// Sums over one beam's returns: residuals across planes, weighted by the incidence.
 struct OffsetFit {
     double weight = 0.0;
     double sum = 0.0;
@@ -119,7 +121,8 @@ struct Residuals {
         ++n;
         squares += residual * residual;
         fits[o.beam].weight += facing * facing;
-        // of the whole offset, so that the prior holds it, not the step
+        // Sums the full offset instead of the step, so that the prior applies to the full
+        // offset.
         fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
     }
     Residuals& operator+=(const Residuals& other) {
@@ -133,8 +136,8 @@ struct Residuals {
     }
 };
 
-/// Residuals across the planes as they are with these offsets. Blocks of cells on all
-/// cores; their sums are added in order.
+/// Computes the residuals across the planes for given offsets. Processes blocks of cells
+/// on all cores and adds their sums in order.
 Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
@@ -151,8 +154,8 @@ Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) 
     return all;
 }
 
-/// One step of every beam's offset towards the planes. @return count and mean square of
-/// the residuals that come in
+/// Performs one step of every beam's offset.
+/// @return count and mean square of the residuals before the step
 std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
     const Residuals r = residuals_of(cells, offset_m);
     double mean = 0.0, weight = 0.0;
@@ -161,7 +164,8 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
         mean += r.fits[b].weight * offset_m[b];
         weight += r.fits[b].weight;
     }
-    // all ranges longer by the same: hardly to be told from another scene
+    // A common offset of all beams can hardly be separated from a different scene, so the
+    // mean is removed.
     for (double& offset : offset_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses and boxes between their observations, rays in the world, and the train/test split
-// (paper Sec. 4).
+// Interpolation of poses and boxes, and rays in the world frame (paper Sec. 4).
 //   pose(t) = slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
 #include <relidar/log/sequence.hpp>
 
@@ -52,7 +51,7 @@ BoxTrack BoxTrack::labelled_part() const {
 bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
-    if (track.pose.size() > 1) {  // the centre alone rules most points out, without a slerp
+    if (track.pose.size() > 1) {  // a test of the centre's distance excludes most points without a slerp
         const TrackPlace at = find_place(track.time_s, t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
@@ -163,7 +162,8 @@ PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
 }
 
 PoseTrack with_fine_turns(const PoseTrack& track) {
-    // between two poses: the chord of a thing 10 m away is 0.03 mm off its arc
+    // Maximum rotation between two poses. For a point 10 m away the chord deviates 0.03
+    // mm from the arc.
     constexpr double kTurn_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
@@ -190,7 +190,8 @@ PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
 
 namespace {
 
-/// Mean position of the observations in a stretch of time; nothing where there is none.
+/// Returns the mean position of the observations in a time interval, or nothing if there
+/// are none.
 std::optional<glm::dvec3> mean_place(const PoseTrack& track, double first_s, double last_s) {
     constexpr double kSame_s = 1e-6;
     glm::dvec3 sum(0.0);
@@ -257,11 +258,12 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 
 namespace {
 
-constexpr double kUsual = 0.02;  // of a period: so near to the usual start is the usual start
+constexpr double kUsual = 0.02;  // tolerance for the usual start of a sweep, relative to the period
 
-/// What rays tell of the turn of a head.
+/// Rotation of a LiDAR head, estimated from its rays.
 struct HeadTurn {
-    std::complex<double> at_zero = 0.0;  ///< sum over some rays of the azimuth that the head had at time 0
+    /// sum over rays of exp(i azimuth), with the azimuth that the head had at time 0
+    std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 
     HeadTurn& operator+=(const HeadTurn& other) {
@@ -274,7 +276,8 @@ struct HeadTurn {
 }  // namespace
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // resultant of the phases: beams' own azimuths and uneven turns take little of it
+    // Minimum resultant of the phases. The azimuth offsets of beams and uneven rotation
+    // reduce it only slightly.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
@@ -304,7 +307,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    if (first == last) return {};  // of a motion-compensated scan
+    if (first == last) return {};  // a motion-compensated scan
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
     return SweepStart{0.0, first_s};
@@ -317,7 +320,8 @@ RayTable nominal_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// How long after the frame's time a LiDAR that does not spin faces an azimuth.
+/// Returns the time after the frame's time at which a LiDAR that does not spin measures
+/// an azimuth.
 double facing_offset(const FixedPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
     const double period_s = period_of(pattern), middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
     const auto* window = std::get_if<ScanningWindow>(&pattern);

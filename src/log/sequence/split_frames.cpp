@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which frames of a log are held out of training: every so many, or those that a list
-// names.
+// Chooses the frames of a log that are held out of training: every n-th frame, or the
+// frames in a list.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -18,15 +18,17 @@
 namespace relidar {
 namespace {
 
-constexpr int kPublishedEvery = 10;  // what papers say of their splits, whatever the first frame
+// interval that papers report for their splits, whatever their first frame
+constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
-/// Indices from first to before end.
+/// Indices in [first, end).
 struct IndexRange {
     int first, end;
 };
 
-/// From "13" or "40:45". @throws UsageError
+/// Parses "13" or "40:45".
+/// @throws UsageError if the text has another form
 IndexRange parse_range(std::string_view text) {
     const std::size_t colon = text.find(':');
     const std::optional<int> first = file_number(std::string(text.substr(0, colon)));
@@ -40,7 +42,7 @@ IndexRange parse_range(std::string_view text) {
     return {*first, *end};
 }
 
-/// Indices of the frames, each once, in the order of the log.
+/// Returns the distinct indices of the frames in the order of the log.
 std::vector<int> sweeps_of(const Sequence& sequence) {
     std::vector<int> sweeps;
     std::set<int> seen;
@@ -49,7 +51,8 @@ std::vector<int> sweeps_of(const Sequence& sequence) {
     return sweeps;
 }
 
-/// Every so many, the first excepted. @throws UsageError
+/// Returns every n-th frame, except the first.
+/// @throws UsageError if test_every is 1 or negative
 std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     if (test_every < 0 || test_every == 1)
         throw UsageError(
@@ -60,7 +63,7 @@ std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     return held_out;
 }
 
-/// Those of a published part that the log has.
+/// Returns the frames of a published test split that the log contains.
 std::set<int> published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
     std::set<int> held_out;
     for (const int index : sweeps)
@@ -68,7 +71,8 @@ std::set<int> published(const std::vector<int>& test_frames, const std::vector<i
     return held_out;
 }
 
-/// Those that a list names. @throws UsageError
+/// Returns the frames that a list names.
+/// @throws UsageError if a frame is unknown or named twice, or if no frame remains
 std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
     const std::set<int> known(sweeps.begin(), sweeps.end());
     std::set<int> held_out;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trajectories as CSV: the inverse of read_trajectory() (src/run/edit/actor_path.cpp).
+// Writes trajectories as CSV. read_trajectory() (src/run/edit/actor_path.cpp) reads them.
 #include <relidar/base/files.hpp>
 #include <relidar/log/trajectory_csv.hpp>
 
@@ -13,7 +13,7 @@ namespace relidar {
 
 namespace {
 
-/// Angles of R = Rz(yaw) Ry(pitch) Rx(roll), degrees.
+/// Returns the angles of R = Rz(yaw) Ry(pitch) Rx(roll) in degrees.
 glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 r = glm::mat3_cast(rotation);  // r[column][row]
     return 180.0 / kPi *
