@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the scans of a log have looked at, firing by firing.
+// Computes the space that the scans of a log have observed, firing by firing.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -11,16 +11,17 @@
 namespace relidar {
 namespace {
 
-/// A ray of the world, as far as it has looked.
+/// A ray in the world frame, and the length that it has observed.
 struct Look {
     WorldRay ray;
-    double length_m = 0.0;  ///< 0: it tells nothing
+    double length_m = 0.0;  ///< 0: the ray has observed nothing
 
     glm::dvec3 end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
-/// How far the rays of one firing have looked, highest beam first.
-/// @param range_m [rows] of the returns, 0 where the ray was dropped
+/// Returns the length that each ray of one firing has observed, highest beam first. A
+/// dropped ray uses the nearest returns above and below it.
+/// @param range_m  [rows] ranges of the returns, 0 for dropped rays
 std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();
     std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above
@@ -34,7 +35,7 @@ std::vector<double> looked_m(const std::vector<double>& range_m, double max_rang
     return result;
 }
 
-/// Adds what lies between two rays that start together.
+/// Adds the space between two rays with a common start.
 void add_between(Coverage& coverage, const Look& a, const Look& b) {
     const double length_m = std::min(a.length_m, b.length_m);
     const int n =
@@ -47,7 +48,8 @@ void add_between(Coverage& coverage, const Look& a, const Look& b) {
     }
 }
 
-/// Columns that can be left out, since those beside them cross the same cells.
+/// Returns the step between processed columns. Skipped columns cross the same cells as
+/// their neighbours.
 std::size_t column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log as a plain folder.
+// Writes a log as a plain folder.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -58,7 +58,8 @@ Json rays_json(const RayTable& rays) {
             {"ring", rays.channel}};
 }
 
-/// The file of a sensor that does not spin, as find_sensor() reads it.
+/// Returns the JSON of a sensor that does not spin, in the format that find_sensor()
+/// reads.
 Json pattern_json(const FixedPattern& pattern, const RangeLimits& limits) {
     Json common = {{"min_range_m", limits.min_m}};
     if (std::isfinite(limits.max_m)) common["max_range_m"] = limits.max_m;
@@ -90,7 +91,8 @@ Json pattern_json(const FixedPattern& pattern, const RangeLimits& limits) {
 
 std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
 
-/// @param number  of the LiDAR
+/// Returns the JSON of a LiDAR.
+/// @param number  index of the LiDAR
 Json json_of(const Lidar& lidar, std::size_t number) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {{"name", lidar.name},

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// ONCE. The LiDAR's frame is x left, y back, z up. A pose is 7 numbers, a quaternion and
-// a place. Documents differ on whether w comes first or last in the quaternion: it is
-// where the vehicle drives forward.
+// Reader of ONCE. The LiDAR's frame is x left, y back, z up. A pose has 7 numbers: a
+// quaternion and a position. Documents disagree whether w is the first or the last number
+// of the quaternion. The reader chooses the order with which the vehicle drives forward.
 #include "log/readers/once/once.hpp"
 
 #include <array>
@@ -23,18 +23,19 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-constexpr double kTurn_s = 0.1;            // the LiDAR turns ten times a second, every fifth turn is kept
+// the LiDAR rotates ten times per second, and the dataset keeps every fifth revolution
+constexpr double kTurn_s = 0.1;
 constexpr double kTurned_rad = kPi / 2.0;  // from x left, y back to x forward, y left
-constexpr double kUnitLength = 1e-3;       // of a quaternion, by which it may differ from 1
+constexpr double kUnitLength = 1e-3;       // tolerance of a quaternion's length
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Quaternion and place, as the file has them.
+/// Quaternion and position as stored in the file.
 struct OncePose {
     std::int64_t stamp;
     std::array<double, 7> numbers;
 };
 
-/// What the JSON file says.
+/// Content of the JSON file.
 struct OnceFile {
     std::vector<stamped::StampedScan> scans;
     std::vector<OncePose> poses;
@@ -85,7 +86,7 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
     return found;
 }
 
-/// Poses of the LiDAR as ONCE has its axes.
+/// Returns the poses of the LiDAR in ONCE's axes.
 PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log, bool is_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
@@ -98,7 +99,7 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
     return track;
 }
 
-/// Poses of the LiDAR turned to relidar's axes.
+/// Returns the poses of the LiDAR in relidar's axes.
 PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
     const PoseTrack w_last = once_track(found.poses, log, false),
