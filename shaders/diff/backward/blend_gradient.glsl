@@ -1,26 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
-// The blending of the forward pass once more, chunk by chunk, for the share that each hit
-// has in the loss (M7). One chunk is kept as it was blended, so that what lies behind a
-// hit is summed back to front instead of by subtracting two long sums: no digits are lost
-// where 1 / (1 - alpha) is large.
+// Repeats the blending of the forward pass, chunk by chunk, to compute the share of each
+// hit in the loss (M7). Stores the blended values of one chunk. So the sum behind a hit
+// is computed back to front instead of as a difference of two long sums. This keeps the
+// precision where 1 / (1 - alpha) is large.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 float chunk_transmittance[SLOTS];
 float chunk_w[SLOTS];
 float chunk_shade[SLOTS];
 
-/// What is carried from chunk to chunk.
+/// State that is passed from chunk to chunk.
 struct BlendState {
     float shift;
     float transmittance;
-    float remaining;  // share of the loss of everything not blended yet, background included
-    float lost;       // what rounding took from it
-    float first_t;    // of the ray's first hit (geometry alone, as what follows)
-    float before;     // sum of w (t - first_t) over the hits blended
-    float moment;     // and over all of the ray
+    float remaining;  // share of the loss that is not blended yet, including the background
+    float lost;       // rounding error of `remaining`
+    float first_t;    // distance of the ray's first hit (this and later fields: only with geometry)
+    float before;     // sum of w (t - first_t) over the blended hits
+    float moment;     // the same sum over all hits of the ray
 };
 
-/// g . c of a hit: what a unit of its weight is worth to the loss.
+/// Returns g . c of a hit, the derivative of the loss with respect to the hit's weight.
 float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit, BlendState state) {
     vec3 c = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = g.depth * hit.t + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
@@ -31,8 +31,8 @@ float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit, BlendState sta
     return shade + dot(ray_geometry.normal, facing_normal(scene, ray, hit.instance, hit.surfel));
 }
 
-/// Blends the hits in the buffer front to back, n of them, and takes their share of the
-/// loss from what remains.
+/// Blends the first n hits of the buffer front to back, and subtracts their share of the
+/// loss from the remaining share.
 void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
     for (uint i = 0u; i < n; ++i) {
         Hit hit = hit_at(i);

@@ -1,23 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5). Where the geometric losses
-// want them, also the blended normal and the distortion (M10, M11), and the likelihood
-// (M12); where a range image wants it the heaviest surface (M13). Include after
+// Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5). With geometric losses, also
+// computes the blended normal and the distortion (M10, M11) and the likelihood (M12). For
+// range images, also computes the heaviest surface (M13). Include this file after
 // RELIDAR_PARAMS(ForwardParams).
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
-/// A ray as far as it has been blended.
+/// State of a ray during blending.
 struct Blended {
     RenderedRay ray;
     RenderedGeometry geometry;
     Surfaces surfaces;
-    float lost[6];  // what rounding took from the sums
-    float first_t;  // of the first hit
+    float lost[6];  // rounding errors of the sums, for compensated summation
+    float first_t;  // distance of the first hit
 };
 
-/// Takes a hit into the geometry of its ray; `beyond` is its distance behind the first
-/// hit, of which no digits are lost in M10's sums.
+/// Adds a hit to the geometry of its ray.
 /// @param before  weight of the hits before it
+/// @param beyond  distance of the hit behind the first hit, which keeps the precision of
+/// M10's sums
 void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, float beyond,
                   inout RenderedGeometry q) {
     q.distortion += w * (beyond * before - q.moment);  // M10
@@ -25,7 +26,7 @@ void add_geometry(TraceScene scene, Ray ray, Hit hit, float w, float before, flo
     q.normal += w * facing_normal(scene, ray, hit.instance, hit.surfel);
 }
 
-/// Field by field, so that a new one has its line and none takes another's place.
+/// Sets each field by name, so that a new field cannot get the value of another.
 RenderedRay nothing_met() {
     RenderedRay r;
     r.depth = 0.0;
@@ -66,17 +67,19 @@ vec3 channels_of(TraceScene scene, Ray ray, Hit hit) {
     return hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
 }
 
-/// Light that is left behind the next hit, of that which is left before it.
+/// Returns the transmittance behind the next hit.
+/// @param transmittance  transmittance before the hit
 float left_behind(TraceScene scene, Hit hit, float transmittance) {
     return transmittance * (1.0 - min(hit.alpha, scene.alpha_max));
 }
 
-/// Whether a ray has ended before its next hit, which is not blended then.
+/// Returns true if the ray ends before its next hit. That hit is not blended.
 bool ends_before(TraceScene scene, Hit hit, float transmittance) {
     return left_behind(scene, hit, transmittance) < scene.transmittance_min;
 }
 
-/// Blends the next hit. @param c  its channels
+/// Blends the next hit.
+/// @param c  channels of the hit
 void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 c, inout Blended b) {
     float next = left_behind(scene, hit, b.ray.transmittance),
           w = min(hit.alpha, scene.alpha_max) * b.ray.transmittance;
@@ -99,12 +102,12 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 c, inout Blended b) {
     ++b.ray.n_hits;
 }
 
-/// Keeps hit k of the thread's ray, in the order of blending.
+/// Stores hit k of the thread's ray, in the order of blending.
 void keep_hit(uint k, Hit hit) {
     if (k < params.n_kept) params.kept.at[list_entry(params.n_kept, thread_index(), k)] = hit;
 }
 
-/// Adds the background, and writes what the ray renders.
+/// Adds the background and writes the rendered values of the ray.
 void finish_blending(uint ray_index, inout Blended b) {
     if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // background: intensity 0, hit 0, drop 1

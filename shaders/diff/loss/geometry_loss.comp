@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Geometric losses on returned rays (docs/method.md M10-M12): distortion along the ray; W
-// - B . N, the disagreement of the blended surfel normals B with the normal N of the
-// rendered range image; and how likely the hits make what was measured. One thread a ray.
-// Input: rays, rendered, geometry, targets. Output: d_geometry (less its point),
-// d_tangents. Accumulated: upstream, terms.
+// Geometric losses on rays with a return (docs/method.md M10-M12): distortion along the
+// ray; W - B . N, the disagreement of the blended surfel normals B with the normal N of
+// the rendered range image; and the likelihood of the measured range given the hits. One
+// thread per ray. Input: rays, rendered, geometry, targets. Output: d_geometry (except
+// its point), d_tangents. Accumulated: upstream, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -14,12 +14,12 @@
 RELIDAR_PARAMS(GeometryLossParams);
 #include "range_image.glsl"
 
-// of inverse ranges: a surface that steps by a tenth of its range has an edge there
+// Limit of the change of inverse ranges. A step by a tenth of the range is an edge.
 const float kLargestBend = 0.1;
-const float kLeastSine = 0.05;  // between the tangents: below, their plane is anyone's guess
+const float kLeastSine = 0.05;  // minimum sine between the tangents; below, their plane is ill-defined
 
-/// Whether the pixels on both sides of pixel i are on one surface with it: 1 / r is
-/// linear along a plane, however it is inclined.
+/// Returns true if the pixels on both sides of pixel i are on the same surface. The test
+/// uses 1 / r, which is linear along a plane of any inclination.
 bool continues(uint a, uint i, uint b) {
     if (a == kNoPixel || b == kNoPixel || !is_surface(a) || !is_surface(b)) return false;
     float r = image_range(i);
@@ -31,7 +31,8 @@ vec3 chord(uint from, uint to) {
     return (b.origin - a.origin) + (image_range(to) * b.direction - image_range(from) * a.direction);
 }
 
-/// Term of pixel i and its derivatives. @return the term
+/// Computes the term of pixel i and its derivatives.
+/// @return the term
 float normal_term(uint i, inout GeometryGradient g) {
     uint left = pixel_at(i, 0, -1), right = pixel_at(i, 0, 1), above = pixel_at(i, -1, 0),
          below = pixel_at(i, 1, 0);
@@ -39,7 +40,7 @@ float normal_term(uint i, inout GeometryGradient g) {
     vec3 across = chord(left, right), down = chord(above, below), area = cross(across, down);
     float size = length(area);
     if (!(size > kLeastSine * length(across) * length(down))) return 0.0;
-    // N faces the sensor, as surfel normals do
+    // N faces the sensor, like the surfel normals
     float side = dot(area, ray_of(i).direction) > 0.0 ? -1.0 : 1.0;
     vec3 normal = side / size * area, blended = params.geometry.at[i].normal;
     float cosine = dot(normal, blended);
@@ -51,8 +52,8 @@ float normal_term(uint i, inout GeometryGradient g) {
     return params.normal_weight * (params.rendered.at[i].weight - cosine);
 }
 
-/// Terms of a ray that returned and are its own: distortion and -ln(floor + (1 - floor)
-/// S).
+/// Computes the two terms that depend on a single ray with a return: distortion, and
+/// -ln(floor + (1 - floor) S).
 vec2 ray_terms(uint i, inout GeometryGradient g) {
     RenderedGeometry q = params.geometry.at[i];
     float explained = params.likelihood_floor + (1.0 - params.likelihood_floor) * q.likelihood;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of normal consistency (M11) through N: each pixel gathers, from the
-// neighbours whose tangents end at its point origin + r direction, dL/d(point); then r =
-// D / W or D. One thread a pixel. Input: rays, rendered, targets, d_tangents.
-// Accumulated: upstream. Output: d_geometry (point, range).
+// Derivative of the normal consistency (M11) through N. Each pixel gathers dL/d(point)
+// from the neighbours whose tangents end at its point origin + r direction. Then applies
+// the derivative of r = D / W or D. One thread per pixel. Input: rays, rendered, targets,
+// d_tangents. Accumulated: upstream. Output: d_geometry (point, range).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -10,7 +10,8 @@
 RELIDAR_PARAMS(GeometryLossParams);
 #include "range_image.glsl"
 
-/// d_tangents of a pixel beside pixel i, 0 where there is none.
+/// Returns d_tangents of a neighbour of pixel i, or 0 if the neighbour is outside the
+/// image.
 vec3 d_tangent(uint i, int row_offset, int column_offset, uint which) {
     uint p = pixel_at(i, row_offset, column_offset);
     return p == kNoPixel ? vec3(0.0) : params.d_tangents.at[2u * p + which];
@@ -18,7 +19,7 @@ vec3 d_tangent(uint i, int row_offset, int column_offset, uint which) {
 
 void main() {
     uint i = thread_index();
-    if (i >= params.n_rays || !is_surface(i)) return;  // no tangent ends where there is no surface
+    if (i >= params.n_rays || !is_surface(i)) return;  // tangents end only at surfaces
     vec3 d_point =
         d_tangent(i, 0, -1, 0u) - d_tangent(i, 0, 1, 0u) + d_tangent(i, -1, 0, 1u) - d_tangent(i, 1, 0, 1u);
     RenderedRay r = params.rendered.at[i];

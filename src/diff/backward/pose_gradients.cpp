@@ -11,9 +11,9 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;  // of a workgroup
-// surfels of a workgroup: of a million both halves of the sum take 16 steps a thread, and
-// a tree
+constexpr std::uint32_t kThreads = 64;  // workgroup size
+// Surfels per workgroup. For a million surfels, both halves of the sum take 16 steps per
+// thread, and a tree.
 constexpr std::uint32_t kBlock = 1024;
 
 struct BlockTable {
