@@ -112,6 +112,7 @@ relidar_dependency(nlohmann_json APT nlohmann-json3-dev BUILD_ONLY PACKAGE nlohm
 relidar_dependency(tomlplusplus APT libtomlplusplus-dev PACKAGE tomlplusplus TARGETS tomlplusplus::tomlplusplus
     HEADER toml++/toml.h FETCH https://github.com/marzer/tomlplusplus.git v3.3.0 include)
 relidar_dependency(pugixml APT libpugixml-dev PACKAGE pugixml TARGETS pugixml::pugixml pugixml HEADER pugixml.hpp LIBRARY pugixml)
+relidar_dependency(tbb APT libtbb-dev PACKAGE TBB COMPONENTS tbb TARGETS TBB::tbb)
 relidar_dependency(png APT libpng-dev PACKAGE PNG TARGETS PNG::PNG)
 relidar_dependency(openexr APT libopenexr-dev PACKAGE OpenEXR TARGETS OpenEXR::OpenEXR)
 relidar_dependency(zlib APT zlib1g-dev PACKAGE ZLIB TARGETS ZLIB::ZLIB)

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Everything that a user of logs, runs and scans needs, in one line. What trainers are
-// built from is in <relidar/stages/...>.
+// Includes all headers that applications need for logs, runs and scans. The components of
+// the training loop are in <relidar/diff/...>.
 //
-// Objects made from a Device must go before it does. A Device and what was made from it
-// belong to one thread at a time; two devices may be used by two threads. Functions
-// without a device may be called by any thread. Failures are thrown as relidar::Error
+// Objects created from a Device must be destroyed before the device. A Device and its
+// objects may be used by one thread at a time. Two threads may use two devices. Functions
+// that use no device may be called from any thread. Errors are thrown as relidar::Error
 // (relidar/base/error.hpp).
 #pragma once
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Float atomic add on a buffer: the device's own where it has one, else compare-and-swap
-// on the bits. Built both ways (RELIDAR_FLOAT_ATOMICS); which one runs follows the
-// device.
+// Atomic float addition on a buffer. Uses the device's float atomics if it has them,
+// otherwise compare-and-swap on the bits. Kernels are built in both variants
+// (RELIDAR_FLOAT_ATOMICS), and the host selects the variant for the device.
 #ifndef RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
 #define RELIDAR_INCLUDED_BASE_ATOMIC_ADD_GLSL
 

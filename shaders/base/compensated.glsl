@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compensated summation (Kahan): the backward pass subtracts long sums from each other,
-// so they must keep all digits of a float.
+// Compensated summation (Kahan). Needed because the backward pass subtracts long sums
+// from each other, so the sums must keep the full float precision.
 #ifndef RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 #define RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 
-/// sum += x; `lost` carries what rounding took away.
+/// Adds x to sum. `lost` carries the rounding error to the next call.
 void add_compensated(inout float sum, inout float lost, float x) {
     precise float y = x - lost;
     precise float t = sum + y;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What every kernel starts with: its push constants, which are the address of its
-// parameter struct and the address that stands for "no such array", and one thread an
+// Common header of all kernels. Declares the push constants: the address of the parameter
+// struct, and the address that represents a missing array. Provides one thread per
 // element.
 #ifndef RELIDAR_INCLUDED_BASE_KERNEL_GLSL
 #define RELIDAR_INCLUDED_BASE_KERNEL_GLSL
@@ -12,16 +12,17 @@ RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #define RELIDAR_CONSTANT(type, name, value) layout(constant_id = RELIDAR_ID_##name) const type name = value
 layout(local_size_x_id = RELIDAR_ID_WORKGROUP_SIZE) in;
 
-/// Index of this thread. Launches of more workgroups than a device takes in one dimension
-/// are folded into two (src/gpu/stream.cpp).
+/// Returns the index of this thread. If a launch has more workgroups than a device
+/// supports in one dimension, the host uses two dimensions (src/gpu/stream.cpp).
 uint thread_index() {
     return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x;
 }
 
-/// Number of threads of the launch, for loops over what only the device has counted.
+/// Returns the number of threads of the launch, for loops whose length only the device
+/// knows.
 uint thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
 
-/// Index of this workgroup, folded in the same way.
+/// Returns the index of this workgroup, over both dimensions of the launch.
 uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
 
 layout(buffer_reference) buffer ParamsBlock;
@@ -32,16 +33,16 @@ layout(push_constant, scalar) uniform Push {
 } push;
 // clang-format on
 
-/// Whether the host passed no such array. The host then passes the address of a few zeros
-/// instead of address 0, because some drivers execute loads of branches that no lane
-/// takes (docs/platform.md). So every pointer of the parameters can be read at its first
-/// entries.
+/// Returns true if the host passed no array. The host then passes the address of a few
+/// zeros instead of address 0, because some drivers execute loads in branches that no
+/// lane takes (docs/debugging.md). Therefore the first entries of every pointer in the
+/// parameters can be read.
 #define is_null(pointer) (uvec2(pointer) == push.nothing)
 
-// Nobody writes the block, and the host tells the compiler so when it loads the module
-// (src/gpu/spirv.hpp): then no store of the kernel can change a parameter, and it may
-// stay in scalar registers. `readonly` here would not let a pointer be passed to a
-// function, and a copy of the struct is one that SwiftShader's compiler does not survive.
+// No kernel writes the parameter block, and the host marks it read-only when it loads the
+// module (src/gpu/spirv.hpp). The compiler then knows that no store changes a parameter,
+// and can keep parameters in scalar registers. With `readonly` here, pointers could not
+// be passed to functions, and a copy of the struct crashes SwiftShader's compiler.
 #define RELIDAR_PARAMS(Type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer ParamsBlock { Type value; }
 #define params push.block.value

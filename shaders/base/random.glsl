@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random numbers without a state: a hash of what they are for, so that a repeated or
-// resumed run draws the same ones. PCG4D of Jarzynski and Olano, "Hash Functions for GPU
+// Stateless random numbers: a hash of their purpose, so that repeated and resumed runs
+// draw the same numbers. Uses PCG4D of Jarzynski and Olano, "Hash Functions for GPU
 // Rendering" (2020).
 #ifndef RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 #define RELIDAR_INCLUDED_BASE_RANDOM_GLSL
@@ -19,9 +19,10 @@ uvec4 pcg4d(uvec4 v) {
     return v;
 }
 
-/// Two independent standard normal deviates (Box and Muller).
-/// @param key of the launch  @param item index of what they are for  @param draw which
-/// pair of that item
+/// Returns two independent standard normal deviates (Box and Muller).
+/// @param key key of the launch
+/// @param item index of the item that needs the numbers
+/// @param draw index of the pair for that item
 vec2 random_normal2(uint key, uint item, uint draw) {
     uvec4 bits = pcg4d(uvec4(key, item, draw, 0u));
     float radius = sqrt(-2.0 * log((float(bits.x >> 8u) + 1.0) * (1.0 / 16777216.0)));

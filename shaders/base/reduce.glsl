@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums over a workgroup, then one atomic a workgroup: thousands of threads adding to one
-// float would queue. Include after kernel.glsl, shared/ and atomic_add.glsl.
+// Sums values over a workgroup, and adds the result with one atomic per workgroup,
+// because atomics of thousands of threads on one float would be serialised. Include after
+// kernel.glsl, shared/ and atomic_add.glsl.
 #ifndef RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 #define RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 
-shared float reduce_partial[gl_WorkGroupSize.x];  // a power of two
+shared float reduce_partial[gl_WorkGroupSize.x];  // The workgroup size is a power of two.
 
-/// sums[entry] += value over all threads. Every thread of the workgroup must call it,
-/// those without an element with 0.
+/// Adds the values of all threads to sums[entry]. Every thread of the workgroup must call
+/// it; threads without an element pass 0.
 void add_to_sum(Floats sums, uint entry, float value) {
     uint lane = gl_LocalInvocationIndex;
-    barrier();  // the previous sum has been read
+    barrier();  // Waits until the previous sum has been read.
     reduce_partial[lane] = value;
     barrier();
     for (uint n = gl_WorkGroupSize.x / 2u; n > 0u; n /= 2u) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Prefix sums over a workgroup of at most 64 subgroups. Threads are numbered subgroup by
-// subgroup, which is what stability and repeatability rest on; a shader that uses this
-// numbers its elements by scan_thread().
+// subgroup, which makes the sums stable and repeatable. A shader that uses them must
+// number its elements by scan_thread().
 #ifndef RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #define RELIDAR_INCLUDED_BASE_WORKGROUP_SCAN_GLSL
 #extension GL_KHR_shader_subgroup_basic : require
@@ -10,8 +10,10 @@ shared uvec2 scan_sums[64];
 
 uint scan_thread() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Sum over the subgroups before this one. Every thread of the workgroup must call it.
-/// @param sum of this subgroup @param total of all
+/// Returns the sum over all earlier subgroups. Every thread of the workgroup must call
+/// it.
+/// @param sum sum of this subgroup
+/// @param total output: sum of all subgroups
 uvec2 subgroups_before(uvec2 sum, out uvec2 total) {
     if (subgroupElect()) scan_sums[gl_SubgroupID] = sum;
     barrier();
@@ -27,8 +29,9 @@ uvec2 subgroups_before(uvec2 sum, out uvec2 total) {
     return before;
 }
 
-/// Sum of x over the threads before this one. Every thread of the workgroup must call it.
-/// @param total of all threads
+/// Returns the sum of x over all earlier threads. Every thread of the workgroup must call
+/// it.
+/// @param total output: sum over all threads
 uvec2 workgroup_exclusive_add(uvec2 x, out uvec2 total) {
     uvec2 before = subgroupExclusiveAdd(x);
     return before + subgroups_before(subgroupAdd(x), total);

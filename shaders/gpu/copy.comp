@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies, to measure what memory moves. One thread 16 bytes.
-// Input: from. Output: to. Floor: 16 B read, 16 B written.
+// Copies memory, to measure the memory bandwidth. One thread per 16 bytes. Input: from.
+// Output: to. Minimum traffic: 16 B read, 16 B written.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

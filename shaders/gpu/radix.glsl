@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the kernels of a radix pass share. Include after RELIDAR_PARAMS.
+// Functions that the kernels of a radix sort pass share. Include after RELIDAR_PARAMS.
 #ifndef RELIDAR_INCLUDED_GPU_RADIX_GLSL
 #define RELIDAR_INCLUDED_GPU_RADIX_GLSL
 RELIDAR_CONSTANT(uint, KEY_WORDS, 1u);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, second of three kernels a pass: for each value of the digit, how many keys
-// of it are in the tiles before. A subgroup a value. Input: n_keys. Counts: in place;
-// totals: output. Floor: 8 B an entry of counts, 1/2 B a key.
+// Radix sort, second of three kernels per pass: for each value of the digit, sums the
+// keys in all earlier tiles. A subgroup processes one value. Input: n_keys. In place:
+// counts. Output: totals. Minimum traffic: 8 B per entry of counts, 1/2 B per key.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

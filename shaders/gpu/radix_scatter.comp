@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, last of three kernels a pass: moves each key behind all smaller digits and
-// the equal digits before it. A workgroup of 256 threads a tile of 4096 keys; each
-// subgroup owns a run of the tile and ranks it round by round with ballots, so that the
-// order of equal digits is kept. Where there are more than 32 (of 4 lanes), two share
-// their counters and take turns. Input: n_keys, keys, order, counts, totals. Output:
-// sorted_keys, sorted_order. Floor: key and order read and written.
+// Radix sort, last of three kernels per pass: moves each key behind all keys with smaller
+// digits and behind earlier keys with the same digit. A workgroup of 256 threads
+// processes a tile of 4096 keys. Each subgroup processes a contiguous run of the tile and
+// ranks it round by round with ballots, so that equal digits keep their order. With more
+// than 32 subgroups (of 4 lanes), two subgroups share their counters and take turns.
+// Input: n_keys, keys, order, counts, totals. Output: sorted_keys, sorted_order. Minimum
+// traffic: key and order are read and written once.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -15,20 +16,22 @@ RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
-const uint WORDS = RELIDAR_SORT_DIGITS / 2u;  // two 16-bit counts each: a tile has fewer than 65536 keys
-const uint ROWS = 32u;                        // as many as 16 KiB hold
-// a row a subgroup, or two: keys of a digit in their run; then in the runs before
+// Each word has two 16-bit counts, because a tile has fewer than 65536 keys.
+const uint WORDS = RELIDAR_SORT_DIGITS / 2u;
+const uint ROWS = 32u;  // Number of rows of counters that fit in 16 KiB.
+// One row per subgroup, or per two subgroups: number of keys with each digit in their
+// run, later in all earlier runs.
 shared uint counters[ROWS * WORDS];
-shared uint digit_start[RELIDAR_SORT_DIGITS];  // where the keys of this tile start
-uint rank[ROUNDS];                             // of this lane's keys, one a round
+shared uint digit_start[RELIDAR_SORT_DIGITS];  // Position of the first key of this tile with each digit.
+uint rank[ROUNDS];                             // Ranks of this lane's keys, one per round.
 
-/// Subgroups of one row of counters, neighbours.
+/// Returns the number of neighbouring subgroups that share one row of counters.
 uint n_sharing() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
 uint half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
 
-/// Lanes of the subgroup that hold the same digit; lanes without a key agree among
-/// themselves.
+/// Returns the lanes of the subgroup with the same digit. Lanes without a key form a
+/// separate group.
 uvec2 peers_of(bool valid, uint digit) {
     uvec2 with_key = subgroupBallot(valid).xy;
     uvec2 peers = valid ? with_key : ~with_key;
@@ -40,11 +43,13 @@ uvec2 peers_of(bool valid, uint digit) {
     return peers;
 }
 
-/// Ranks the subgroup's run among the keys of its row: keys of the same digit before
-/// each. Counts them. Every subgroup must call it, for on lavapipe the barrier of one
-/// waits for all.
-/// @param run first key of this lane  @param n keys in all  @param row of counters
-/// @param in_turn whether there is a run
+/// Computes the rank of each key in the subgroup's run: the number of earlier keys in the
+/// same row with the same digit. Also counts the keys. Every subgroup must call it,
+/// because on lavapipe a subgroup barrier waits for all subgroups.
+/// @param run first key of this lane
+/// @param n total number of keys
+/// @param row row of counters
+/// @param in_turn true if this subgroup ranks its run in this turn
 void rank_run(uint run, uint n, uint row, bool in_turn) {
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize;
@@ -63,7 +68,7 @@ void rank_run(uint run, uint n, uint row, bool in_turn) {
     }
 }
 
-/// Counts of the rows become those of the rows before.
+/// Replaces the counts of each row by the sum of all earlier rows.
 void sum_counters(uint n_rows) {
     if (scan_thread() >= WORDS) return;
     uint sum = 0u;

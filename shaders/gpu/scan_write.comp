@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums, going down: the sum of all counts before each. A workgroup of 256 threads
-// a tile of 4096 counts; each subgroup owns a run of the tile and reads it round by
-// round. Input: counts, tile_sums (already prefix sums). Output: prefix, total. Floor: 4
-// B read, 4 B written a count.
+// Prefix sums, second direction: computes the sum of all counts before each count. A
+// workgroup of 256 threads processes a tile of 4096 counts. Each subgroup processes a
+// contiguous run of the tile round by round. Input: counts, tile_sums (already prefix
+// sums). Output: prefix, total. Minimum traffic: 4 B read, 4 B written per count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -16,7 +16,7 @@ void main() {
     uint tile = workgroup_index();
     if (tile * RELIDAR_TILE_SIZE >= params.n) return;
     uint run = tile * RELIDAR_TILE_SIZE + gl_SubgroupID * gl_SubgroupSize * ROUNDS + gl_SubgroupInvocationID;
-    uint before[ROUNDS], sum = 0u;  // of the run
+    uint before[ROUNDS], sum = 0u;  // `sum` is the sum of the run so far.
     for (uint r = 0u; r < ROUNDS; ++r) {
         uint i = run + r * gl_SubgroupSize,
              count = i < params.n ? params.counts.at[params.offset + i * params.stride] : 0u;

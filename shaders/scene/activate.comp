@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records of surfels from their parameters (docs/method.md section 2): normalised
-// rotation, exp scale, sigmoid opacity, both moved and faded at its model's phase of a
-// gait; channel values where SH are evaluated once a surfel, in the direction view origin
-// -> mean. One thread a surfel of any model. Input: surfels, models, view_origins,
-// phases. Output: records. A surfel with a non-finite value, or too faint to be seen,
-// gets opacity 0 and is never hit.
+// Computes the records of surfels from their parameters (docs/method.md section 2):
+// normalised rotation, exp of the scales, sigmoid of the opacity. For actors with a gait,
+// the mean and the opacity depend on the phase of the model. If SH are evaluated per
+// surfel, it also computes the channel values in the direction view origin -> mean. One
+// thread per surfel of any model. Input: surfels, models, view_origins, phases.
+// Output: records. A surfel with a value that is not finite, or that is too faint to be
+// visible, gets opacity 0 and is never hit.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -16,9 +17,10 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateParams);
 
-/// Channel values of a surfel in a direction. Every thread of the workgroup must call it.
-/// @return whether all active coefficients are finite; the values do not tell: max(NaN,
-/// 0) is 0
+/// Computes the channel values of a surfel in a direction. Every thread of the workgroup
+/// must call it.
+/// @return true if all active coefficients are finite. The values alone do not show it,
+/// because max(NaN, 0) is 0.
 bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     float basis[16];
     sh_basis(direction, params.sh_degree, basis);
@@ -43,7 +45,8 @@ bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
 void main() {
     uint i = thread_index();
     bool is_surfel = i < params.n_surfels;
-    if (!STAGED && !is_surfel) return;  // else its threads load for others
+    // with staging, threads without a surfel also load data for other threads
+    if (!STAGED && !is_surfel) return;
     uint surfel = is_surfel ? i : 0u;
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation,
            log_scale = params.surfels.log_scale;
@@ -55,12 +58,13 @@ void main() {
         vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
     vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2],
                   rotation.at[4 * surfel + 3]);
-    float q_length2 = dot(q, q);  // under- and overflow would leave some other rotation
+    // lengths outside these limits would underflow or overflow and give a wrong rotation
+    float q_length2 = dot(q, q);
     mat3 r = rotation_matrix(q);
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
     s.axis_v = r[1] * exp(-log_scale.at[2 * surfel + 1]);
     s.normal = r[2];
-    // 3D Gaussians
+    // 3D Gaussians have a third scale along the normal
     if (!is_null(params.surfels.log_scale_w)) s.normal *= exp(-params.surfels.log_scale_w.at[surfel]);
     s.opacity = gait.presence / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     vec3 values;
@@ -69,7 +73,7 @@ void main() {
     s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? values.y : 0.0;
     s.drop_logit = evaluate ? values.z : 0.0;
-    // scales outside 1e-6 m .. 1e6 m are no surfels
+    // rejects surfels with scales outside 1e-6 m .. 1e6 m
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));
     bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
                   all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) &&

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameter gradients from record gradients: the chain rule of activate.comp, once a
-// frame instead of once a hit (docs/method.md section 4, reduction a). One thread a
-// surfel of any model; with a list (list_touched.comp) only of those that may have a
-// gradient, which is for CPUs: lanes without one cost as much as the others. Input:
-// surfels, d_records, models, more_rows, view_origins, phases, rows, n_listed. Output:
-// d_surfels (sh only where SH are evaluated a surfel), touched, d_view.
+// Computes parameter gradients from record gradients: the chain rule of activate.comp,
+// applied once for each frame instead of once for each hit (docs/method.md section 4,
+// reduction a). One thread per surfel of any model. With a list (list_touched.comp),
+// only for surfels that may have a gradient. This is for CPUs, where lanes without a
+// gradient take as long as the others. Input: surfels, d_records, models, more_rows,
+// view_origins, phases, rows, n_listed. Output: d_surfels (sh only if SH are evaluated
+// per surfel), touched, d_view.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -16,8 +17,8 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
-/// Gradient of the SH coefficients of one surfel; zeros where it has none. Every thread
-/// of the workgroup must call it.
+/// Computes the gradient of the SH coefficients of a surfel, or zeros if it has none.
+/// Every thread of the workgroup must call it.
 /// @return dL/d(direction)
 vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
     float basis[16], d_basis[16];
@@ -31,7 +32,8 @@ vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel
         if (c == 0u) {
             float intensity = 0.5;
             for (uint k = 0u; k < n; ++k) intensity += basis[k] * coefficient(sh, surfel, c, k);
-            if (intensity < 0.0) d = 0.0;  // clamped at 0 in the record
+            // the record clamps the intensity at 0, so the gradient is 0 there
+            if (intensity < 0.0) d = 0.0;
         }
         for (uint k = 0u; k < n; ++k) {
             d_basis[k] += d * coefficient(sh, surfel, c, k);
@@ -49,8 +51,8 @@ void store_view(uint surfel, vec3 g) {
     for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = g[k];
 }
 
-/// Record gradient of a surfel, summed over the placements of its model. @return whether
-/// it is not zero
+/// Loads the record gradient of a surfel, summed over all placements of its model.
+/// @return true if the gradient is not zero
 bool load_row(uint surfel, ModelEntry model, out float row[16]) {
     for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
     for (uint p = 0u; p < model.n_more; ++p) {
@@ -78,7 +80,7 @@ void store_zero(uint surfel) {
         params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
 }
 
-/// All groups but the harmonics.
+/// Stores the gradients of all parameter groups except the harmonics.
 void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);
@@ -94,7 +96,7 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[surfel]));
     for (uint k = 0u; k < 3u; ++k) params.d_surfels.mean.at[3 * surfel + k] = d_mean[k];
     for (uint k = 0u; k < 4u; ++k) params.d_surfels.rotation.at[4 * surfel + k] = d_q[k];
-    // axis_u = a_u exp(-log_scale)
+    // from axis_u = a_u exp(-log_scale)
     params.d_surfels.log_scale.at[2 * surfel] = -dot(d_axis_u, r[0]) * inverse_scale.x;
     params.d_surfels.log_scale.at[2 * surfel + 1] = -dot(d_axis_v, r[1]) * inverse_scale.y;
     if (has_third_scale()) params.d_surfels.log_scale_w.at[surfel] = -dot(d_normal, r[2]) * inverse_scale.z;
@@ -105,7 +107,8 @@ void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     for (uint k = 0u; k < 5u; ++k) params.d_surfels.gait.at[5 * surfel + k] = d_gait[k];
 }
 
-/// Every thread of the workgroup must call it where harmonics are staged.
+/// Applies the chain rule to a surfel. If harmonics are staged, every thread of the
+/// workgroup must call it.
 void chain_rule(uint surfel, bool is_surfel) {
     uint model = find_model(params.models, params.n_models, surfel);
     float row[16];
@@ -136,7 +139,7 @@ void chain_rule(uint surfel, bool is_surfel) {
 void main() {
     uint i = thread_index(), n = is_null(params.rows) ? params.n_surfels : params.n_listed.at[0];
     if (STAGED) {
-        chain_rule(i, i < n);  // threads without a surfel move rows of others
+        chain_rule(i, i < n);  // threads without a surfel move rows of other threads
         return;
     }
     if (i >= n) return;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which model a surfel belongs to.
+// Finds the model of a surfel.
 #ifndef RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
 #define RELIDAR_INCLUDED_SCENE_FIND_MODEL_GLSL
 #include "shared/scene.h"
 
-/// The last model that starts at or before a surfel; models without surfels are never
-/// found.
+/// Returns the last model that starts at or before a surfel. It never returns a model
+/// without surfels.
 uint find_model(Models models, uint n_models, uint surfel) {
     uint low = 0u, high = n_models;
     while (high - low > 1u) {

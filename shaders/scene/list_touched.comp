@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers of the rows that have a gradient, side by side, so that every lane of the steps
-// over them has one: lanes of a CPU that have nothing to do cost as much as the others.
-// One thread a stretch of rows. The order of stretches differs from run to run, and no
-// result depends on it. Input: touched. Output: rows, count (zero before).
+// Lists the rows that have a gradient without gaps, so that every lane of later kernels
+// has work. On a CPU, lanes without work take as long as the others. A thread for each
+// RELIDAR_LIST_STRETCH rows. The order of the list differs from run to run, but no result
+// depends on it. Input: touched. Output: rows, count (zero before).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

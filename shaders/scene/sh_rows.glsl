@@ -1,33 +1,34 @@
 // SPDX-License-Identifier: Apache-2.0
-// Spherical-harmonic coefficients of one surfel a thread, channel by channel. On a CPU a
-// thread reads its own row. On a GPU neighbouring threads would then be 192 bytes apart,
-// so there (STAGED) the threads of a workgroup move a channel of all their surfels
-// together, neighbours at neighbouring addresses, and hand it over in shared memory.
-// Include after kernel.glsl and shared/scene.h.
+// Reads and writes the spherical-harmonic coefficients of a surfel for each thread,
+// channel by channel. On a CPU, a thread reads its row directly. On a GPU, neighbouring
+// threads would then access addresses 192 bytes apart. So with STAGED, the threads of a
+// workgroup copy a channel of all their surfels to shared memory together, with
+// neighbouring threads at neighbouring addresses. Include after kernel.glsl and
+// shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
 #define RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
 RELIDAR_CONSTANT(bool, STAGED, false);
 
-// floats a surfel: odd, so that the same coefficient of neighbouring surfels lies in
-// different banks
+// Floats for each surfel in shared memory. The number is odd, so that the same
+// coefficient of neighbouring surfels is in different banks.
 const uint kChannelPitch = 17u;
 shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];
 shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
-/// Whether the channels of this thread's surfel are loaded and stored. Every thread of
-/// the workgroup must call it, as the next two, once.
+/// Sets whether the channels of this thread's surfel are loaded and stored. Every thread
+/// of the workgroup must call it once. The same applies to the next two functions.
 void choose_moves(bool loads, bool stores) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads;
     staged_stores[gl_LocalInvocationIndex] = stores;
 }
 
-/// Makes the first n coefficients of a channel readable.
+/// Loads the first n coefficients of a channel.
 void load_channel(Floats sh, uint surfel, uint channel, uint n) {
     if (!STAGED) return;
-    barrier();  // the moves are chosen, the channel before has been stored
+    barrier();  // waits until choose_moves() and the stores of the previous channel are complete
     uint first = surfel - gl_LocalInvocationIndex, k = gl_LocalInvocationIndex % 16u;
-    float moved[16];  // all of them are asked for before any is waited for
+    float moved[16];  // issues all loads before it waits for the first one
     [[unroll]] for (uint m = 0u; m < 16u; ++m) {
         uint s = (m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u;
         moved[m] =
@@ -39,7 +40,7 @@ void load_channel(Floats sh, uint surfel, uint channel, uint n) {
     barrier();
 }
 
-/// Writes what set_coefficient() left of it.
+/// Stores the coefficients that set_coefficient() has written.
 void store_channel(Floats sh, uint surfel, uint channel, uint n) {
     if (!STAGED) return;
     barrier();
@@ -52,7 +53,7 @@ void store_channel(Floats sh, uint surfel, uint channel, uint n) {
     }
 }
 
-/// Coefficient k of the channel loaded last.
+/// Returns coefficient k of the channel that was loaded last.
 float coefficient(Floats sh, uint surfel, uint channel, uint k) {
     return STAGED ? staged_channel[gl_LocalInvocationIndex * kChannelPitch + k]
                   : sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + k];

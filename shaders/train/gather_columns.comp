@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies a window of whole columns, or some of all in groups, so that every kernel sees a
-// batch that is an image. One thread a ray of the batch. Input: rays, targets. Output:
+// Copies a window of columns, or groups of columns, so that the batch is an image for
+// every kernel. One thread per ray of the batch. Input: rays, targets. Output:
 // batch_rays, batch_targets.
 #version 460
 #extension GL_GOOGLE_include_directive : require

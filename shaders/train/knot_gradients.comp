@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// From gradients of rays to those of the sensor poses between which they were fired, by
-// the weights of the interpolation:
-//   dL/dv = dL/d(origin),   dL/dw = (origin - c) x dL/d(origin) + direction x dL/d(direction),   c the corrected position of the sensor
-// A workgroup a row and knot: thread k of n sums every n-th ray in order, then the
-// workgroup adds up its threads, always in the same order. Input: moved, places, knots,
-// d_rays. Output: rows.
+// Converts gradients of rays to gradients of the sensor poses between which the rays were
+// fired, using the interpolation weights. c is the corrected position of the sensor:
+//   dL/dv = dL/d(origin)
+//   dL/dw = (origin - c) x dL/d(origin) + direction x dL/d(direction)
+// One workgroup for each row and knot. Thread k of n sums every n-th ray in order. Then
+// the workgroup adds the sums of its threads, always in the same order. Input: moved,
+// places, knots, d_rays. Output: rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
@@ -14,7 +15,7 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-/// Where the batch's ray k is among the rays of the frame.
+/// Returns the index in the frame of the batch's ray k.
 uint frame_ray(uint k) {
     if (params.columns == 0u) return params.first_ray + k * params.ray_stride;
     return k / params.n_columns * params.columns +
@@ -23,7 +24,7 @@ uint frame_ray(uint k) {
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1u], a.at[i + 2u]); }
 
-/// Sums over the rays of one thread among n_threads.
+/// Sums the gradients of the rays of a thread among n_threads.
 void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moves the rays of a frame with the corrections of the sensor's poses: about the
-// position c of the sensor when the ray was fired,
+// Moves the rays of a frame with the corrections of the sensor's poses, around the
+// position c of the sensor at the firing time:
 //   origin' = c + exp([w]x) (origin - c) + v,   direction' = exp([w]x) direction
-// One thread a ray. Input: rays, places, knots. Output: moved.
+// One thread per ray. Input: rays, places, knots. Output: moved.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

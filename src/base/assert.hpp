@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks of our own invariants: what a failed one compares is printed with file and line,
-// and the process stops. Off in releases; the presets dev, ci and sanitize turn them on
-// (RELIDAR_ASSERTS). What a caller or a file can get wrong is an Error instead.
+// Assertions for internal invariants. A failed assertion prints both values with file and
+// line, and aborts. Disabled in releases; the presets dev, ci and sanitize enable them
+// (RELIDAR_ASSERTS). Mistakes in files or of callers throw an Error instead.
 #pragma once
 
-/// RELIDAR_ASSERT_LE(a, b): a <= b, both printed where not. RELIDAR_ASSERT_EQ(a, b): a ==
-/// b.
+/// RELIDAR_ASSERT_LE(a, b) checks a <= b, RELIDAR_ASSERT_EQ(a, b) checks a == b. Both
+/// print a and b if the check fails.
 #define RELIDAR_ASSERT_LE(a, b) RELIDAR_ASSERT_THAT(a, <=, b)
 #define RELIDAR_ASSERT_EQ(a, b) RELIDAR_ASSERT_THAT(a, ==, b)
 

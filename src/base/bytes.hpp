@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Plain values as bytes of a file or message, in the order of this machine.
+// Appends values to the bytes of a file or message, in the byte order of this machine.
 #pragma once
 
 #include <string>
 
 namespace relidar {
 
-/// Appends the bytes of a plain value.
+/// Appends the bytes of a trivially copyable value.
 template <class T>
 void append(std::string& bytes, T value) {
     bytes.append(reinterpret_cast<const char*>(&value), sizeof value);

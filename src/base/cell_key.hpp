@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cells of a grid over the world as numbers, for hashing and sorting.
+// Converts cells of a world grid to integer keys, for hashing and sorting.
 #pragma once
 
 #include <cmath>
@@ -9,9 +9,10 @@
 
 namespace relidar {
 
-/// Cell of a cubic grid that a point lies in, 21 bits an axis: no two cells within 2^20
-/// cells of the origin share a key.
-/// @param point_m [3] metres @param cell_m edge of the cells, metres
+/// Returns the key of the cubic cell that contains a point, with 21 bits per axis. Keys
+/// are unique within 2^20 cells of the origin.
+/// @param point_m [3] metres
+/// @param cell_m edge length of the cells, metres
 inline std::uint64_t cell_key(const glm::dvec3& point_m, double cell_m) {
     std::uint64_t key = 0;
     for (int axis = 0; axis < 3; ++axis)

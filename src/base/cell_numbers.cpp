@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keys are parted by their hash, so that each part has a table of its own. A part that
-// meets its items in their order knows which was the first of a cell; the firsts of all
-// parts, counted in the order of the items, are the numbers.
+// Numbers cells in parallel. Keys are divided into parts by their hash, and each part has
+// a separate hash table. A part processes its items in order, so that it finds the first
+// item of each cell. The first items of all parts, counted in item order, give the cell
+// numbers.
 #include "base/cell_numbers.hpp"
 
 #include <array>
@@ -14,31 +15,32 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kParts = 32;
-constexpr std::size_t kStretch = 1 << 16;  // of items, which are shared out to the parts together
+constexpr std::size_t kItemsPerBlock = 1 << 16;  // Number of items that a task distributes to the parts.
 
-/// Items of a stretch, by part.
-using Shared = std::array<std::vector<std::uint32_t>, kParts>;
+/// Item indices of a block of items, for each part.
+using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
-std::vector<Shared> share_out(std::span<const std::uint64_t> key) {
-    std::vector<Shared> stretches((key.size() + kStretch - 1) / kStretch);
-    run_parallel(static_cast<int>(stretches.size()), [&](int s) {
-        const std::size_t begin = std::size_t(s) * kStretch;
-        for (std::size_t i = begin; i < std::min(key.size(), begin + kStretch); ++i)
-            stretches[std::size_t(s)][hash64(key[i]) % kParts].push_back(static_cast<std::uint32_t>(i));
+std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
+    std::vector<ItemsByPart> blocks((key.size() + kItemsPerBlock - 1) / kItemsPerBlock);
+    parallel_for(static_cast<int>(blocks.size()), [&](int s) {
+        const std::size_t begin = std::size_t(s) * kItemsPerBlock;
+        for (std::size_t i = begin; i < std::min(key.size(), begin + kItemsPerBlock); ++i)
+            blocks[std::size_t(s)][hash64(key[i]) % kParts].push_back(static_cast<std::uint32_t>(i));
     });
-    return stretches;
+    return blocks;
 }
 
 }  // namespace
 
 CellNumbers number_cells(std::span<const std::uint64_t> key) {
-    const std::vector<Shared> stretches = share_out(key);
+    const std::vector<ItemsByPart> blocks = distribute_items(key);
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
-    std::vector<std::uint32_t>& first = numbers.of;  // of the item's cell; then its number
-    run_parallel(kParts, [&](int part) {
+    // First item of the item's cell; later the number of the cell.
+    std::vector<std::uint32_t>& first = numbers.of;
+    parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;
-        for (const Shared& stretch : stretches)
-            for (const std::uint32_t i : stretch[std::size_t(part)])
+        for (const ItemsByPart& items : blocks)
+            for (const std::uint32_t i : items[std::size_t(part)])
                 first[i] = table.try_emplace(key[i], i).first->second;
     });
     std::vector<std::uint32_t> number(key.size());

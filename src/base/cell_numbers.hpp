@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers for the cells that items lie in, and the items of each cell, on all cores.
+// Numbers the cells that contain items, and lists the items of each cell. Runs on all
+// cores.
 #pragma once
 
 #include <cstdint>
@@ -10,14 +11,17 @@
 
 namespace relidar {
 
-/// Cells in the order in which items first name them, whatever the number of cores.
+/// Cell number of each item. Cells are numbered in the order of their first item, for any
+/// number of cores.
 struct CellNumbers {
-    std::vector<std::uint32_t> of;  ///< [items]
+    std::vector<std::uint32_t> of;  ///< Cell number of each item, [items].
     std::size_t n_cells = 0;
 };
-/// @param key [items] of the cell that an item lies in
+/// Numbers the cells.
+/// @param key [items] key of the cell that contains each item
 CellNumbers number_cells(std::span<const std::uint64_t> key);
-/// @param key_of  (item) -> the key of its cell
+/// Numbers the cells of n items.
+/// @param key_of function (item) -> key of its cell
 template <class KeyOf>
 CellNumbers number_cells(std::size_t n, const KeyOf& key_of) {
     std::vector<std::uint64_t> keys(n);
@@ -25,7 +29,7 @@ CellNumbers number_cells(std::size_t n, const KeyOf& key_of) {
     return number_cells(keys);
 }
 
-/// The items of each cell, ascending.
+/// Lists the items of each cell in ascending order.
 class ItemsOfCells {
 public:
     explicit ItemsOfCells(const CellNumbers& numbers);
@@ -36,7 +40,7 @@ public:
     }
 
 private:
-    std::vector<std::size_t> first_;  // [cells + 1] in items_
+    std::vector<std::size_t> first_;  // Index in items_ of the first item of each cell, [cells + 1].
     std::vector<std::uint32_t> items_;
 };
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reading files whole, and numbers out of their lines.
+// Reads complete files, and parses numbers in their lines.
 #include "base/files.hpp"
 
 #include <algorithm>
@@ -23,7 +23,7 @@ DataError unreadable(const fs::path& path, const std::error_code& failed) {
     return DataError(fmt::format("{}: cannot be read: {}", path.string(), failed.message()));
 }
 
-/// What a path leads to; file_type::not_found where nothing is there.
+/// Returns the status of a path; file_type::not_found if nothing exists there.
 fs::file_status status_of(const fs::path& path) {
     std::error_code failed;
     const fs::file_status status = fs::status(path, failed);
@@ -93,12 +93,12 @@ std::string excerpt(std::string_view text) {
     constexpr std::size_t kMost = 80;
     const bool cut = text.size() > kMost;
     std::size_t n = cut ? kMost - 3 : text.size();
-    // not within a UTF-8 character
+    // Does not cut within a UTF-8 character.
     while (cut && n > 0 && (static_cast<unsigned char>(text[n]) & 0xC0) == 0x80) --n;
-    std::string shown(text.substr(0, n));
+    std::string result(text.substr(0, n));
     std::replace_if(
-        shown.begin(), shown.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
-    return cut ? shown + "..." : shown;
+        result.begin(), result.end(), [](unsigned char c) { return std::iscntrl(c) != 0; }, '?');
+    return cut ? result + "..." : result;
 }
 
 std::vector<std::string> split_lines(const std::string& text) {

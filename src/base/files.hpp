@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reading files whole, and numbers out of their lines. Every failure is a DataError that
-// names the file.
+// Reads complete files, and parses numbers in their lines. Every failure is a DataError
+// that names the file.
 #pragma once
 
 #include <filesystem>
@@ -11,47 +11,51 @@
 
 namespace relidar {
 
-/// Content of a file. @throws DataError where it is missing or cannot be read
+/// Returns the content of a file.
+/// @throws DataError if the file is missing or cannot be read
 std::string read_file(const std::filesystem::path& path);
 
-/// Content of a text file without the byte-order mark that Excel and others write in
-/// front of UTF-8.
-/// @throws DataError if the file is missing, cannot be read, or begins with the mark of
-/// UTF-16
+/// Returns the content of a text file, without the byte-order mark that Excel and other
+/// programs write before UTF-8.
+/// @throws DataError if the file is missing, cannot be read, or begins with a UTF-16
+/// byte-order mark
 std::string read_text(const std::filesystem::path& path);
 
-/// Whether a path leads to something. @throws DataError where the system does not say (no
-/// permission, a loop of links, too long a name)
+/// Returns true if the path exists.
+/// @throws DataError if the system reports an error (no permission, a loop of links, too
+/// long a name)
 bool path_exists(const std::filesystem::path& path);
 
-/// @throws DataError where a path is no folder, or cannot be reached; the message ends
-/// with what was expected there
+/// Checks that a path is a folder.
+/// @param expected description of the expected folder, for the message
+/// @throws DataError if the path is not a folder or cannot be reached
 void check_folder(const std::filesystem::path& path, const std::string& expected);
 
-/// What a folder holds, by name. @throws DataError where it is missing, no folder, or
-/// cannot be read
+/// Lists the contents of a folder, sorted by name.
+/// @throws DataError if the folder is missing, not a folder, or cannot be read
 std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 
-/// The number a file's name stands for: digits only, below 10^8, so that arithmetic with
-/// it fits an int. @return nothing otherwise
+/// Returns the number in a file's name: digits only, below 10^8, so that arithmetic with
+/// it fits an int. Returns nullopt for other names.
 std::optional<int> file_number(const std::string& stem);
 
-/// At most 80 characters of a text, without control characters: what a message may quote
-/// of a file.
+/// Returns at most 80 characters of a text, without control characters, to quote in a
+/// message.
 std::string excerpt(std::string_view text);
 
-/// Lines without their ends ("\n" or "\r\n"); a final newline makes no empty line.
+/// Splits a text into lines, without "\n" or "\r\n". A final newline does not produce an
+/// empty line.
 std::vector<std::string> split_lines(const std::string& text);
 
-/// Text without blanks at both ends.
+/// Returns the text without blanks at both ends.
 std::string_view trimmed(std::string_view text);
 
-/// One number that fills the text, "nan" and "inf" included. @return nothing where it is
-/// no number
+/// Parses a text that is one number, including "nan" and "inf". Returns nullopt if it is
+/// not a number.
 std::optional<double> parse_number(std::string_view text);
 
-/// All numbers of a text parted by blanks or line ends. @return nothing where a word is
-/// no number
+/// Parses all numbers of a text, separated by blanks or line ends. Returns nullopt if a
+/// word is not a number.
 std::optional<std::vector<double>> parse_numbers(std::string_view text);
 
 }  // namespace relidar

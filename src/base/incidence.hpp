@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Under which angle the rays of a range image meet what they meet, from the pixels
-// around.
+// Estimates the angle of incidence of the rays of a range image from neighbouring pixels.
 #pragma once
 
 #include <cmath>
@@ -10,26 +9,29 @@
 
 namespace relidar {
 
-/// Rays of an image, row by row, columns going round, and how far each came.
+/// Rays and ranges of a range image in row order. The columns cover a full turn.
 struct ImageRays {
     int rows, columns;
-    std::span<const glm::vec3> origin, direction;  ///< [rows*columns]
-    std::span<const float> range_m;                ///< [rows*columns], 0 where nothing came back
+    /// Origins and unit directions of the rays, [rows*columns].
+    std::span<const glm::vec3> origin, direction;
+    std::span<const float> range_m;  ///< Ranges, [rows*columns]; 0 for dropped rays.
 
     glm::dvec3 point(std::size_t i) const {
         return glm::dvec3(origin[i]) + double(range_m[i]) * glm::dvec3(direction[i]);
     }
 };
 
-/// Columns to either side that incidence_cosine() looks at.
+/// Distance in columns to the neighbours that incidence_cosine() uses.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Cosine of the angle of incidence at pixel i, from the points four columns to either
-/// side, so that centimetres of noise do not tilt it, and from the rows above and below.
-/// @return below 0 where one of them is missing or lies on another surface
+/// Returns the cosine of the angle of incidence at pixel i. Uses the points four columns
+/// to either side, so that centimetres of range noise do not tilt the surface, and the
+/// points in the rows above and below. Returns a negative value if one of the points is
+/// missing or lies on another surface.
 inline double incidence_cosine(const ImageRays& image, std::size_t i) {
     constexpr std::size_t kColumns = kIncidenceColumns;
-    constexpr double kSameSurface = 0.2;  // of the range
+    // Maximum difference of ranges on one surface, relative to the range.
+    constexpr double kSameSurface = 0.2;
     const auto columns = std::size_t(image.columns), row = i / columns, column = i % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) ||
         !(image.range_m[i] > 0.0f))

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One list of several.
+// Concatenates lists.
 #pragma once
 
 #include <cstddef>
@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-/// Lists one behind the other; each is given up as soon as it is taken.
+/// Concatenates lists. Frees each list as soon as it is copied, to limit memory.
 template <class T>
 std::vector<T> joined(std::vector<std::vector<T>> parts) {
     std::size_t n = 0;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checked access to JSON values; what was found is quoted, shortened to one line.
+// Checked access to JSON values. Error messages quote the value, shortened to one line.
 #include "base/json_field.hpp"
 
 #include <algorithm>
@@ -15,23 +15,38 @@
 namespace relidar {
 namespace {
 
-std::string shown(const nlohmann::json& value) {
+std::string describe_value(const nlohmann::json& value) {
     if (value.is_structured())
         return fmt::format("found {} of {}", value.is_array() ? "an array" : "an object", value.size());
     const std::string text = value.dump(-1, ' ', true, nlohmann::json::error_handler_t::replace);
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
+/// Appends the numbers of nested lists. @return what is neither a number nor a list, or
+/// nests too deep; null if nothing
+const nlohmann::json* collect_numbers(const nlohmann::json& value, int depth, std::vector<double>& numbers) {
+    if (value.is_number()) {
+        numbers.push_back(value.get<double>());
+        return nullptr;
+    }
+    if (!value.is_array() || depth == 0) return &value;
+    for (const nlohmann::json& item : value)
+        if (const nlohmann::json* wrong = collect_numbers(item, depth - 1, numbers)) return wrong;
+    return nullptr;
+}
+
 }  // namespace
 
+std::string JsonField::where() const { return name_.empty() ? *file_ : *file_ + ": " + name_; }
+
 void JsonField::fail(const std::string& found, const std::string& expected) const {
-    throw DataError(fmt::format("{}: {}{}{}, {}", *file_, name_, name_.empty() ? "" : ": ", found, expected));
+    throw DataError(fmt::format("{}: {}, {}", where(), found, expected));
 }
 
 bool JsonField::has(const std::string& key) const { return value_->is_object() && value_->contains(key); }
 
 JsonField JsonField::at(const std::string& key) const {
-    if (!value_->is_object()) fail(shown(*value_), "expected an object");
+    if (!value_->is_object()) fail(describe_value(*value_), "expected an object");
     const auto it = value_->find(key);
     const std::string name = name_.empty() ? key : name_ + "." + key;
     if (it == value_->end()) throw DataError(fmt::format("{}: {}: missing, expected it", *file_, name));
@@ -43,8 +58,16 @@ JsonField JsonField::at(std::size_t index) const {
 }
 
 std::size_t JsonField::size() const {
-    if (!value_->is_array()) fail(shown(*value_), "expected an array");
+    if (!value_->is_array()) fail(describe_value(*value_), "expected an array");
     return value_->size();
+}
+
+std::vector<double> JsonField::nested_numbers(int depth) const {
+    std::vector<double> numbers;
+    if (const nlohmann::json* wrong = collect_numbers(*value_, depth, numbers))
+        fail(wrong->is_array() ? "found lists nested too deep" : fmt::format("found {}", wrong->type_name()),
+             "expected numbers");
+    return numbers;
 }
 
 bool JsonField::is_text() const { return value_->is_string(); }
@@ -52,7 +75,7 @@ bool JsonField::is_text() const { return value_->is_string(); }
 bool JsonField::is_array() const { return value_->is_array(); }
 
 void JsonField::check_members(const std::vector<std::string>& known) const {
-    if (!value_->is_object()) fail(shown(*value_), "expected an object");
+    if (!value_->is_object()) fail(describe_value(*value_), "expected an object");
     for (const auto& [key, value] : value_->items())
         if (std::find(known.begin(), known.end(), key) == known.end())
             fail(fmt::format("found the unknown member '{}'", excerpt(key)),
@@ -61,14 +84,14 @@ void JsonField::check_members(const std::vector<std::string>& known) const {
 
 double JsonField::number() const {
     if (!value_->is_number() || !std::isfinite(value_->get<double>()))
-        fail(shown(*value_), "expected a finite number");
+        fail(describe_value(*value_), "expected a finite number");
     return value_->get<double>();
 }
 
 double JsonField::number(double low, double high) const {
     const double value = number();
     if (value < low || value > high)
-        fail(shown(*value_), fmt::format("expected a number in {:.15g}..{:.15g}", low, high));
+        fail(describe_value(*value_), fmt::format("expected a number in {:.15g}..{:.15g}", low, high));
     return value;
 }
 
@@ -77,28 +100,28 @@ std::int64_t JsonField::integer(std::int64_t low, std::int64_t high) const {
                       !(value_->is_number_unsigned() &&
                         value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
     if (!fits || value_->get<std::int64_t>() < low || value_->get<std::int64_t>() > high) {
-        fail(shown(*value_), fmt::format("expected an integer in {}..{}", low, high));
+        fail(describe_value(*value_), fmt::format("expected an integer in {}..{}", low, high));
     }
     return value_->get<std::int64_t>();
 }
 
 bool JsonField::boolean() const {
-    if (!value_->is_boolean()) fail(shown(*value_), "expected true or false");
+    if (!value_->is_boolean()) fail(describe_value(*value_), "expected true or false");
     return value_->get<bool>();
 }
 
 std::string JsonField::text() const {
-    if (!value_->is_string()) fail(shown(*value_), "expected text");
+    if (!value_->is_string()) fail(describe_value(*value_), "expected text");
     return value_->get<std::string>();
 }
 
 std::string JsonField::text(std::size_t most) const {
-    const std::string found = text();
+    const std::string value_text = text();
     const auto is_control = [](unsigned char c) { return c < 0x20 || c == 0x7F; };
-    if (found.size() > most || std::any_of(found.begin(), found.end(), is_control))
-        fail(fmt::format("found {} bytes of text", found.size()),
+    if (value_text.size() > most || std::any_of(value_text.begin(), value_text.end(), is_control))
+        fail(fmt::format("found {} bytes of text", value_text.size()),
              fmt::format("expected one line of at most {}", most));
-    return found;
+    return value_text;
 }
 
 std::vector<double> JsonField::numbers() const {
@@ -111,11 +134,13 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
-        // "[json.exception.parse_error.101] parse error at line 1, column 2: ..."
+        // Removes the prefix of "[json.exception.parse_error.101] parse error at line 1,
+        // column 2: ...".
         std::string why = error.what();
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
             why.erase(0, bracket + 2);
-        why = why.substr(0, why.find("; last read"));  // quotes the file, at any length
+        // This part of the message quotes the file and may have any length.
+        why = why.substr(0, why.find("; last read"));
         for (char& c : why) c = static_cast<unsigned char>(c) < 0x20 ? ' ' : c;
         throw DataError(fmt::format("{}: not valid JSON, truncated or damaged: {}", file, why));
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reading a JSON file that may hold anything: each value knows the file and the field it
-// came from, so that every complaint names both, as in "run/scene.json: frames[3].time_s:
-// found null, expected a finite number".
+// Reads JSON files with unknown content. Each value knows its file and field, so that
+// every error message names both: "run/scene.json: frames[3].time_s: found null, expected
+// a finite number".
 #pragma once
 
 #include <array>
@@ -15,25 +15,30 @@ namespace relidar {
 
 class JsonField {
 public:
-    /// @param value must outlive this  @param name of the field, empty for the whole file
+    /// Wraps a JSON value.
+    /// @param value must outlive this object
+    /// @param name name of the field; empty for the root value
     JsonField(const nlohmann::json& value, const std::string& file, std::string name)
         : value_(&value), file_(&file), name_(std::move(name)) {}
 
-    JsonField at(const std::string& key) const;  ///< member of an object
-    bool has(const std::string& key) const;      ///< whether an object has such a member
-    JsonField at(std::size_t index) const;       ///< entry of an array
-    std::size_t size() const;                    ///< of an array
+    JsonField at(const std::string& key) const;  ///< Returns a member of an object.
+    bool has(const std::string& key) const;      ///< Returns true if the value is an object with this member.
+    JsonField at(std::size_t index) const;       ///< Returns an entry of an array.
+    std::size_t size() const;                    ///< Returns the number of entries of an array.
     bool is_text() const;
     bool is_array() const;
-    /// @throws DataError where an object has a member that is none of these
+    /// Checks that an object has only known members.
+    /// @throws DataError if it has an unknown member
     void check_members(const std::vector<std::string>& known) const;
-    double number() const;  ///< finite
+    double number() const;  ///< Returns a finite number.
     double number(double low, double high) const;
     std::int64_t integer(std::int64_t low, std::int64_t high) const;
     bool boolean() const;
     std::string text() const;
-    std::string text(std::size_t most) const;  ///< of at most so many bytes, all in one line
+    std::string text(std::size_t most) const;  ///< Returns a text of at most `most` bytes in one line.
     std::vector<double> numbers() const;
+    /// The numbers of lists, of at most so many lists in one another, in their order.
+    std::vector<double> nested_numbers(int depth) const;
     /// Exactly n numbers.
     template <std::size_t n>
     std::array<double, n> numbers() const {
@@ -44,6 +49,7 @@ public:
         std::copy(all.begin(), all.end(), result.begin());
         return result;
     }
+    std::string where() const;  ///< "file: field", for messages
     /// @throws DataError "file: field: found, expected"
     [[noreturn]] void fail(const std::string& found, const std::string& expected) const;
 
@@ -53,8 +59,8 @@ private:
     std::string name_;
 };
 
-/// Parses a JSON text. @throws DataError naming the file and the place where it is
-/// malformed
+/// Parses a JSON text.
+/// @throws DataError naming the file and the position of the syntax error
 nlohmann::json parse_json(const std::string& text, const std::string& file);
 
 }  // namespace relidar

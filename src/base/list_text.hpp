@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lists as people read and write them.
+// Formats and parses lists in messages and settings.
 #pragma once
 
 #include <algorithm>
@@ -11,7 +11,8 @@
 
 namespace relidar {
 
-/// "3, 4, 7", or of more than `most` numbers "3, 4, 7, ... 91 (78 in all)".
+/// Formats numbers as "3, 4, 7". More than `most` numbers are shortened: "3, 4, 7, ... 91
+/// (78 in all)".
 inline std::string list_text(const std::vector<int>& numbers, std::size_t most = 6) {
     if (numbers.size() <= most) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in all)",
@@ -19,7 +20,7 @@ inline std::string list_text(const std::vector<int>& numbers, std::size_t most =
                        numbers.back(), numbers.size());
 }
 
-/// The words of "a, b,c", blanks left out.
+/// Splits "a, b,c" into words without blanks.
 inline std::vector<std::string> words_of(const std::string& list) {
     std::vector<std::string> words{""};
     for (const char c : list) {

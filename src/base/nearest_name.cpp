@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Names as users write them. Levenshtein distance, in which two neighbours that have
-// changed places are one error:
-//   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j], d(i-2, j-2) + 1 where a_i = b_{j-1} and a_{i-1} = b_j)
+// Finds similar names. Uses the Levenshtein distance, in which two swapped neighbours
+// count as one error:
+//
+//   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j], d(i-2, j-2) + 1 if a_i = b_{j-1} and a_{i-1} = b_j)
 #include <relidar/base/error.hpp>
 
 #include <algorithm>
@@ -35,39 +36,40 @@ std::size_t edit_distance(std::string_view a, std::string_view b) {
     return row[b.size()];
 }
 
-bool contains(std::string_view whole, std::string_view part) {
+bool contains(std::string_view text, std::string_view part) {
     return part.size() >= 3 &&
-           std::search(whole.begin(), whole.end(), part.begin(), part.end(), same_letter) != whole.end();
+           std::search(text.begin(), text.end(), part.begin(), part.end(), same_letter) != text.end();
 }
 
-/// Two letters of five may be wrong, or a part may be missing.
-bool resemble(std::string_view wanted, std::string_view name) {
-    const std::size_t most = std::max<std::size_t>(1, 2 * std::max(wanted.size(), name.size()) / 5);
-    return edit_distance(wanted, name) <= most || contains(wanted, name) || contains(name, wanted);
+/// Returns true if two names are similar: at most two of five letters differ, or one name
+/// contains the other.
+bool is_similar(std::string_view query, std::string_view name) {
+    const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
+    return edit_distance(query, name) <= most || contains(query, name) || contains(name, query);
 }
 
 }  // namespace
 
-std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known) {
-    const auto best =
-        std::min_element(known.begin(), known.end(), [&](const std::string& a, const std::string& b) {
-            return edit_distance(wanted, a) < edit_distance(wanted, b);
-        });
-    return best == known.end() ? std::string() : *best;
+std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names) {
+    const auto best = std::min_element(known_names.begin(), known_names.end(),
+                                       [&](const std::string& a, const std::string& b) {
+                                           return edit_distance(query, a) < edit_distance(query, b);
+                                       });
+    return best == known_names.end() ? std::string() : *best;
 }
 
-std::string did_you_mean(std::string_view wanted, const std::vector<std::string>& known,
+std::string did_you_mean(std::string_view query, const std::vector<std::string>& known_names,
                          std::string_view quote, std::string_view otherwise) {
-    std::vector<std::string> alike;
-    for (const std::string& name : known)
-        if (resemble(wanted, name)) alike.push_back(name);
-    if (alike.empty()) return std::string(otherwise);
-    return fmt::format(", did you mean {}{}{}?", quote, nearest_name(wanted, alike), quote);
+    std::vector<std::string> similar_names;
+    for (const std::string& name : known_names)
+        if (is_similar(query, name)) similar_names.push_back(name);
+    if (similar_names.empty()) return std::string(otherwise);
+    return fmt::format(", did you mean {}{}{}?", quote, nearest_name(query, similar_names), quote);
 }
 
-std::optional<std::string> known_name(std::string_view wanted, const std::vector<std::string>& known) {
-    for (const std::string& name : known)
-        if (std::equal(wanted.begin(), wanted.end(), name.begin(), name.end(), same_letter)) return name;
+std::optional<std::string> known_name(std::string_view query, const std::vector<std::string>& known_names) {
+    for (const std::string& name : known_names)
+        if (std::equal(query.begin(), query.end(), name.begin(), name.end(), same_letter)) return name;
     return std::nullopt;
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The nearest of some places, such as those where a sensor was.
+// Finds the nearest of several points, such as sensor positions.
 #pragma once
 
 #include <cstddef>
@@ -11,23 +11,25 @@
 
 namespace relidar {
 
-/// May be asked by any thread. @tparam Scalar  of coordinates and distances
+/// k-d tree over points. Thread-safe.
+/// @tparam Scalar type of coordinates and distances
 template <class Scalar>
 class NearestPlace {
 public:
     using Point = glm::vec<3, Scalar>;
 
-    /// @param places  at least one
+    /// Builds the tree.
+    /// @param places at least one point
     explicit NearestPlace(std::vector<Point> places)
         : places_{std::move(places)}, tree_(3, places_, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
-    NearestPlace(const NearestPlace&) = delete;  // the tree refers to the places
+    NearestPlace(const NearestPlace&) = delete;  // Not copyable, because the tree refers to the points.
     NearestPlace& operator=(const NearestPlace&) = delete;
 
     std::size_t of(const Point& point) const { return find(point).first; }
     Scalar squared_distance(const Point& point) const { return find(point).second; }
 
 private:
-    /// What the tree asks of a container; the member names are nanoflann's.
+    /// Container interface that nanoflann requires, with its member names.
     struct Places {
         std::vector<Point> all;
         std::size_t kdtree_get_point_count() const { return all.size(); }

@@ -9,9 +9,9 @@ namespace relidar {
 namespace {
 
 template <class T>
-std::string shortest(T value) {
-    if (std::isnan(value)) return "nan";  // whatever its sign
-    std::array<char, 32> buffer;          // the longest text has 24 characters: -2.2250738585072014e-308
+std::string shortest_text(T value) {
+    if (std::isnan(value)) return "nan";  // The sign of a NaN is ignored.
+    std::array<char, 32> buffer;          // The longest text has 24 characters: -2.2250738585072014e-308.
     const std::to_chars_result end = std::to_chars(buffer.data(), buffer.data() + buffer.size(), value);
     const std::string text(buffer.data(), end.ptr);
     const bool looks_integer = std::isfinite(value) && text.find_first_of(".e") == std::string::npos;
@@ -20,7 +20,7 @@ std::string shortest(T value) {
 
 }  // namespace
 
-std::string number_text(double value) { return shortest(value); }
-std::string number_text(float value) { return shortest(value); }
+std::string number_text(double value) { return shortest_text(value); }
+std::string number_text(float value) { return shortest_text(value); }
 
 }  // namespace relidar

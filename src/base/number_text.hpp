@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers as files hold them: the same text on every machine, whatever its locale and the
-// versions of its libraries.
+// Converts numbers to text for files. The text does not depend on the machine, its locale
+// or its library versions.
 #pragma once
 
 #include <string>
 
 namespace relidar {
 
-/// Shortest decimal text that reads back to the same number. It has a point or an
-/// exponent, so that TOML and JSON take it for a real number: "8.0", "1e-09", "-0.0".
-/// What is not finite is written as TOML has it, "nan", "inf" or "-inf"; JSON has no such
-/// numbers.
+/// Returns the shortest decimal text that reads back to the same number. It has a point
+/// or an exponent, so that TOML and JSON read it as a real number: "8.0", "1e-09",
+/// "-0.0". Values that are not finite become "nan", "inf" or "-inf", as in TOML; JSON has
+/// no such numbers.
 std::string number_text(double value);
-std::string number_text(float value);  ///< fewer digits: reads back to the same float
+/// Returns a text with fewer digits, which reads back to the same float.
+std::string number_text(float value);
 
 }  // namespace relidar

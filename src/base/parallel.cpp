@@ -2,105 +2,52 @@
 #include "base/parallel.hpp"
 
 #include <atomic>
-#include <condition_variable>
 #include <exception>
-#include <list>
 #include <mutex>
 
-#include <unistd.h>
+#include <tbb/global_control.h>
+#include <tbb/parallel_for.h>
+#include <tbb/task_arena.h>
 
 namespace relidar {
-namespace {
 
-/// Threads that wait for work, one less than there are cores. They are started by the
-/// first loop and never end: what they would have to outlive at the end of the program is
-/// not known. Starting threads for each loop took longer than many a loop.
-class IdleThreads {
-public:
-    IdleThreads() {
-        for (std::size_t k = 1; k < n_cores(); ++k) std::thread([this] { serve(); }).detach();
-    }
-
-    /// Runs work() here, and at the same time on up to n others. @return once all of them
-    /// have returned
-    void run(std::size_t n, const std::function<void()>& work) {
-        Job job{&work, n};
-        {
-            const std::scoped_lock lock(mutex_);
-            jobs_.push_back(&job);
-        }
-        wake();
-        work();
-        std::unique_lock lock(mutex_);
-        jobs_.remove(&job);  // whoever has not begun finds nothing left to do
-        ended_.wait(lock, [&] { return job.n_running == 0; });
-    }
-
-private:
-    struct Job {
-        const std::function<void()>* work;
-        std::size_t n_wanted, n_running = 0;
-    };
-    std::mutex mutex_;
-    std::condition_variable wake_, ended_;
-    std::list<Job*> jobs_;  // that want more threads
-
-    /// Two threads, each of which wakes two others where they are wanted: the caller
-    /// begins at once, and ends a short loop alone.
-    void wake() {
-        wake_.notify_one();
-        wake_.notify_one();
-    }
-
-    void serve() {
-        std::unique_lock lock(mutex_);
-        for (;;) {
-            wake_.wait(lock, [&] { return !jobs_.empty(); });
-            Job& job = *jobs_.front();
-            if (--job.n_wanted == 0) jobs_.pop_front();
-            ++job.n_running;
-            const bool wants_more = !jobs_.empty();
-            lock.unlock();
-            if (wants_more) wake();
-            (*job.work)();
-            lock.lock();
-            if (--job.n_running == 0) ended_.notify_all();
-        }
-    }
-};
-
-/// Those of this process: a fork has none of its parent's threads.
-IdleThreads& idle_threads() {
-    static std::mutex mutex;
-    static IdleThreads* threads = nullptr;
-    static pid_t of = 0;
-    const std::scoped_lock lock(mutex);
-    if (of != ::getpid()) threads = new IdleThreads, of = ::getpid();
-    return *threads;
+std::size_t max_concurrency() {
+    const std::size_t limit = tbb::global_control::active_value(tbb::global_control::max_allowed_parallelism);
+    return std::clamp<std::size_t>(std::size_t(tbb::this_task_arena::max_concurrency()), 1, limit);
 }
 
-}  // namespace
-
-void run_parallel(int n, const std::function<void(int)>& task) {
+void parallel_for(int n, const std::function<void(int)>& task) {
     if (n <= 0) return;
     std::mutex mutex;
     std::exception_ptr failure;
     int failed = n;
     std::atomic<int> next{0};
-    const auto work = [&] {
+    // oneTBB would split [0, n) in the middle. A shared counter starts the tasks in
+    // ascending order instead: when a task fails, all tasks before it have started.
+    const auto run_tasks = [&] {
         for (int i = next++; i < n; i = next++) {
             try {
                 task(i);
             } catch (...) {
                 const std::scoped_lock lock(mutex);
                 if (i < failed) failure = std::current_exception(), failed = i;
-                next = n;  // all of smaller i have been begun
+                next = n;
             }
         }
     };
-    if (const std::size_t helpers = std::min(std::size_t(n), n_cores()) - 1; helpers > 0)
-        idle_threads().run(helpers, work);
-    else work();
+    const std::size_t n_threads = std::min(std::size_t(n), max_concurrency());
+    if (n_threads == 1) {
+        run_tasks();
+    } else {
+        // Isolated: a waiting thread runs no other loop, and a cancelled task group of
+        // the caller does not cancel this loop.
+        tbb::task_group_context context(tbb::task_group_context::isolated);
+        tbb::this_task_arena::isolate([&] {
+            tbb::parallel_for(
+                std::size_t(0), n_threads, [&](std::size_t) { run_tasks(); }, tbb::simple_partitioner(),
+                context);
+        });
+    }
     if (failure) std::rethrow_exception(failure);
 }
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The plane of points that come one by one:
-//   mean = sum d / n,   covariance = sum d d^T / n - mean mean^T,   the normal its axis of least variance.
+// Fits a plane to points that are added one by one:
+//
+//   mean = sum d / n,   covariance = sum d d^T / n - mean mean^T,   the normal is the axis of least variance
 #pragma once
 
 #include <Eigen/Eigenvalues>
@@ -10,15 +11,17 @@ namespace relidar {
 
 struct PlaneFit {
     glm::dvec3 mean{0.0};
-    glm::dvec3 variance{0.0};  ///< along the axes, ascending
-    glm::dvec3 axes[3];        ///< unit; the first is the normal
+    glm::dvec3 variance{0.0};  ///< Variances along the axes, ascending.
+    glm::dvec3 axes[3];        ///< Unit axes; the first is the normal.
 };
 
 struct PlaneSums {
     double n = 0.0;
-    glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};  ///< products: of y z, x z, x y
+    glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};  ///< Sums of the products y z, x z and x y.
 
-    /// @param d from an origin near the points, so that squares lose no digits
+    /// Adds a point.
+    /// @param d point relative to an origin near the points, so that squares keep their
+    /// precision
     void add(const glm::dvec3& d) {
         n += 1.0;
         sum += d;
@@ -26,7 +29,7 @@ struct PlaneSums {
         products += glm::dvec3(d.y * d.z, d.x * d.z, d.x * d.y);
     }
 
-    /// From the same origin; n > 0.
+    /// Returns the plane relative to the same origin; requires n > 0.
     PlaneFit fit() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loops over many independent items that say how far they are.
+// Parallel loops over independent items that report their progress.
 #pragma once
 
 #include <algorithm>
@@ -13,7 +13,7 @@
 
 namespace relidar {
 
-/// run_parallel. The calling thread tells how many of the items are done: first, before
+/// parallel_for. The calling thread tells how many of the items are done: first, before
 /// each that it takes itself, and 1 at the end, since other threads may take all of the
 /// last ones. What `progress` throws ends it.
 template <class Task>
@@ -22,7 +22,7 @@ void for_each_told(std::size_t n, const Progress& progress, std::string_view wha
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done{0};
     std::atomic<bool> is_ended{false};
-    run_parallel(static_cast<int>(n), [&](int i) {
+    parallel_for(static_cast<int>(n), [&](int i) {
         if (is_ended) return;
         if (progress && std::this_thread::get_id() == caller) try {
                 progress(what, double(done) / double(n));
@@ -36,7 +36,7 @@ void for_each_told(std::size_t n, const Progress& progress, std::string_view wha
     if (progress) progress(what, 1.0);
 }
 
-/// As for_each_told, in blocks.
+/// Runs a loop in blocks and reports progress, like for_each_told().
 template <class Task>
 void for_each_block_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     const std::size_t size = block_size(n);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Seedable randomness, equal on every machine: SplitMix64 (Steele, Lea, Flood 2014) as a
-// generator and as a hash, and normal deviates by Box and Muller.
+// Seedable random numbers that are equal on every machine: SplitMix64 (Steele, Lea, Flood
+// 2014) as generator and hash, and normal deviates by the method of Box and Muller.
 #pragma once
 
 #include <cmath>
@@ -8,7 +8,7 @@
 
 namespace relidar {
 
-/// Scrambles 64 bits (the output function of SplitMix64).
+/// Returns a hash of 64 bits (the output function of SplitMix64).
 inline std::uint64_t hash64(std::uint64_t x) {
     x += 0x9E3779B97F4A7C15ull;
     x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ull;
@@ -16,28 +16,28 @@ inline std::uint64_t hash64(std::uint64_t x) {
     return x ^ (x >> 31);
 }
 
-/// Hash of a pair, order matters.
+/// Returns a hash of a pair; the order matters.
 inline std::uint64_t hash64(std::uint64_t a, std::uint64_t b) {
     return hash64(hash64(a) ^ (b * 0xD6E8FEB86659FD93ull));
 }
 
-/// A stream of random numbers.
+/// Random number generator.
 class Random {
 public:
     explicit Random(std::uint64_t seed) : state_(hash64(seed)) {}
 
     std::uint64_t next() { return hash64(state_ += 0x9E3779B97F4A7C15ull); }
 
-    /// Where the stream stands: all there is to save and restore.
+    /// Complete state of the generator, to save and restore.
     std::uint64_t& state() { return state_; }
 
-    /// Uniform in [0, 1), 53 bits.
+    /// Returns a uniform number in [0, 1) with 53 bits.
     double uniform() { return static_cast<double>(next() >> 11) * 0x1.0p-53; }
 
-    /// Uniform in [low, high).
+    /// Returns a uniform number in [low, high).
     double uniform(double low, double high) { return low + (high - low) * uniform(); }
 
-    /// Standard normal deviate.
+    /// Returns a standard normal deviate.
     double normal() {
         const double radius = std::sqrt(-2.0 * std::log(1.0 - uniform()));
         return radius * std::cos(6.283185307179586 * uniform());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Dots are counted from one separator of keys to the next; quoted texts and comments hold
-// none that count. What this reads differently from TOML (texts over several lines) errs
-// on the side of counting.
+// Counts the dots between two separators of keys. Skips quoted texts and comments. Treats
+// multi-line texts differently from TOML, but then counts too many dots rather than too
+// few.
 #include "base/toml_depth.hpp"
 
 #include <algorithm>
@@ -15,7 +15,7 @@ namespace {
 
 constexpr int kMostParts = 8, kDeepest = 8;
 
-/// Behind the text in quotes, or at the end of its line.
+/// Returns the position after a quoted text, or the end of its line.
 std::size_t skip_quoted(std::string_view text, std::size_t at) {
     const char quote = text[at++];
     for (; at < text.size() && text[at] != quote && text[at] != '\n'; ++at) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A look at TOML text before it is parsed.
+// Checks TOML text before it is parsed.
 #pragma once
 
 #include <string>
@@ -7,11 +7,12 @@
 
 namespace relidar {
 
-/// A TOML library makes a table of every part of a key, one in the other, and takes them
-/// down again by recursion: forty thousand dots overflow the stack. Settings have two
-/// parts.
-/// @param file for the message @throws DataError where a key has more than 8 parts, or
-/// brackets lie more than 8 deep
+/// Rejects TOML with too deep nesting. A TOML library creates nested tables for the parts
+/// of a key and destroys them recursively, so that forty thousand dots overflow the
+/// stack. Keys of settings have two parts.
+/// @param file file name for the message
+/// @throws DataError if a key has more than 8 parts, or brackets are nested more than 8
+/// deep
 void check_toml_depth(std::string_view text, const std::string& file);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Buffers on memory of the pools; what is too large is refused by name before the driver
-// sees it.
+// Buffers in memory of the pools. Rejects a buffer that is too large, with its name,
+// before the driver is called.
 #include "gpu/buffer.hpp"
 
 #include <cstring>
@@ -45,14 +45,16 @@ void check_budget(const Device::Impl& device, std::size_t size, const std::strin
 
 Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, const std::string& what)
     : device(&owner), use(used), n_bytes(size) {
-    if (owner.compile_only) return;  // a driver without hardware has no memory
+    if (owner.compile_only) return;  // A driver without hardware cannot allocate memory.
     check_size(owner, size, what);
-    if (use == gpu::MemoryUse::device) check_budget(owner, size, what);  // the rest is the host's
+    // Other kinds of memory belong to the host.
+    if (use == gpu::MemoryUse::device) check_budget(owner, size, what);
     VkBufferCreateInfo info{VK_STRUCTURE_TYPE_BUFFER_CREATE_INFO};
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    if (owner.traversal == Traversal::ray_query)  // the extension is enabled then, not merely there
+    // The acceleration structure extension is enabled only for ray queries.
+    if (owner.traversal == Traversal::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
     const VkResult created = vkCreateBuffer(owner.device, &info, nullptr, &handle);

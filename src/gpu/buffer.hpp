@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Vulkan buffer behind relidar::Buffer, and the same over memory that the host reads
-// or writes.
+// Vulkan buffer behind relidar::Buffer. Also used for memory that the host reads or
+// writes.
 #pragma once
 
 #include "gpu/context.hpp"
@@ -15,9 +15,11 @@ struct Buffer::Impl {
     gpu::MemoryUse use;
     std::uint64_t address = 0;
     std::size_t n_bytes = 0;
-    std::byte* mapped = nullptr;  ///< null for arrays of kernels
+    std::byte* mapped = nullptr;  ///< Host address of the memory; null for arrays of kernels.
 
-    /// @throws DeviceError where memory is exhausted or one buffer cannot be so large
+    /// Allocates a buffer.
+    /// @throws DeviceError if memory is exhausted or the device does not allow such a
+    /// large buffer
     Impl(Device::Impl& device, std::size_t n_bytes, gpu::MemoryUse use, const std::string& what);
     ~Impl();
     Impl(const Impl&) = delete;

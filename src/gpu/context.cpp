@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Opening a device: the instance, the features relidar needs (all missing ones are
-// reported at once), one compute queue and the pipeline layout that every kernel shares.
+// Opens a device: creates the instance, checks the required features (and reports all
+// missing ones together), gets one compute queue and creates the pipeline layout of all
+// kernels.
 #include "gpu/context.hpp"
 
 #include <cstdio>
@@ -137,8 +138,8 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
     return infos;
 }
 
-/// The device asked for, or the best one: a GPU before a CPU, one with ray query before
-/// others.
+/// Returns the requested device, or the best one: GPUs before CPUs, and devices with ray
+/// queries first.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
@@ -166,23 +167,23 @@ int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     return best;
 }
 
-void require(const DeviceInfo& info, Traversal wanted) {
+void require(const DeviceInfo& info, Traversal traversal) {
     if (!info.why_not_usable.empty())
         throw DeviceError(fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index,
                                       info.name, info.why_not_usable));
-    if (wanted == Traversal::ray_query && !info.ray_query)
+    if (traversal == Traversal::ray_query && !info.ray_query)
         throw DeviceError(
             fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or that the "
                         "choice is left to relidar",
                         info.index, info.name, info.why_not_ray_query));
-    if (wanted == Traversal::software && !info.software)
+    if (traversal == Traversal::software && !info.software)
         throw DeviceError(
             fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that "
                         "the choice is left to relidar",
                         info.index, info.name, info.why_not_software));
-    // the trees refuse it; tests run its other kernels
+    // SwiftShader cannot run the tracing kernels, but tests run the other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
-    if (wanted == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
+    if (traversal == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
         throw DeviceError(
             fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, "
                         "expected all of one of them",
@@ -206,7 +207,7 @@ Traversal find_traversal(const std::string& name) {
 }
 
 Traversal best_traversal(const DeviceInfo& info) {
-    // measured: docs/platform.md
+    // docs/performance.md has the measurements.
     if (info.software && (info.type == "CPU" || !info.ray_query)) return Traversal::software;
     return info.ray_query ? Traversal::ray_query : Traversal::automatic;
 }
@@ -220,7 +221,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     require(impl_->info, options.traversal);
     impl_->traversal =
         options.traversal == Traversal::automatic ? best_traversal(impl_->info) : options.traversal;
-    // which the trees then refuse
+    // The constructors of the trees then reject the device.
     if (impl_->traversal == Traversal::automatic) impl_->traversal = Traversal::software;
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
@@ -242,7 +243,7 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
     vkGetDeviceQueue(device, queue_family, 0, &queue);
     read_limits();
     make_pipeline_layout();
-    if (compile_only) return;  // what a driver without hardware lacks
+    if (compile_only) return;  // A driver without hardware lacks the functions below.
     pipeline_cache = std::make_unique<gpu::PipelineCache>(physical, device, cache_folder);
     memory = std::make_unique<gpu::MemoryPools>(physical, device);
     transfers = std::make_unique<gpu::Transfers>(*this);
@@ -254,8 +255,8 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
 
 namespace {
 
-/// Features of extensions, all of them asked for; which of them a device gets is decided
-/// where it is made.
+/// Feature structs of extensions, with all features set. make_device() selects which of
+/// them a device enables.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -300,7 +301,7 @@ void Device::Impl::make_device() {
     queue_info.queueCount = 1;
     queue_info.pQueuePriorities = &priority;
 
-    ExtensionFeatures wanted;
+    ExtensionFeatures extension_features;
     VkPhysicalDeviceVulkan13Features v13{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_3_FEATURES};
     v13.maintenance4 = VK_TRUE;
     VkPhysicalDeviceVulkan12Features v12{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_VULKAN_1_2_FEATURES, &v13};
@@ -321,18 +322,19 @@ void Device::Impl::make_device() {
     };
     if (traversal == Traversal::ray_query) {
         extensions.push_back(VK_KHR_DEFERRED_HOST_OPERATIONS_EXTENSION_NAME);
-        enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, wanted.accel);
-        enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, wanted.query);
+        enable(VK_KHR_ACCELERATION_STRUCTURE_EXTENSION_NAME, extension_features.accel);
+        enable(VK_KHR_RAY_QUERY_EXTENSION_NAME, extension_features.query);
     }
     pipeline_statistics =
         compile_only && gpu::has_extension(physical, VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME);
-    if (pipeline_statistics) enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, wanted.executables);
-    if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, wanted.atomics);
+    if (pipeline_statistics)
+        enable(VK_KHR_PIPELINE_EXECUTABLE_PROPERTIES_EXTENSION_NAME, extension_features.executables);
+    if (info.float_atomics) enable(VK_EXT_SHADER_ATOMIC_FLOAT_EXTENSION_NAME, extension_features.atomics);
     if (optional.subgroup_uniform_control_flow)
-        enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, wanted.uniform);
+        enable(VK_KHR_SHADER_SUBGROUP_UNIFORM_CONTROL_FLOW_EXTENSION_NAME, extension_features.uniform);
 #ifdef VK_KHR_shader_maximal_reconvergence
     if (optional.maximal_reconvergence)
-        enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, wanted.maximal);
+        enable(VK_KHR_SHADER_MAXIMAL_RECONVERGENCE_EXTENSION_NAME, extension_features.maximal);
 #endif
     VkDeviceCreateInfo device_info{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO, &features};
     device_info.queueCreateInfoCount = 1;
@@ -381,11 +383,11 @@ Device::Impl::~Impl() {
     transfers.reset();
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
-        // of a kernel that was never run
+        // Skips kernels that were never run, whose pipelines were not created.
         if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);
-        } catch (const Error&) {  // told where it was to be run
+        } catch (const Error&) {  // The error was already reported when the kernel was launched.
         }
     }
     pipeline_cache.reset();

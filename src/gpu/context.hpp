@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan objects behind relidar::Device: instance, device, one compute queue, and how
-// failures of calls become DeviceError.
+// Vulkan objects behind relidar::Device: the instance, the device and one compute queue.
+// Converts failures of Vulkan calls to DeviceError.
 #pragma once
 
 #include <array>
@@ -25,17 +25,19 @@ class MemoryPools;
 class PipelineCache;
 class Transfers;
 
-/// Throws DeviceError naming the call and the VkResult where `result` is a failure.
+/// Throws a DeviceError that names the call and the VkResult if `result` is a failure.
 void check(VkResult result, const char* call);
+/// Throws an error for a failed Vulkan call.
 /// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
 [[noreturn]] void fail(VkResult result, const std::string& message);
 std::string result_name(VkResult result);
 
-/// An instance with its optional validation messenger.
+/// Vulkan instance with its optional validation messenger.
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// of this instance: one opened later without the extension has none
+    /// Function pointer of this instance. It is stored here because an instance that is
+    /// opened later without the extension replaces the global pointer by null.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
@@ -47,10 +49,10 @@ struct Instance {
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
 
-/// Whether a device offers an extension.
+/// Returns true if a device supports an extension.
 bool has_extension(VkPhysicalDevice physical, const char* name);
 
-/// Collects names of what is missing, in words for a message.
+/// Collects the names of missing features for a message.
 struct Missing {
     std::string text;
     void need(bool present, const char* name) {
@@ -58,33 +60,36 @@ struct Missing {
     }
 };
 
-/// What makes kernels right or safer on devices where it is not so anyway.
+/// Optional features that make kernels correct or more robust on devices that do not
+/// guarantee this behaviour otherwise.
 struct OptionalFeatures {
-    bool subgroup_size = false;   ///< sizes vary, and a kernel can ask for DeviceInfo::subgroup_size lanes
-    bool full_subgroups = false;  ///< and that no lane is missing
+    /// Subgroup sizes vary, and a kernel can request DeviceInfo::subgroup_size lanes.
+    bool subgroup_size = false;
+    bool full_subgroups = false;  ///< A kernel can request full subgroups, without inactive lanes.
     bool subgroup_uniform_control_flow = false;
     bool maximal_reconvergence = false;
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 
-/// Whether subgroups that kernels run in have DeviceInfo::subgroup_size lanes, all there.
+/// Returns true if kernels run in full subgroups of DeviceInfo::subgroup_size lanes.
 bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                      const OptionalFeatures& optional);
-/// What software traversal lacks, in words; empty where nothing.
+/// Lists the features that software traversal lacks; empty if it lacks none.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// What layers of networks lack, in the same way.
+/// Lists the features that the layers of networks lack; empty if they lack none.
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// Pipelines by kernel name, specialisation constants and what is expected of subgroups.
-/// lavapipe takes 10 ms for one even where its code is in a cache, and trainings and
-/// renderers make dozens, so kernels of a device that are alike share one, kept until it
-/// closes. A GPU's driver compiles for seconds where nothing is in a cache: there a
-/// pipeline is begun, by a thread of its own, as soon as its kernel is made.
+/// Pipelines by kernel name, specialisation constants and subgroup requirements. Equal
+/// kernels share one pipeline, which is kept until the device is closed. Sharing is
+/// needed because trainings and renderers create dozens of kernels, and lavapipe needs 10
+/// ms for each pipeline even if its code is cached. A GPU's driver compiles for seconds
+/// without a cache. Therefore a separate thread starts to compile a pipeline as soon as
+/// its kernel is created.
 struct Pipelines {
     struct Made {
         VkResult result;
@@ -92,10 +97,11 @@ struct Pipelines {
     };
     std::mutex mutex;
     std::map<std::string, std::shared_future<Made>> by_key;
-    std::counting_semaphore<> compilers{std::ptrdiff_t(n_cores())};  ///< threads that may work at a time
+    std::counting_semaphore<> compilers{
+        std::ptrdiff_t(max_concurrency())};  ///< threads that may work at a time
 };
 
-/// What relidar can do on a physical device, with every missing piece named.
+/// Describes the features of a physical device, with the names of all missing ones.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
 }  // namespace relidar::gpu
@@ -109,13 +115,13 @@ struct Device::Impl {
     VkQueue queue = VK_NULL_HANDLE;
     std::uint32_t queue_family = 0;
     DeviceInfo info;
-    std::vector<const char*> extensions;  ///< enabled
-    gpu::OptionalFeatures optional;       ///< enabled
+    std::vector<const char*> extensions;  ///< Enabled extensions.
+    gpu::OptionalFeatures optional;       ///< Enabled optional features.
     Traversal traversal = Traversal::ray_query;
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    /// that one array may have, and which limit that is
+    /// Maximum size of one array, and the name of the limit that determines it.
     struct {
         std::uint64_t n_bytes;
         const char* name;
@@ -125,31 +131,36 @@ struct Device::Impl {
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     gpu::Pipelines pipelines;
     std::mutex queue_mutex;
-    /// shared by all kernels: two addresses as push constants
+    /// Pipeline layout of all kernels: two addresses as push constants.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// zeros that kernels get in place of an array that a launch leaves out
+    /// Zeros that kernels receive in place of an array that a launch omits.
     std::unique_ptr<Buffer::Impl> nothing;
-    std::uint64_t memory_limit_bytes = 0;  ///< 0 = none
+    std::uint64_t memory_limit_bytes = 0;  ///< Limit for device memory; 0 = no limit.
     bool compile_only = false;
-    ForcedWays forced;  ///< by tests
-    /// pipelines are begun with their kernels; a CPU compiles when it runs them
+    ForcedWays forced;  ///< Behaviour that tests have forced.
+    /// If true, pipelines are compiled when their kernels are created. A CPU compiles a
+    /// pipeline when it first runs it.
     bool compiles_ahead = false;
-    bool pipeline_statistics = false;          ///< VK_KHR_pipeline_executable_properties is enabled
-    std::vector<PipelineStatistics> compiled;  ///< where compile_only
-    std::atomic<std::uint64_t> allocated{0};   ///< by arrays
+    bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
+    /// Statistics of compiled pipelines; used only with compile_only.
+    std::vector<PipelineStatistics> compiled;
+    std::atomic<std::uint64_t> allocated{0};  ///< Bytes allocated by arrays.
     std::atomic<std::uint64_t> peak{0};
-    /// made so far; waits of the host for all that was submitted
+    /// Number of buffers created so far, and number of times that the host waited for all
+    /// submissions.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
 
     Impl();
     ~Impl();
-    /// @param cache_folder  of pipelines, or empty
+    /// Opens the device.
+    /// @param cache_folder folder of the pipeline cache, or empty
     void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();
     void read_limits();
     void make_pipeline_layout();
-    /// Hands work to the queue, which takes it from one thread at a time.
+    /// Submits work to the queue. A mutex ensures that only one thread accesses the queue
+    /// at a time.
     void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
 };
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of gpu/copy.
+// Binding of the kernel gpu/copy.
 #include "gpu/copy_rate.hpp"
 
 #include <algorithm>
@@ -15,11 +15,12 @@
 namespace relidar {
 namespace {
 
-/// Seconds of the fastest of some copies of n vectors, by a kernel or by the driver: a
-/// GPU's driver may use a part of it alone, a processor's moves larger pieces than
-/// threads do. Copies follow each other without a pause, for a GPU raises its clocks at
-/// work alone. A processor needs seconds for what takes a GPU 10 ms: it ends after one
-/// turn of each.
+/// Returns the time of the fastest of several copies of n vectors, in seconds. Copies
+/// alternate between a kernel and the driver, because a GPU's driver may use only a part
+/// of the GPU, while a CPU's driver moves larger pieces than threads do. Copies follow
+/// each other without a pause, because a GPU raises its clock only under load. A CPU
+/// needs seconds for what a GPU does in 10 ms, so that it makes only one turn of each
+/// kind.
 double seconds_of_copy(Device& device, std::size_t n) {
     const Array<glm::vec4, shared::CopySource> from(device, n, "source of the copy");
     const Array<glm::vec4, shared::CopyTarget> to(device, n, "target of the copy");
@@ -56,7 +57,7 @@ std::optional<double> copy_bytes_per_s(Device& device) {
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {
             return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes / sizeof(glm::vec4));
-        } catch (const DeviceError&) {  // no room for two of that size
+        } catch (const DeviceError&) {  // The device has no memory for two arrays of this size.
         }
     }
     return std::nullopt;

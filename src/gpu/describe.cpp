@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a physical device offers against what relidar needs, with every missing extension
-// and feature named at once.
+// Compares the features of a physical device with those that relidar needs, and lists all
+// missing extensions and features.
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
@@ -103,8 +103,8 @@ bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
            (optional.subgroup_size && optional.full_subgroups);
 }
 
-/// Lavapipe before 24.1 cannot compile our kernels on every processor: its code generator
-/// ends the process (docs/platform.md).
+/// Returns true for lavapipe before 24.1. Its code generator terminates the process on
+/// some CPUs when it compiles our kernels (docs/debugging.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
     return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
@@ -117,9 +117,9 @@ constexpr const char* kNoCompiler = "a compiler for kernels that trace, which Sw
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional) {
-    const auto operations = [&](VkSubgroupFeatureFlags wanted) {
+    const auto operations = [&](VkSubgroupFeatureFlags required) {
         return (subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
-               (subgroup.supportedOperations & wanted) == wanted;
+               (subgroup.supportedOperations & required) == required;
     };
     Missing groups;
     groups.need(operations(VK_SUBGROUP_FEATURE_VOTE_BIT), "subgroup votes in compute");

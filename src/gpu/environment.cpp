@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the environment says of devices, read where a program asks for it.
+// Reads device options from environment variables, if a program requests it.
 #include <relidar/gpu/device.hpp>
 
 #include <charconv>
@@ -30,10 +30,10 @@ std::uint64_t memory_limit(const std::string& text) {
 }
 
 std::filesystem::path cache_folder() {
-    const std::string own = value_of("RELIDAR_PIPELINE_CACHE"), cache = value_of("XDG_CACHE_HOME"),
+    const std::string relidar_cache = value_of("RELIDAR_PIPELINE_CACHE"), cache = value_of("XDG_CACHE_HOME"),
                       home = value_of("HOME");
-    if (own == "0") return {};
-    if (!own.empty()) return own;
+    if (relidar_cache == "0") return {};
+    if (!relidar_cache.empty()) return relidar_cache;
     if (!cache.empty()) return std::filesystem::path(cache) / "relidar";
     return home.empty() ? std::filesystem::path() : std::filesystem::path(home) / ".cache" / "relidar";
 }

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings of a device that only tests change, and the validation messages that tests
-// count.
+// Device settings that only tests change, and the number of validation messages.
 #pragma once
 
 #include <cstddef>
@@ -10,19 +9,21 @@
 
 namespace relidar {
 
-/// Validation messages of severity warning or error that a device has seen so far (0
+/// Returns the number of validation messages of severity warning or error so far (0
 /// without validation).
 std::size_t validation_messages(const Device& device);
 
-/// What is done in another way than suits the device.
+/// Device behaviour that a test forces instead of the default.
 struct ForcedWays {
-    bool brute_force = false;  ///< rays test every surfel in the place of a search
-    /// threads beside each other read floats beside each other, as GPUs want it
+    bool brute_force = false;  ///< If true, rays test every surfel instead of searching a tree.
+    /// If true, neighbouring threads read neighbouring floats, as on GPUs.
     std::optional<bool> coalesces = std::nullopt;
-    std::optional<int> side_by_side = std::nullopt;  ///< see ScanRenderer::side_by_side()
+    /// Number of scans that a renderer processes concurrently; see
+    /// ScanRenderer::side_by_side().
+    std::optional<int> side_by_side = std::nullopt;
 };
 
-/// While it lives, what is made on a device is made so.
+/// Scope in which objects created on a device use the forced behaviour.
 class Forced {
 public:
     Forced(Device& device, const ForcedWays& ways);

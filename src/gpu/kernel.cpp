@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pipelines from embedded SPIR-V with specialisation constants.
+// Creates pipelines from embedded SPIR-V with specialisation constants.
 #include "gpu/kernel.hpp"
 
 #include <algorithm>
@@ -31,7 +31,7 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
             name));
 }
 
-/// Kernels whose lanes work together behind branches and in loops that they leave at
+/// Kernels whose lanes cooperate behind branches, and in loops that lanes leave at
 /// different times.
 constexpr std::array<std::string_view, 2> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace"};
 
@@ -46,7 +46,7 @@ bool loads_by_mask(const std::string& driver) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-/// The module as this device is to have it.
+/// Returns the SPIR-V module of a kernel after the changes that this device needs.
 std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name,
                                         std::string_view stem, const std::vector<Constant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
@@ -108,7 +108,8 @@ std::string key_of(std::string_view name, const std::vector<Constant>& constants
     return key;
 }
 
-/// One of the threads that may compile at a time, from when it may on.
+/// Scope that occupies one of the compiler threads. The constructor blocks until one is
+/// free.
 class Turn {
 public:
     explicit Turn(std::counting_semaphore<>& compilers) : compilers_(compilers) { compilers_.acquire(); }
@@ -118,8 +119,8 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-/// The device's pipeline of such a kernel, made where it is the first: when it is asked
-/// for (deferred), or by another thread at once.
+/// Returns the pipeline of a kernel. If it does not exist yet, it is created at the first
+/// use (deferred) or immediately by another thread.
 std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device,
                                                                 const KernelBase::Impl& kernel,
                                                                 std::launch how) {
@@ -197,11 +198,11 @@ void KernelBase::compile_only() {
     s.kernel = impl_->module;
     s.constants = constants_text(find_words(impl_->module), impl_->constants);
     s.workgroup_size = static_cast<int>(impl_->workgroup_size);
-    const auto same = [&](const PipelineStatistics& known) {
+    const auto is_same = [&](const PipelineStatistics& known) {
         return known.kernel == s.kernel && known.constants == s.constants &&
                known.workgroup_size == s.workgroup_size;
     };
-    if (std::any_of(device.compiled.begin(), device.compiled.end(), same)) return;
+    if (std::any_of(device.compiled.begin(), device.compiled.end(), is_same)) return;
     const gpu::Pipelines::Made made = impl_->made_.get();
     if (made.result != VK_SUCCESS) s.failure = gpu::result_name(made.result);
     else if (device.pipeline_statistics) gpu::read_statistics(device.device, made.pipeline, s);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocks of device memory, and first fit in each of them.
+// Blocks of device memory with first-fit allocation.
 #include "gpu/memory.hpp"
 
 #include <algorithm>
@@ -9,11 +9,11 @@ namespace relidar::gpu {
 
 namespace {
 
-// what the strictest of our users wants: storage of acceleration structures, cache lines
+// Largest alignment that any user needs: storage of acceleration structures, cache lines.
 constexpr std::uint64_t kAlignment = 256;
 
-/// Properties to ask for, the best first.
-std::vector<VkMemoryPropertyFlags> wanted_properties(MemoryUse use) {
+/// Returns the memory properties to request, best first.
+std::vector<VkMemoryPropertyFlags> preferred_properties(MemoryUse use) {
     constexpr VkMemoryPropertyFlags kHost =
         VK_MEMORY_PROPERTY_HOST_VISIBLE_BIT | VK_MEMORY_PROPERTY_HOST_COHERENT_BIT;
     switch (use) {
@@ -69,30 +69,30 @@ MemoryPools::~MemoryPools() {
     for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
 }
 
-/// Bytes of a block that several buffers share. Some heaps are small: 256 MiB where the
-/// host sees a window of the device's memory.
+/// Returns the size of a block that several buffers share. Some heaps are small: 256 MiB
+/// if the host sees only a window of the device memory.
 std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
     const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
-    // drivers without hardware name no size
+    // Drivers without hardware report a heap size of 0.
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Types that serve, the best first. What the host writes into the device's memory must
-/// be a small part of it.
+/// Returns suitable memory types, best first. Host-visible device memory is used only for
+/// small buffers.
 std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
-    std::vector<std::uint32_t> found;
-    for (const VkMemoryPropertyFlags wanted : wanted_properties(use))
+    std::vector<std::uint32_t> suitable_types;
+    for (const VkMemoryPropertyFlags properties_mask : preferred_properties(use))
         for (std::uint32_t type = 0; type < properties_.memoryTypeCount; ++type) {
             if (!(needs.memoryTypeBits >> type & 1u) ||
-                (properties_.memoryTypes[type].propertyFlags & wanted) != wanted)
+                (properties_.memoryTypes[type].propertyFlags & properties_mask) != properties_mask)
                 continue;
             const bool scarce = use == MemoryUse::parameters &&
-                                (wanted & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
+                                (properties_mask & VK_MEMORY_PROPERTY_DEVICE_LOCAL_BIT) &&
                                 needs.size > shared_bytes(type);
-            if (!scarce) found.push_back(type);
+            if (!scarce) suitable_types.push_back(type);
             break;
         }
-    return found;
+    return suitable_types;
 }
 
 bool MemoryPools::take_of_type(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
@@ -106,7 +106,7 @@ bool MemoryPools::take_of_type(const VkMemoryRequirements& needs, std::uint32_t 
 
 VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
-    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // no type of memory serves
+    VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // No suitable memory type.
     for (const std::uint32_t type : types(needs, use)) {
         result = take_of_type(needs, type, piece) ? VK_SUCCESS : grow(needs, type, piece);
         if (result != VK_SUCCESS) continue;
@@ -120,7 +120,7 @@ VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, Mem
 VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
     const std::uint64_t shared = shared_bytes(type);
     VkResult result = VK_SUCCESS;
-    // the second time with nothing to spare
+    // The second attempt allocates only the required size.
     for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(type, n_bytes);
         if (result == VK_SUCCESS && take_of_type(needs, type, piece)) return VK_SUCCESS;
@@ -150,15 +150,16 @@ VkResult MemoryPools::map(MemoryBlock& block) {
     return result;
 }
 
-/// One shared block of a type stays when it is empty: arrays that come and go would make
-/// and free it each time.
+/// Releases the memory of a buffer. Keeps one empty shared block of each type, because
+/// short-lived arrays would otherwise allocate and free it each time.
 void MemoryPools::give_back(const MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     piece.block->free.give_back(piece.offset, piece.n_bytes);
     if (piece.block->free.all_free()) release_empty(piece.block->type, 1);
 }
 
-/// Frees empty blocks. @param n_kept shared ones that may stay
+/// Frees empty blocks.
+/// @param n_kept number of empty shared blocks to keep
 void MemoryPools::release_empty(std::uint32_t type, std::size_t n_kept) {
     std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {
         if (!block->free.all_free()) return false;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Memory for buffers, in blocks that many of them share: a driver may allow only 4096
-// allocations (maxMemoryAllocationCount), and each costs a system call. An array of more
-// than half a block has a block of its own. (Vulkan Memory Allocator would do this;
-// Debian 12 does not package it.)
+// Device memory for buffers, allocated in blocks that many buffers share. Blocks are
+// needed because a driver may allow only 4096 allocations (maxMemoryAllocationCount), and
+// each allocation costs a system call. An array larger than half a block gets a separate
+// block. (Vulkan Memory Allocator has this function, but Debian 12 does not package it.)
 #pragma once
 
 #include <array>
@@ -18,47 +18,51 @@
 
 namespace relidar::gpu {
 
-/// What memory is for, which decides its type. All but `device` is mapped for as long as
-/// it lives, and coherent.
+/// Purpose of memory, which determines its type. All types except `device` are mapped for
+/// their lifetime, and coherent.
 enum class MemoryUse {
-    device,      ///< arrays of kernels
-    parameters,  ///< written by the host, read by kernels: memory of the device where the host can write it
-    upload,      ///< written by the host, read by copies
-    readback,    ///< written by copies, read by the host: cached where there is such memory
+    device,  ///< Arrays of kernels.
+    /// Written by the host, read by kernels. Uses device memory that the host can write,
+    /// if there is any.
+    parameters,
+    upload,    ///< Written by the host, read by copies.
+    readback,  ///< Written by copies, read by the host. Uses cached memory if there is any.
 };
 
-/// Which parts of a block are free.
+/// Free ranges of a block.
 class FreeRanges {
 public:
     explicit FreeRanges(std::uint64_t n_bytes) : n_bytes_(n_bytes), ranges_{{0, n_bytes}} {}
-    /// Takes the first free range that fits. @param alignment a power of two @return its
-    /// offset, or nothing where none fits
+    /// Allocates the first free range that is large enough.
+    /// @param alignment a power of two
+    /// @return offset of the range, or nullopt if none is large enough
     std::optional<std::uint64_t> take(std::uint64_t n_bytes, std::uint64_t alignment);
     void give_back(std::uint64_t offset, std::uint64_t n_bytes);
     bool all_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
     std::uint64_t n_bytes_;
-    std::map<std::uint64_t, std::uint64_t> ranges_;  ///< offset -> bytes; no two touch
+    /// Map from offset to size in bytes. Adjacent ranges are merged.
+    std::map<std::uint64_t, std::uint64_t> ranges_;
 };
 
-/// One allocation of the driver.
+/// Allocation of the driver.
 struct MemoryBlock {
     VkDeviceMemory memory = VK_NULL_HANDLE;
     std::uint32_t type = 0;
     std::uint64_t n_bytes = 0;
-    std::byte* mapped = nullptr;  ///< where one of its users is the host
+    std::byte* mapped = nullptr;  ///< Host address, if the host uses the block.
     FreeRanges free;
 };
 
-/// The part of a block that one buffer has.
+/// Part of a block that belongs to a buffer.
 struct MemoryPiece {
     MemoryBlock* block = nullptr;
     std::uint64_t offset = 0;
     std::uint64_t n_bytes = 0;
 };
 
-/// All memory of a device. May be used by several threads.
+/// All memory of a device. Thread-safe.
 class MemoryPools {
 public:
     static constexpr std::uint64_t kBlockBytes = std::uint64_t(64) << 20;
@@ -68,8 +72,9 @@ public:
     MemoryPools(const MemoryPools&) = delete;
     MemoryPools& operator=(const MemoryPools&) = delete;
 
-    /// @param piece set where the answer is VK_SUCCESS @return what the driver said of
-    /// the last type of memory tried
+    /// Allocates memory for a buffer.
+    /// @param piece set if the result is VK_SUCCESS
+    /// @return result of the driver for the last memory type that was tried
     VkResult take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece);
     void give_back(const MemoryPiece& piece);
     std::size_t n_blocks() const;
@@ -80,7 +85,7 @@ private:
     VkDevice device_;
     VkPhysicalDeviceMemoryProperties properties_{};
     mutable std::mutex mutex_;
-    std::array<Blocks, VK_MAX_MEMORY_TYPES> blocks_;  ///< of each type
+    std::array<Blocks, VK_MAX_MEMORY_TYPES> blocks_;  ///< Blocks of each memory type.
 
     std::vector<std::uint32_t> types(const VkMemoryRequirements& needs, MemoryUse use) const;
     std::uint64_t shared_bytes(std::uint32_t type) const;

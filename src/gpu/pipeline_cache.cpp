@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The file: "RELIDAR1", size and hash of what follows, then what the driver gave.
+// File format of the pipeline cache: "RELIDAR1", size and hash of the remaining data,
+// then the data of the driver.
 #include "gpu/pipeline_cache.hpp"
 
 #include <unistd.h>
@@ -23,7 +24,8 @@ struct FileHeader {
     std::uint64_t hash = 0;
 };
 
-/// FNV-1a. Drivers check their own header alone, and may crash on what lies behind it.
+/// Returns the FNV-1a hash. It is needed because drivers check only their header, and
+/// damaged data behind it may crash them.
 std::uint64_t hash_of(std::string_view bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
@@ -37,8 +39,8 @@ FileHeader header_of(std::string_view bytes) {
     return header;
 }
 
-/// What the driver gave once, or nothing where the file is absent, cut, changed, or of
-/// another driver.
+/// Returns the driver data of a cache file, or an empty string if the file is missing,
+/// truncated, changed, or from another driver.
 std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceProperties& device) {
     std::ifstream file(path, std::ios::binary);
     FileHeader header;
@@ -59,12 +61,13 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
                                                                                          : std::string();
 }
 
-/// Whole or not at all: other processes may read or write the same file now. Failures are
-/// silent, since nothing is lost but time.
+/// Writes the cache file atomically, because other processes may read or write it
+/// simultaneously. Ignores failures, because only time is lost.
 void write_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
-    static std::atomic<unsigned> count{0};  // several devices of one process may close at once
+    // Several devices of one process may be closed simultaneously.
+    static std::atomic<unsigned> count{0};
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
     const FileHeader header = header_of(bytes);
     std::ofstream file(temporary, std::ios::binary);
@@ -93,7 +96,7 @@ PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const s
     info.initialDataSize = bytes.size();
     info.pInitialData = bytes.data();
     if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) return;
-    handle_ = VK_NULL_HANDLE;  // pipelines are made without one
+    handle_ = VK_NULL_HANDLE;  // Pipelines are then created without a cache.
     path_.clear();
 }
 
@@ -101,7 +104,7 @@ void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
-    // Mesa 26.2's lavapipe returns 20 bytes, which are no cache
+    // The lavapipe of Mesa 26.2 returns 20 bytes, which are not a valid cache.
     if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS)

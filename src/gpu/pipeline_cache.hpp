@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compiled pipelines, kept on disk from one process to the next: a card's compiler takes
-// seconds for the heaviest kernels. A file a device and driver. A file that is damaged or
-// of another driver counts as absent, and a folder that cannot be written is no error.
+// Pipeline cache on disk, because a GPU's compiler needs seconds for the largest kernels.
+// There is one file per device and driver. A file that is damaged or from another driver
+// is ignored. An unwritable folder is not an error.
 #pragma once
 
 #include <filesystem>
@@ -13,17 +13,18 @@ namespace relidar::gpu {
 
 class PipelineCache {
 public:
-    /// @param folder  of the file; empty: nothing is kept
+    /// Opens the cache.
+    /// @param folder folder of the file; empty = no file
     PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
-    /// Writes the file where there is more to keep than was read.
+    /// Writes the file if the cache has grown since it was read.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;
 
     VkPipelineCache handle() const { return handle_; }
-    /// Empty where nothing is kept.
+    /// Path of the file; empty without a file.
     const std::filesystem::path& path() const { return path_; }
-    /// Bytes of the driver that the file gave, 0 where it was absent.
+    /// Number of driver bytes read from the file; 0 if it was missing.
     std::size_t read_bytes() const { return read_bytes_; }
 
 private:

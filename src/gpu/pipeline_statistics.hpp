@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the driver's compiler says of a pipeline (VK_KHR_pipeline_executable_properties).
+// Statistics that the driver's compiler reports for a pipeline
+// (VK_KHR_pipeline_executable_properties).
 #pragma once
 
 #include <relidar/gpu/device.hpp>
@@ -8,7 +9,7 @@
 
 namespace relidar::gpu {
 
-/// Fills `statistics.values`, and subgroup_size, from a pipeline made with
+/// Sets `statistics.values` and subgroup_size from a pipeline created with
 /// VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
 void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics);
 

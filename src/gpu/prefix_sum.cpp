@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of gpu/scan_sums and gpu/scan_write: sums up the levels, prefix sums down
-// again.
+// Binding of the kernels gpu/scan_sums and gpu/scan_write: computes the sums of tiles for
+// each level, then the prefix sums in reverse order.
 #include "gpu/prefix_sum.hpp"
 
 #include "base/assert.hpp"

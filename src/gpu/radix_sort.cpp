@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of gpu/radix_count, gpu/radix_scan and gpu/radix_scatter: least significant
-// digit first.
+// Binding of the kernels gpu/radix_count, gpu/radix_scan and gpu/radix_scatter. Sorts by
+// the least significant digit first.
 #include "gpu/radix_sort.hpp"
 
 #include <utility>
@@ -15,7 +15,8 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;  // 128 to 2048 subgroups, for 256 digits
+// 128 to 2048 subgroups, for 256 digits.
+constexpr std::uint32_t kScanThreads = 32 * RELIDAR_TILE_THREADS;
 
 }  // namespace
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stable radix sort of keys on the device, which may know alone how many there are: 8
-// bits a pass, three kernels a pass (gpu/radix_count, radix_scan, radix_scatter).
+// Stable radix sort of keys on the device. The number of keys may be known only on the
+// device. Each pass sorts by 8 bits with three kernels (gpu/radix_count, radix_scan,
+// radix_scatter).
 #pragma once
 
 #include "gpu/kernel.hpp"
@@ -8,30 +9,31 @@
 
 namespace relidar {
 
-/// Addresses of one set of keys.
+/// Addresses of a set of keys.
 struct SortSet {
-    Address<std::uint32_t, shared::SortKeys> keys;    ///< [n,key_words] low word first
-    Address<std::uint32_t, shared::SortOrder> order;  ///< [n] the place each key had before
+    Address<std::uint32_t, shared::SortKeys> keys;    ///< Keys, [n,key_words], low word first.
+    Address<std::uint32_t, shared::SortOrder> order;  ///< Original index of each key, [n].
 };
 
 class RadixSort {
 public:
-    /// @param capacity  keys at most: about 1/4 byte each @param key_words  32-bit words
-    /// of a key
-    /// @throws DeviceError where subgroups have fewer than 4 lanes, more than 64, or a
-    /// number that varies
+    /// Allocates scratch memory, about 1/4 byte per key.
+    /// @param capacity maximum number of keys
+    /// @param key_words 32-bit words per key
+    /// @throws DeviceError if subgroups have fewer than 4 lanes, more than 64, or a
+    /// varying number of lanes
     RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words);
     std::uint32_t capacity() const { return capacity_; }
 
-    /// Passes that keys of so many bits take. After an odd number the sorted keys lie in
-    /// the other set.
+    /// Returns the number of passes for keys of this many bits. After an odd number of
+    /// passes, the sorted keys are in the other set.
     static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
-    /// Records a sort by the low key_bits bits; equal keys keep their order. Both sets
-    /// are overwritten.
-    /// @param from    its order is not read
-    /// @param n_keys  where their number is; nowhere = the capacity; keys beyond the
-    /// capacity are left out
-    /// @return the set that holds the sorted keys
+    /// Records a sort by the low key_bits bits. Equal keys keep their order. Overwrites
+    /// both sets.
+    /// @param from keys to sort; its order is not read
+    /// @param n_keys address of the number of keys; null = capacity. Keys beyond the
+    /// capacity are ignored
+    /// @return the set that contains the sorted keys
     SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
                 Address<std::uint32_t, shared::SortCount> n_keys = {}) const;
     std::uint64_t memory_bytes() const {
@@ -41,8 +43,10 @@ public:
 private:
     std::uint32_t capacity_;
     Kernel<shared::RadixSortParams> count_, scan_, scatter_;
-    Array<std::uint32_t, shared::DigitCounts> counts_;  ///< [RELIDAR_SORT_DIGITS, tiles]
-    Array<std::uint32_t, shared::DigitTotals> totals_;  ///< [RELIDAR_SORT_DIGITS]
+    /// Counts of each digit in each tile, [RELIDAR_SORT_DIGITS, tiles].
+    Array<std::uint32_t, shared::DigitCounts> counts_;
+    /// Total counts of each digit, [RELIDAR_SORT_DIGITS].
+    Array<std::uint32_t, shared::DigitTotals> totals_;
 };
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies of device values into host memory as part of a submission.
+// Copies device values to host memory as part of a submission.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
@@ -10,8 +10,9 @@ namespace relidar {
 
 struct Readback::Impl {
     std::string what;
-    std::shared_ptr<Buffer::Impl> host;  ///< the stream holds it too while it is written
-    std::uint64_t ticket = 0;            ///< of the submission that copies; 0 = none
+    /// Host memory of the copy. The stream shares ownership until the copy is done.
+    std::shared_ptr<Buffer::Impl> host;
+    std::uint64_t ticket = 0;  ///< Ticket of the submission with the copy; 0 = none.
     bool pending = false;
 
     Impl(Device& device, std::size_t n_bytes, const std::string& name)

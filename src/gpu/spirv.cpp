@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The order of a module: capabilities, extensions, ..., entry points, execution modes,
-// ...
+// Edits SPIR-V modules. A module has this order: capabilities, extensions, ..., entry
+// points, execution modes, ...
 #include "gpu/spirv.hpp"
 
 #include <cstring>
@@ -15,7 +15,7 @@ constexpr std::uint32_t kOpMemberDecorate = 72, kOffset = 35, kNonWritable = 24;
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16, kOpCapability = 17;
 
 std::vector<std::uint32_t> extension_instruction(std::string_view name) {
-    std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);  // the name ends with a zero byte
+    std::vector<std::uint32_t> words(1 + name.size() / 4 + 1, 0u);  // The name ends with a zero byte.
     std::memcpy(words.data() + 1, name.data(), name.size());
     words[0] = static_cast<std::uint32_t>(words.size()) << 16 | kOpExtension;
     return words;
@@ -34,7 +34,7 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
         }
         if (opcode == kOpEntryPoint) {
             modes.insert(modes.end(), {3u << 16 | kOpExecutionMode, instruction[2], mode.mode});
-        } else {  // behind the last entry point
+        } else {  // Execution modes follow the last entry point.
             append(result, modes);
             modes.clear();
         }
@@ -45,7 +45,7 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
-    std::uint32_t block = 0;  // names come before decorations
+    std::uint32_t block = 0;  // Id of the parameter block. Names precede decorations in a module.
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         if (opcode == kOpName && std::strcmp(name_in(instruction), "ParamsBlock") == 0)
             block = instruction[1];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the addresses of a kernel's parameters are: its block of parameters, walked by
-// the types that the module declares.
+// Finds the addresses in the parameter block of a kernel, from the types that its module
+// declares.
 #include <map>
 #include <string>
 
@@ -11,7 +11,7 @@ namespace relidar::gpu {
 
 namespace {
 
-/// The types that a block of parameters is made of.
+/// Types of the members of a parameter block.
 class ParameterTypes {
 public:
     explicit ParameterTypes(std::span<const std::uint32_t> words) {
@@ -20,11 +20,11 @@ public:
 
     std::uint32_t block() const { return block_; }
 
-    /// Appends the offsets of the addresses in a value of a type. @param begin  offset of
-    /// the value
+    /// Appends the offsets of all addresses in a value of this type.
+    /// @param begin offset of the value
     void collect(std::uint32_t type, std::uint32_t begin, std::vector<std::uint32_t>& offsets) const {
         const auto known = types_.find(type);
-        if (known == types_.end()) return;  // a number or a vector
+        if (known == types_.end()) return;  // Numbers and vectors contain no address.
         const Instruction t = known->second;
         switch (t[0] & 0xffffu) {
             case type_pointer:
@@ -42,20 +42,21 @@ public:
 
 private:
     enum Number : std::uint32_t {
-        // instructions
+        // Opcodes of instructions, followed by decorations.
         type_array = 28,
         type_struct = 30,
         type_pointer = 32,
         constant = 43,
         member_decorate = 72,
         array_stride = 6,
-        member_offset = 35  // decorations
+        member_offset = 35  // The last two values are decorations.
     };
 
     std::uint32_t block_ = 0;
-    std::map<std::uint32_t, Instruction> types_;  ///< pointers, arrays and structs
+    std::map<std::uint32_t, Instruction> types_;  ///< Pointer, array and struct types.
     std::map<std::uint32_t, std::uint32_t> constants_, strides_;
-    std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;  ///< by struct and member
+    /// Offsets by struct and member.
+    std::map<std::pair<std::uint32_t, std::uint32_t>, std::uint32_t> offsets_;
 
     void read(std::uint32_t op, Instruction i) {
         if (op == kOpName && name_in(i) == std::string("ParamsBlock")) block_ = i[1];

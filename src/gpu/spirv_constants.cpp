@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Branches that specialisation constants decide. Values are followed through what the
-// kernels' conditions are made of: constants of 32 bits, whether two are equal, and
-// logic. Other conditions are left to the driver, as are branches that cannot go without
-// moving blocks.
+// Removes branches that specialisation constants decide. Evaluates the operations that
+// kernels use in conditions: 32-bit constants, equality and logical operators. Leaves
+// other conditions to the driver, and also branches that cannot be removed without moving
+// blocks.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -22,7 +22,7 @@ constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot =
 constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248,
                         kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251;
 
-/// What is known of a module's integers and booleans (0 or 1).
+/// Known values of a module's integers and booleans (0 or 1).
 class Values {
 public:
     explicit Values(const std::map<std::uint32_t, std::uint32_t>& constants) : constants_(constants) {}
@@ -32,8 +32,8 @@ public:
         return found == known_.end() ? std::nullopt : std::optional(found->second);
     }
 
-    /// Takes an instruction of the module, in order.
-    void take(std::uint32_t opcode, Instruction instruction) {
+    /// Processes the instructions of the module in order.
+    void process(std::uint32_t opcode, Instruction instruction) {
         switch (opcode) {
             case kOpTypeBool:
                 types_.insert(instruction[1]);
@@ -55,12 +55,12 @@ public:
                 if (types_.contains(instruction[1])) known_[instruction[2]] = value_of(instruction);
                 break;
             case kOpSpecConstantOp:
-                know(instruction, instruction[3], instruction.subspan(4));
+                store_result(instruction, instruction[3], instruction.subspan(4));
                 break;
             case kOpLogicalOr:
             case kOpLogicalAnd:
             case kOpLogicalNot:
-                know(instruction, opcode, instruction.subspan(3));
+                store_result(instruction, opcode, instruction.subspan(3));
                 break;
             default:
                 break;
@@ -74,11 +74,12 @@ private:
 
     std::uint32_t value_of(Instruction constant) const {
         const auto spec_id = spec_ids_.find(constant[2]);
-        const auto given = spec_id == spec_ids_.end() ? constants_.end() : constants_.find(spec_id->second);
-        return given == constants_.end() ? constant[3] : given->second;
+        const auto override_value =
+            spec_id == spec_ids_.end() ? constants_.end() : constants_.find(spec_id->second);
+        return override_value == constants_.end() ? constant[3] : override_value->second;
     }
 
-    void know(Instruction instruction, std::uint32_t operation, Instruction operands) {
+    void store_result(Instruction instruction, std::uint32_t operation, Instruction operands) {
         if (!types_.contains(instruction[1])) return;
         if (const std::optional<std::uint32_t> value = result(operation, operands))
             known_[instruction[2]] = *value;
@@ -106,7 +107,7 @@ private:
     }
 };
 
-/// Where the blocks of a module lead.
+/// Control flow between the blocks of a module.
 class Blocks {
 public:
     explicit Blocks(std::span<const std::uint32_t> words) {
@@ -138,17 +139,17 @@ public:
         });
     }
 
-    /// Whether the branch from a block to `left` can go and the module is still valid: a
-    /// phi names all blocks that lead to it, and blocks that nothing leads to must not
-    /// end or go on with a loop around them. @param merge  where both ways of the branch
-    /// come together
+    /// Returns true if the module stays valid without the branch from block `from` to
+    /// block `left`. A phi instruction must name all blocks that lead to it. Unreachable
+    /// blocks must not end or continue an enclosing loop.
+    /// @param merge block in which both ways of the branch join
     bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
         if (left == merge) return !with_phi_.contains(merge);
         std::set<std::uint32_t> behind = {left};
         for (std::vector<std::uint32_t> open = {left}; !open.empty();) {
             const auto next = next_.find(open.back());
             open.pop_back();
-            if (next == next_.end()) continue;  // returns
+            if (next == next_.end()) continue;  // The block returns.
             for (const std::uint32_t block : next->second)
                 if (block != merge && behind.insert(block).second) open.push_back(block);
         }
@@ -160,7 +161,8 @@ public:
 
 private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
-    std::map<std::uint32_t, std::uint32_t> header_of_;  // of the loop that a block ends or goes on with
+    // Header of the loop that each block ends or continues.
+    std::map<std::uint32_t, std::uint32_t> header_of_;
     std::set<std::uint32_t> with_phi_;
 };
 
@@ -172,9 +174,9 @@ std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> wo
     Values values(constants);
     const Blocks blocks(words);
     std::uint32_t block = 0;
-    Instruction merge;  // of the branch that comes next
+    Instruction merge;  // Merge instruction of the next branch.
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
-        values.take(opcode, instruction);
+        values.process(opcode, instruction);
         if (opcode == kOpLabel) block = instruction[1];
         if (opcode == kOpSelectionMerge) {
             merge = instruction;

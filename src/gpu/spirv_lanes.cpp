@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds a zero to every index into an array, one that a compiler takes for another number
-// in each lane:
+// Adds a zero to every array index. The compiler cannot know that the value is zero in
+// each lane, and therefore treats the index as different for each lane:
+//
 //   %lane_zero = LocalInvocationIndex & push.nothing.x & 255      `nothing` is a multiple of 256 (shaders/base/kernel.glsl)
 //   %place = OpAccessChain %pointer %array %int_0 %index    with    %index + %lane_zero    in place of    %index
 #include <set>
@@ -41,7 +42,7 @@ private:
         variable = 59,
         load = 61,
         store = 62,
-        // instructions
+        // Opcodes of instructions, followed by storage classes and decorations.
         access_chain = 65,
         decorate = 71,
         iadd = 128,
@@ -52,9 +53,9 @@ private:
         input = 1,
         in_private = 6,
         push_constant = 9,
-        physical_storage = 5349,  // storage classes
+        physical_storage = 5349,  // The values from `input` on are storage classes.
         built_in = 11,
-        local_invocation_index = 29  // decorations
+        local_invocation_index = 29  // The last two values are decorations.
     };
 
     std::span<const std::uint32_t> words_;
@@ -62,7 +63,7 @@ private:
     std::uint32_t next_, uint_ = 0, entry_ = 0, push_ = 0, lane_ = 0, block_ = 0, block_pointer_ = 0;
     std::uint32_t input_pointer_ = 0, private_pointer_ = 0, push_pointer_ = 0, zero_ = 0, constant_0_ = 0,
                   constant_1_ = 0, constant_255_ = 0;
-    /// types of addresses; addresses of the block of parameters
+    /// Pointer types of device addresses, and ids of addresses of the parameter block.
     std::set<std::uint32_t> storage_pointers_, parameters_;
     bool is_new_lane_ = false, decorated_ = false, declared_ = false, in_entry_ = false, filled_ = false;
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of a kernel, read once where it begins: a module's loads through the address
-// in its push constant become loads of private variables, which the entry point fills
-// first. As glslang writes them, without optimisation:
+// Reads the parameters of a kernel once at its start. Loads through the address in the
+// push constant become loads of private variables, which the entry point fills first.
+// Recognises code as glslang writes it without optimisation:
+//
 //   %chain = OpAccessChain %address_in_push %push %int_0      %block = OpLoad %pointer_to_block %chain
 //   %place = OpAccessChain %pointer %block %int_0 %int_k ...  %value = OpLoad %type %place Aligned n
 #include <map>
@@ -38,7 +39,7 @@ enum Op : std::uint32_t {
 constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
 
 using Words = std::vector<std::uint32_t>;
-using Path = std::vector<std::uint32_t>;  // numbers of members, from that of the block on
+using Path = std::vector<std::uint32_t>;  // Member indices that lead from the parameter block to a value.
 
 Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
     Words words{std::uint32_t(operands.size() + 1) << 16 | op};
@@ -46,15 +47,15 @@ Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
     return words;
 }
 
-/// What a module says of types, constants and its parameters.
+/// Types, constants and parameters of a module.
 struct Module {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
-    Words push_chain;  ///< one that leads to the block's address
+    Words push_chain;  ///< Access chain that leads to the address of the parameter block.
     std::uint32_t entry = 0;
-    std::map<std::uint32_t, Words> types;              ///< by their ids
-    std::map<std::uint32_t, std::uint32_t> constants;  ///< whole numbers of 32 bits, by their ids
-    std::set<std::uint32_t> addresses;                 ///< ids of the block's address
-    std::map<std::uint32_t, Path> places;              ///< ids of places in the block
+    std::map<std::uint32_t, Words> types;              ///< Types by id.
+    std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
+    std::set<std::uint32_t> addresses;                 ///< Ids of the address of the parameter block.
+    std::map<std::uint32_t, Path> places;              ///< Positions in the parameter block by id.
 
     explicit Module(std::span<const std::uint32_t> words) : bound(words[3]) {
         for_each_instruction(words, [&](std::uint32_t op, Instruction i) { read(op, i); });
@@ -92,22 +93,23 @@ private:
     }
 };
 
-/// A module being written: what it gains before its functions, and what stands in the
-/// place of the loads.
+/// Edited module: the declarations that it gains before its functions, and the
+/// replacements of loads.
 class ParametersFirst {
 public:
     explicit ParametersFirst(const Module& module) : module_(module), next_(module.bound) {}
 
-    /// Whether values of a type are made of private variables.
-    bool takes(std::uint32_t type) const {
+    /// Returns true if values of a type can be stored in private variables.
+    bool can_store(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
         if ((t[0] & 0xffffu) != kTypeStruct) return align_of(type).has_value();
         for (std::size_t k = 2; k < t.size(); ++k)
-            if (!takes(t[k])) return false;
+            if (!can_store(t[k])) return false;
         return true;
     }
 
-    /// Writes what loads the value of a place. @param id  of the value
+    /// Writes the instructions that load a parameter.
+    /// @param id id of the loaded value
     void load(Words& code, std::uint32_t type, const Path& path, std::uint32_t id) {
         const Words& t = module_.types.at(type);
         if ((t[0] & 0xffffu) != kTypeStruct) {
@@ -124,8 +126,9 @@ public:
         append(code, construct);
     }
 
-    /// The module with what has been asked for. @param code  its functions with the loads
-    /// replaced, from the first OpFunction on
+    /// Returns the edited module.
+    /// @param code functions of the module with the loads replaced, from the first
+    /// OpFunction on
     Words written(std::span<const std::uint32_t> words, const Words& code) {
         const Words first = fill();
         Words result(words.begin(), words.begin() + kHeaderWords);
@@ -153,8 +156,8 @@ private:
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
     Words globals_, decorations_;
 
-    /// Bytes that an address of a value is a multiple of; nothing for what is no number,
-    /// vector or address.
+    /// Returns the alignment of a value in bytes; nullopt for a type that is not a
+    /// number, vector or address.
     std::optional<std::uint32_t> align_of(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
         switch (t[0] & 0xffffu) {
@@ -191,7 +194,7 @@ private:
         variables_[path] = {id, type};
         return id;
     }
-    /// What fills the variables.
+    /// Returns the instructions that fill the private variables.
     Words fill() {
         Words code, chain = module_.push_chain;
         const std::uint32_t block = next_ + 1;
@@ -201,7 +204,8 @@ private:
         next_ += 2;
         for (const auto& [path, v] : variables_) {
             const std::uint32_t to_storage = pointer(storage_pointer_, kPhysicalStorage, v.type);
-            const std::uint32_t at = next_++, value = next_++;  // before index() makes further ids
+            // These ids are reserved before index() creates further ids.
+            const std::uint32_t at = next_++, value = next_++;
             Words place{std::uint32_t(path.size() + 4) << 16 | kAccessChain, to_storage, at, block};
             for (const std::uint32_t member : path) place.push_back(index(member));
             append(code, place);
@@ -216,7 +220,7 @@ private:
         words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
         return words;
     }
-    /// The functions, with `first` behind the variables of the entry point.
+    /// Appends the functions, with `first` after the variables of the entry point.
     void append_code(Words& result, const Words& code, const Words& first) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {
@@ -243,7 +247,7 @@ std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> 
         functions = functions || op == kFunction;
         if (!functions) return;
         const auto place = op == kLoad ? module.places.find(i[3]) : module.places.end();
-        if (place == module.places.end() || !result.takes(i[1])) return append(code, i);
+        if (place == module.places.end() || !result.can_store(i[1])) return append(code, i);
         result.load(code, i[1], place->second, i[2]);
         any = true;
     });

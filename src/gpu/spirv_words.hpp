@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// SPIR-V as words: a header, then instructions whose first word holds their length and
-// opcode.
+// SPIR-V as words: a header, followed by instructions. The first word of an instruction
+// contains its length and opcode.
 #pragma once
 
 #include <cstddef>

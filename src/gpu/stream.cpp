@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recording, submission on a timeline, and timestamps a launch.
+// Recording of commands, submission with a timeline semaphore, and timestamps of
+// launches.
 #include "gpu/stream.hpp"
 
 #include <algorithm>
@@ -76,8 +77,8 @@ void Stream::Impl::keep(const std::string& name, Command command) {
     barrier();
 }
 
-/// A step has one pair of timestamps: another one between its strands would have the
-/// second wait for the first.
+/// Records one pair of timestamps per step, because timestamps between the strands of a
+/// step would make the second strand wait for the first.
 void Stream::Impl::record_strands() {
     std::size_t n_steps = 0;
     for (const Strand& one : strands) n_steps = std::max(n_steps, one.size());
@@ -189,7 +190,8 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     const VkPipeline pipeline = kernel.impl().pipeline();
     const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
                                               device->nothing->address};
-    constexpr std::uint32_t kMaxGroups = 65535;  // in one dimension, on every Vulkan device
+    // Maximum number of workgroups in one dimension that every Vulkan device supports.
+    constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1, columns = (n_groups - 1) / rows + 1;
     record(kernel.impl().name,

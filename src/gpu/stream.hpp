@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recording and submission. run() is one call: parameters are copied into memory that
-// host and device see, the kernel gets their address, and a full barrier follows.
-// Submissions overlap with the host: a slot is reused only when the device is done with
-// it.
+// Recording and submission of commands. run() copies the parameters to memory that host
+// and device share, passes their address to the kernel, and records a full barrier after
+// it. Submissions overlap with the host. A slot is reused only after the device has
+// finished its submission.
 #pragma once
 
 #include <array>
@@ -18,15 +18,16 @@ namespace relidar {
 
 struct KernelBase::Impl {
     Device::Impl* device = nullptr;
-    std::string module;  ///< name of the embedded kernel
-    std::string name;    ///< the same without its variant
+    std::string module;  ///< Name of the embedded kernel.
+    std::string name;    ///< Name without the variant.
     std::vector<Constant> constants;
     Subgroups subgroups = Subgroups::any;
-    std::uint32_t workgroup_size = 0;           ///< threads
-    std::vector<std::uint32_t> addresses = {};  ///< offsets of those in its parameters
+    std::uint32_t workgroup_size = 0;           ///< Threads per workgroup.
+    std::vector<std::uint32_t> addresses = {};  ///< Offsets of the addresses in the parameters.
 
-    /// Owned by the device, which may still be making it. @throws DeviceError where the
-    /// driver rejects it
+    /// Returns the pipeline, which belongs to the device. Waits if it is still being
+    /// compiled.
+    /// @throws DeviceError if the driver rejects the kernel
     VkPipeline pipeline();
 
 private:
@@ -36,26 +37,30 @@ private:
 };
 
 struct Stream::Impl {
-    static constexpr std::size_t kSlots = 3;             ///< submissions in flight
-    static constexpr std::size_t kBlockBytes = 1 << 16;  ///< of host values, at least
-    static constexpr std::uint32_t kMaxLaunches = 256;   ///< timed launches of one submission
+    static constexpr std::size_t kSlots = 3;  ///< Maximum number of pending submissions.
+    /// Minimum size of a block of host values, bytes.
+    static constexpr std::size_t kBlockBytes = 1 << 16;
+    /// Maximum number of timed launches per submission.
+    static constexpr std::uint32_t kMaxLaunches = 256;
 
     struct Slot {
         VkCommandPool pool = VK_NULL_HANDLE;
         VkCommandBuffer commands = VK_NULL_HANDLE;
         VkQueryPool queries = VK_NULL_HANDLE;
-        std::vector<std::string> launches;  ///< names, in order of their timestamp pairs
-        /// of host values: as many as a submission needed so far
+        /// Names of the launches, in the order of their timestamp pairs.
+        std::vector<std::string> launches;
+        /// Blocks of host values; as many as the largest submission needed so far.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
-        std::size_t block = 0, block_bytes = 0;                 ///< where the next one goes
-        std::vector<std::shared_ptr<const Buffer::Impl>> kept;  ///< until the submission is done
-        std::uint64_t ticket = 0;                               ///< 0 = never submitted
+        std::size_t block = 0, block_bytes = 0;  ///< Position of the next host value.
+        /// Buffers kept alive until the submission is done.
+        std::vector<std::shared_ptr<const Buffer::Impl>> kept;
+        std::uint64_t ticket = 0;  ///< Ticket of the submission; 0 = never submitted.
     };
 
     using Command = std::function<void(VkCommandBuffer)>;
-    /// What a strand records between two barriers.
+    /// Commands of a strand between two barriers.
     struct Step {
-        std::string name;  ///< of the first command
+        std::string name;  ///< Name of the first command.
         std::vector<Command> commands;
         bool closed = false;
     };
@@ -67,12 +72,13 @@ struct Stream::Impl {
     std::array<Slot, kSlots> slots;
     std::size_t current = 0;
     bool recording = false;
-    int n_concurrent = 0;              ///< Concurrent scopes that are open
-    bool owes_barrier = false;         ///< something was recorded in them
-    std::vector<Strand> strands = {};  ///< of the Strands that live
-    std::size_t strand = 0;            ///< the chosen one
-    bool timed = false;                ///< the launch being recorded is
-    bool host_reads = false;           ///< the next barrier is for the host too
+    int n_concurrent = 0;  ///< Number of open Concurrent scopes.
+    /// True if commands were recorded in these scopes, so that a barrier is still needed.
+    bool owes_barrier = false;
+    std::vector<Strand> strands = {};  ///< Strands of the current Strands scope.
+    std::size_t strand = 0;            ///< Index of the selected strand.
+    bool timed = false;                ///< True if the launch that is being recorded has timestamps.
+    bool host_reads = false;  ///< True if the next barrier must also make writes visible to the host.
     VkSemaphore timeline = VK_NULL_HANDLE;
     std::uint64_t last_ticket = 0;
     std::string last_kernel = "none";
@@ -81,10 +87,10 @@ struct Stream::Impl {
     Impl(Device& device, bool timing);
     ~Impl();
 
-    /// Command buffer being recorded, begun where needed.
+    /// Returns the command buffer that is being recorded; starts recording if needed.
     VkCommandBuffer commands();
-    /// Records a command and a barrier behind it; its time is added to those of this
-    /// name. In a strand it is kept until record_strands().
+    /// Records a command and a barrier after it, and adds its time to the times of this
+    /// name. In a Strands scope, the command is stored until record_strands().
     template <class Recorded>
     void record(const std::string& name, Recorded command) {
         if (!strands.empty()) return keep(name, std::move(command));
@@ -94,26 +100,26 @@ struct Stream::Impl {
         barrier();
     }
     void end_concurrent();
-    /// Records what the strands hold, the n-th step of each side by side, and leaves them
-    /// empty.
+    /// Records the stored commands of all strands, where the n-th steps of all strands
+    /// may run concurrently. The strands are then empty.
     void record_strands();
-    /// Where host values lie until the submission is done.
+    /// Location of host values until the submission is done.
     struct Stored {
         VkBuffer buffer;
         std::size_t offset;
         std::uint64_t address;
     };
-    /// Keeps a copy of host values that kernels and copies of this submission read.
+    /// Stores a copy of host values that kernels and copies of this submission read.
     Stored store(const void* bytes, std::size_t n_bytes);
-    /// The same as an array of them.
+    /// Stores a copy of an array of host values.
     template <class T>
     Address<T> values(const std::vector<T>& values) {
         return Address<T>(store(values.data(), values.size() * sizeof(T)).address);
     }
-    /// Records a copy from host memory into a buffer.
+    /// Records a copy from host memory to a buffer.
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
-    /// Records a copy into memory that the host reads when the submission is done, and
-    /// keeps that memory until then.
+    /// Records a copy to memory that the host reads when the submission is done. Keeps
+    /// that memory alive until then.
     void read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to,
                    const VkBufferCopy& region);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
@@ -121,20 +127,21 @@ struct Stream::Impl {
     void collect_times(Slot& slot);
 
 private:
-    /// Stores the parameters of a launch, with `Device::Impl::nothing` in place of each
-    /// address 0. @return their address
+    /// Stores the parameters of a launch, and replaces each address 0 by the address of
+    /// `Device::Impl::nothing`.
+    /// @return address of the parameters
     std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
     void keep(const std::string& name, Command command);
-    /// What is recorded later sees what was recorded before. In a Concurrent scope one
-    /// barrier is left for its end.
+    /// Makes earlier writes visible to later commands. In a Concurrent scope, one barrier
+    /// is recorded at the end of the scope.
     void barrier();
     void record_barrier();
     void begin_timing(const std::string& name);
     void end_timing();
 };
 
-/// Runs one kernel over n_threads threads. Sees the results of everything recorded
-/// before.
+/// Records a kernel launch with n_threads threads. The launch sees the results of all
+/// commands recorded before.
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)

@@ -5,7 +5,8 @@
 
 namespace relidar::gpu {
 
-/// SwiftShader's compiler ends the process on kernels that trace (docs/platform.md).
+/// Returns true for SwiftShader, whose compiler terminates the process on tracing kernels
+/// (docs/debugging.md).
 inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
 
 }  // namespace relidar::gpu

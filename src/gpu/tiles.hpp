@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What kernels that work in tiles share: the workgroup of a tile, and how many tiles hold
-// n items.
+// Workgroup size of kernels that process tiles of items, and the number of tiles for n
+// items.
 #pragma once
 
 #include <cstddef>

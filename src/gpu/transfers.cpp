@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies through host memory, 32 MiB at a time.
+// Copies through staging memory, 32 MiB at a time.
 #include "gpu/transfers.hpp"
 
 #include <algorithm>
@@ -10,7 +10,7 @@ namespace relidar::gpu {
 
 namespace {
 
-// bytes of staging memory
+// Smallest and largest size of the staging memory, bytes.
 constexpr std::size_t kSmallest = std::size_t(64) << 10, kLargest = std::size_t(32) << 20;
 
 }  // namespace
@@ -33,10 +33,10 @@ Transfers::~Transfers() {
 }
 
 Buffer::Impl& Transfers::staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes) {
-    const std::size_t wanted = std::clamp(std::bit_ceil(n_bytes), kSmallest, kLargest);
-    if (!buffer || buffer->n_bytes < wanted) {
+    const std::size_t staging_bytes = std::clamp(std::bit_ceil(n_bytes), kSmallest, kLargest);
+    if (!buffer || buffer->n_bytes < staging_bytes) {
         buffer.reset();
-        buffer = std::make_unique<Buffer::Impl>(device_, wanted, use, "staging");
+        buffer = std::make_unique<Buffer::Impl>(device_, staging_bytes, use, "staging");
     }
     return *buffer;
 }
@@ -68,7 +68,7 @@ void Transfers::copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size
     copy_and_wait(from.handle, to.handle, {0, 0, n_bytes});
 }
 
-/// What streams submitted before is seen without a barrier here: they leave one behind.
+/// Needs no barrier before the copy, because every stream submission ends with a barrier.
 void Transfers::copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& region) {
     if (!done_) make_commands();
     check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

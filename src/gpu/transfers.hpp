@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocking copies between host and device, outside the hot path: one command buffer and
-// one piece of host memory each way, made at the first copy and kept. May be used by
-// several threads.
+// Blocking copies between host and device, for code that is not performance-critical.
+// Uses one command buffer, and one staging buffer per direction, which are created at the
+// first copy. Thread-safe.
 #pragma once
 
 #include <memory>
@@ -20,7 +20,7 @@ public:
 
     void upload(const Buffer::Impl& to, const void* data, std::size_t n_bytes, std::size_t offset_bytes);
     void download(const Buffer::Impl& from, void* data, std::size_t n_bytes, std::size_t offset_bytes);
-    /// The first bytes of one buffer to another.
+    /// Copies the first bytes of one buffer to another.
     void copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size_t n_bytes);
 
 private:
@@ -29,7 +29,7 @@ private:
     VkCommandPool pool_ = VK_NULL_HANDLE;
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence done_ = VK_NULL_HANDLE;
-    std::unique_ptr<Buffer::Impl> upload_, download_;  ///< null until they are needed
+    std::unique_ptr<Buffer::Impl> upload_, download_;  ///< Staging buffers; null until the first copy.
 
     void make_commands();
     Buffer::Impl& staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes);

@@ -1,4 +1,4 @@
 // SPDX-License-Identifier: Apache-2.0
-// The one place where volk's implementation is compiled: the binary never links the
-// Vulkan loader, so it starts without one and can say so.
+// Compiles the implementation of volk. The library does not link the Vulkan loader, so
+// that the program starts without a loader and can report that it is missing.
 #include <volk.c>

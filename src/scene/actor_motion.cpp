@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where an actor is while the head of a LiDAR faces it.
+// Computes the pose and the motion of an actor at the time when the head of a LiDAR faces
+// it.
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
@@ -8,19 +9,24 @@
 namespace relidar {
 namespace {
 
-constexpr double kBeside_rad = 0.17;  // beams point up to 0.16 rad beside the azimuth of the head
-// of half the angle that the box spans: sensor and box move while the head faces it
+// maximum angle between the azimuth of a beam and the azimuth of the head, rounded up
+constexpr double kBeside_rad = 0.17;
+// Extra angle on each side of a box, as a share of half the angle that the box spans.
+// Sensor and box move while the head faces the box.
 constexpr double kBesideShare = 0.25;
-constexpr double kBeyond = 0.02;  // of its length: how much earlier and later than a sweep real heads fire
-// before and after the reference time, of a LiDAR that does not say how it turns
+// Extra time before and after a sweep, as a share of its duration, because real heads
+// deviate from the nominal firing times.
+constexpr double kBeyond = 0.02;
+// Time before and after the reference time in which a LiDAR without known firing times
+// may fire.
 constexpr double kUnknownSweep_s = 0.1;
 
-/// First and last time of something, in seconds.
+/// First and last time of an interval, in seconds.
 struct TimeSpan {
     double first_s, last_s;
 };
 
-/// When the rays of a sweep are fired.
+/// Returns the time interval in which the rays of a sweep are fired.
 TimeSpan sweep_span(const Sequence& sequence, const SweepMoment& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     if (!sequence.rolling_shutter) return {sweep.time_s, sweep.time_s};
@@ -36,16 +42,18 @@ TimeSpan sweep_span(const Sequence& sequence, const SweepMoment& sweep) {
     return {sweep.time_s + double(*first), sweep.time_s + double(*last)};
 }
 
-/// Seconds per radian of azimuth; 0 where a LiDAR does not sweep from one azimuth to the
-/// next.
+/// Returns the seconds per radian of azimuth, or 0 if the LiDAR does not scan through the
+/// azimuths in order.
 double seconds_per_radian(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
-    const auto* window = std::get_if<ScanningWindow>(&*lidar.pattern);
-    return window && window->columns > 1 ? window->period_s / std::abs(window->right_rad - window->left_rad)
-                                         : 0.0;
+    const PatternSummary summary = describe_pattern(*lidar.pattern);
+    const std::optional<AzimuthSweep>& sweep = summary.sweep;
+    return sweep && sweep->columns > 1 ? summary.period_s / std::abs(sweep->last_rad - sweep->first_rad)
+                                       : 0.0;
 }
 
-/// Half the angle of azimuth that a box spans; pi where the sensor is in it or above it.
+/// Returns half the angle of azimuth that a box spans. Returns pi if the sensor is inside
+/// or above the box.
 double half_angle(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     const glm::dvec3& centre = sensor_from_box.translation;
     if (std::hypot(centre.x, centre.y) <= glm::length(half_size_m)) return kPi;
@@ -59,7 +67,9 @@ double half_angle(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     return largest;
 }
 
-/// When rays may meet a box: while the head faces it, or at any time of the sweep.
+/// Returns the time interval in which rays can hit a box. This is the interval in which
+/// the head faces the box. If that interval cannot be determined, or does not lie inside
+/// the sweep, the function returns the time of the full sweep.
 TimeSpan facing_span(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
                      const SweepMoment& sweep) {
     const TimeSpan all = sweep_span(sequence, sweep);

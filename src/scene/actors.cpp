@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors: one surfel set a tracked box that moves, in the frame of the box, placed by the
-// box's pose at the time it is looked at (paper section 3.2, Eq. 4-5: mean_world = R_t
-// mean_object + T_t).
+// Initialises actors. An actor is one set of surfels for each moving tracked box, in the
+// frame of the box. The pose of the box at the query time places the actor in the world
+// (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -25,11 +25,12 @@ namespace relidar {
 
 namespace {
 
-constexpr double kPointMargin_m = 0.1;  ///< labels fit loosely
-constexpr double kGround_m = 0.15;      ///< the lowest part of a box is ground
+constexpr double kPointMargin_m = 0.1;  ///< added around a labelled box, because labels fit loosely
+constexpr double kGround_m = 0.15;      ///< height of the lowest part of a box, which contains ground
 constexpr std::string_view kEveryClass = "all";
 
-/// Adds the points of one frame that lie in boxes, each in its box's frame.
+/// Adds the points of one frame that lie in boxes. The points are expressed in the frame
+/// of their box.
 void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
                bool second_returns, const std::vector<WalkedWay>& walks,
                std::vector<std::vector<Sample>>& samples) {
@@ -50,7 +51,9 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
     });
 }
 
-/// Points of the training frames in boxes, each in its box's frame. @return [boxes]
+/// Returns the points of the training frames that lie in boxes, each in the frame of its
+/// box.
+/// @return [boxes]
 std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train,
                                              const std::vector<BoxTrack>& boxes,
                                              const InitialiseOptions& options, const Progress& progress) {
@@ -82,7 +85,8 @@ bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
            lists(options.actor_classes, name_of(object_kind(box.category)));
 }
 
-/// What a box holds: of one that was discovered, by its size.
+/// Returns the kind of object in a box. For a discovered box without a label, guesses the
+/// kind from the size of the box.
 ObjectKind kind_in(const BoxTrack& box) {
     if (box.category != kDiscoveredCategory) return object_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
@@ -95,7 +99,8 @@ bool bends(const BoxTrack& box, const InitialiseOptions& options) {
            lists(options.deform, name_of(kind_in(box)));
 }
 
-/// @throws DataError for a box that cannot hold anything
+/// Checks that the size of a box is positive and that all its poses are finite.
+/// @throws DataError if a size or a pose is invalid
 void check_box(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
@@ -118,8 +123,8 @@ void check_tracks(const Sequence& sequence, const std::string& tracks) {
                                          did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
-/// Random points of the box up to a number, as bright as its own are on average and seen
-/// from outside.
+/// Adds random points inside the box until there are `n` samples. The new points have the
+/// mean intensity of the existing samples and are seen from outside the box.
 void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::uint64_t seed) {
     double intensity = 0.0;
     for (const Sample& s : samples) intensity += s.intensity / double(samples.size());
@@ -132,7 +137,8 @@ void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::
     }
 }
 
-/// What an actor is made of, of the points in its box; too few points where it is none.
+/// Selects the samples of an actor from the points in its box. If the box has fewer
+/// points than `actor_min_points`, returns those points without padding.
 std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box,
                                   const InitialiseOptions& options) {
     samples = thin_out(samples, std::size_t(options.actor_points));
@@ -143,12 +149,12 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
 
 struct ActorStart {
     const InitialiseOptions& options;
-    double incidence;  ///< of IntensityResponse
+    double incidence;  ///< coefficient `incidence` of IntensityResponse
     std::vector<std::string>* notes;
     const Progress& progress;
 };
 
-/// Appends an actor; none where it has too few points.
+/// Appends an actor to the scene. Does nothing if the box has too few points.
 void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& samples,
                const ActorStart& start) {
     const auto& [options, incidence, notes, progress] = start;
@@ -172,9 +178,10 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     scene.surfels.append(surfels);
 }
 
-/// How far an actor had come when a caller's track of it begins: as far as on its own
-/// track where it was nearest, and how far it is ahead of that place now. Steps follow
-/// the way wherever it is put.
+/// Returns how far, in metres, an actor had walked at the first pose of a new track.
+/// Finds the nearest pose on the actor's recorded track, and adds the distance of the new
+/// pose ahead of it. This keeps the steps in phase with the position if a caller moves
+/// the actor to another track.
 double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };
@@ -184,8 +191,8 @@ double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
     return WalkedWay(own.world_from_box).at(time_s) + glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// The background, and every actor on the track that `track_of` has for its name; absent
-/// where that is null.
+/// Places the background and all actors. `track_of` returns the track for the name of an
+/// actor; if it returns null, the actor is absent.
 template <class TrackOf>
 std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
                                    const TrackOf& track_of) {
@@ -266,7 +273,8 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep) {
-    std::unordered_map<std::string_view, const PoseTrack*> tracks;  // there may be a thousand
+    // a map, because a log can have a thousand tracks
+    std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
         if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
     return place_by(scene, sequence, sweep, [&](const std::string& name) {

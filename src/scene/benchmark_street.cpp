@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The benchmark street: a deterministic synthetic scene of surfels (docs/method.md
-// section 2) and its sensor, the same numbers as ../shared/bench/scene_gen.py draws with
-// numpy. The random stream is numpy's legacy RandomState: MT19937 seeded by one integer,
-// 53-bit uniforms, the polar method for normals, keeping the second of each pair for the
-// next call. Draws follow the script's order.
+// Generates the benchmark street, a deterministic synthetic scene of surfels, and its
+// sensor (docs/method.md section 2). The numbers equal those that
+// ../shared/bench/scene_gen.py draws with numpy, in the same order. The random generator
+// is numpy's legacy RandomState: MT19937 with an integer seed, 53-bit uniform numbers,
+// and normal numbers by the polar method. The polar method makes two numbers and keeps
+// the second one for the next call.
 #include "scene/benchmark_street.hpp"
 
 #include <algorithm>
@@ -20,12 +21,12 @@ constexpr double kLength_m = 160.0, kHalfWidth_m = 12.0, kHeight_m = 9.0;
 constexpr double kShC0 = 0.28209479177387814;
 const glm::vec3 kSensor_m(0.0f, -2.0f, 1.8f);
 
-/// numpy.random.RandomState(seed).
+/// Random generator with the same output as numpy.random.RandomState(seed).
 class LegacyRandom {
 public:
     explicit LegacyRandom(std::uint32_t seed) : generator_(seed) {}
 
-    /// [0, 1) with 53 bits
+    /// Returns a uniform random number in [0, 1) with 53 random bits.
     double uniform() {
         const std::uint32_t high = std::uint32_t(generator_()) >> 5, low = std::uint32_t(generator_()) >> 6;
         return (high * 67108864.0 + low) / 9007199254740992.0;
@@ -53,7 +54,7 @@ private:
     bool has_next_ = false;
 };
 
-/// A wall, a car's face or the ground.
+/// Rectangle of the street: a wall, one face of a car, or the ground.
 struct Rectangle {
     glm::dvec3 corner, edge_u, edge_v;
     double intensity;
@@ -61,7 +62,8 @@ struct Rectangle {
     double area = glm::length(glm::cross(edge_u, edge_v));
 };
 
-/// Five faces of a box standing 0.2 m above the ground: right, left, back, front, roof.
+/// Adds five faces of a car: right, left, back, front and roof. The car's body begins 0.2
+/// m above the ground.
 void add_car(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
     const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
     const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
@@ -99,7 +101,8 @@ void add_parked_cars(int side, LegacyRandom& random, std::vector<Rectangle>& rec
     }
 }
 
-/// Ground, facades and parked cars: always the same (seed 1).
+/// Returns the ground, the facades and the parked cars. The layout is always the same
+/// because the seed is fixed (1).
 std::vector<Rectangle> street_layout() {
     LegacyRandom random(1);
     std::vector<Rectangle> rectangles{
@@ -111,7 +114,8 @@ std::vector<Rectangle> street_layout() {
     return rectangles;
 }
 
-/// A rectangle for each surfel, in proportion to its area.
+/// Picks a rectangle for each surfel, with a probability in proportion to the area of the
+/// rectangle.
 std::vector<std::uint16_t> pick_rectangles(std::size_t n, const std::vector<Rectangle>& rectangles,
                                            LegacyRandom& random) {
     std::vector<double> cumulative;
@@ -141,8 +145,8 @@ void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std:
     }
 }
 
-/// Unit quaternion (w, x, y, z) of the rotation with the given columns; its largest
-/// component is positive.
+/// Returns the unit quaternion (w, x, y, z) of the rotation with these columns. The
+/// largest component of the quaternion is positive.
 glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
     const double trace = x.x + y.y + z.z;
     const std::array<glm::dvec4, 4> candidates{{{1 + trace, y.z - z.y, z.x - x.z, x.y - y.x},
@@ -155,7 +159,8 @@ glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dv
     return glm::normalize(candidates[best]);
 }
 
-/// Normals scatter about the rectangle's; the angle in the plane is uniform.
+/// Draws the rotations of surfels. The normals scatter about the normal of the rectangle;
+/// the angle within the plane is uniform.
 void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
                     LegacyRandom& random, Surfels& surfels) {
     std::vector<glm::dvec3> normal(index.size());
@@ -185,7 +190,8 @@ void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfe
     }
 }
 
-/// Coefficients on grids of 1/4096 (DC) and 1/256, ties to even as numpy rounds them.
+/// Draws the spherical harmonics. The coefficients are multiples of 1/4096 (degree 0) and
+/// 1/256 (other degrees), rounded half to even like numpy does.
 void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
              LegacyRandom& random, Surfels& surfels) {
     const auto put_dc = [&](std::size_t i, int channel, double value) {

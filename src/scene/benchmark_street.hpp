@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The street that benchmarks and tests measure on.
+// Declares the synthetic street that benchmarks and tests use.
 #pragma once
 
 #include <cstdint>
@@ -10,12 +10,12 @@
 namespace relidar {
 
 /// Returns the deterministic street of surfels that the benchmarks use: scene A without
-/// `refine`, scene B with it. Equals the Python generator of these scenes up to the last
-/// place; surfels are not in kd order.
+/// `refine`, scene B with `refine`. The values equal those of the Python generator,
+/// except for rounding in the last digit. The surfels are not in kd order.
 Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bool refine = false);
 
-/// Its rays: kind "waymo" (64 x 2650) or "kitti" (66 x 1030), all from (0, -2, 1.8); or
-/// any size with a given field of view.
+/// Returns the rays of the street's sensor at (0, -2, 1.8). The kind is "waymo" (64 x
+/// 2650) or "kitti" (66 x 1030). The second overload accepts any size and field of view.
 RayTable make_benchmark_rays(const std::string& kind);
 RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
 

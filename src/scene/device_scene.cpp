@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scene on the device: parameter arrays, records, the tables of models and instances,
-// and the activation kernels between them.
+// Stores a scene on the device: parameter arrays, surfel records, and the tables of
+// models and instances. Runs the activation kernels that compute the records from the
+// parameters, and their derivatives.
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
@@ -31,7 +32,8 @@ void check_primitive(Primitive found, const ImageModel& model) {
 }
 
 void check_layout(const Scene& scene) {
-    std::size_t next = 0;  // kernels find the model of a surfel among ranges in order
+    // kernels find the model of a surfel by binary search, so the ranges must be in order
+    std::size_t next = 0;
     for (const Model& model : scene.models) {
         if (model.first != next)
             throw DataError(fmt::format(
@@ -50,19 +52,21 @@ void check_layout(const Scene& scene) {
 
 std::vector<Constant> activation_constants(bool stage_harmonics) {
     std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
-    // threads that share 4.4 kB: one wave, or two
+    // A workgroup of 64 threads shares 4.4 kB. It is one or two subgroups, depending on
+    // the device.
     if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
 
-/// Where the placements of each model are, and their record gradients: those of a model's
-/// first placement are its surfels' own rows, further ones follow after all surfels,
-/// model by model.
+/// Rows of the record gradients for each placement of a model. The first placement of a
+/// model uses the rows of its surfels. The rows of further placements follow after all
+/// surfels, model by model.
 struct Placements {
-    std::vector<std::uint32_t> first_row;      ///< [instances]
-    std::vector<std::int64_t> first_instance;  ///< [models] -1: never placed
-    std::vector<std::uint32_t> more;           ///< first rows of further placements, by model
-    std::vector<std::uint32_t> first_more;     ///< [models + 1] into `more`
+    std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
+    /// [models] first instance of each model, or -1 if the model is not placed
+    std::vector<std::int64_t> first_instance;
+    std::vector<std::uint32_t> more;        ///< first gradient rows of further placements, sorted by model
+    std::vector<std::uint32_t> first_more;  ///< [models + 1] begin of each model's entries in `more`
     std::uint32_t n_rows;
 
     Placements(const Scene& scene, std::uint32_t n_surfels)
@@ -118,7 +122,7 @@ struct DeviceScene::Impl {
     float alpha_min = ImageModel{}.alpha_min;
     Kernel<shared::ActivateParams> activate;
     Kernel<shared::ActivateVjpParams> activate_vjp;
-    std::optional<TouchedList> list;  ///< where harmonics are not staged
+    std::optional<TouchedList> list;  ///< used only if harmonics are not staged
 
     Impl(Device& device, const Scene& scene, bool stage_harmonics)
         : layout(layout_of(scene)),
@@ -136,8 +140,9 @@ struct DeviceScene::Impl {
 
     std::uint32_t n_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
-    /// Takes the poses. @return the table hits are moved into their models with; an
-    /// absent instance has no surfels
+    /// Stores the poses of all instances.
+    /// @return table of instances, with the transform that moves a hit into the frame of
+    /// its model. An absent instance gets no surfels.
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
             throw DataError(fmt::format("placing instances: found {} poses, expected {}", placed.size(),
@@ -164,8 +169,9 @@ struct DeviceScene::Impl {
         return entries;
     }
 
-    /// View origin in the frame of each model, as its first instance sees it. @return
-    /// [models], valid for the next submission
+    /// Transforms the view origin into the frame of each model, with the pose of the
+    /// model's first instance.
+    /// @return [models], valid for the next submission
     Address<glm::vec3> view_origins(Stream& stream, const glm::vec3& world) const {
         std::vector<glm::vec3> origins;
         for (const std::int64_t i : placements.first_instance)
@@ -175,8 +181,9 @@ struct DeviceScene::Impl {
         return impl_of(stream).values(origins);
     }
 
-    /// Of the gait of each model, as its first instance walks. @return [models] turns,
-    /// below 0 of rigid ones; null where none has a gait
+    /// Returns the gait phase of each model, taken from the model's first instance.
+    /// @return [models] phase in turns, negative for rigid models; null if no model has a
+    /// gait
     Address<float> phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
@@ -268,7 +275,8 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    impl_->placements = Placements(impl_->layout, n);  // as many as before: instances do not change
+    // same size as before, because the number of instances does not change
+    impl_->placements = Placements(impl_->layout, n);
     impl_->models.upload(model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);
 }

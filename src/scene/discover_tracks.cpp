@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tracks of what moves without a label: groups of returns that other frames see through,
-// linked from frame to frame, placed by their near ends along their motion, boxed, and
-// proven by what other frames see where they were.
+// Finds tracks of moving objects without labels. Clusters returns at places that other
+// frames see through, links the clusters from frame to frame, and fits boxes. Keeps a box
+// only if other frames prove that it moved.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -22,18 +22,22 @@
 namespace relidar {
 namespace {
 
-// around a box, where another track may be a part of the same thing
+// Margin around a box. A second track inside the margin may be a part of the same object.
 constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
-constexpr std::size_t kFewestPoints = 5;  // of a frame, once those that stayed are out
+// minimum number of points per frame after static points are removed
+constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
-constexpr double kVehicle_m = 1.2;  // what is as large is no person
-// of its longer side: what is seen of a thing that stands wanders within it
+constexpr double kVehicle_m = 1.2;  // objects of at least this size are not people
+// Minimum net motion as a share of the box's longer side. The visible part of a static
+// object can drift within its box.
 constexpr double kWayOfSize = 0.9;
-constexpr double kStraightness = 0.5;                // of its path
-constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;  // a vehicle does not turn on the spot
+constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
+// maximum turn of a vehicle, because a vehicle cannot turn on the spot
+constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;
 
-/// How far a box comes, from end to end and along its path, and how much it turns.
+/// Motion of a box: the distance between the ends of its path, the length of the path,
+/// and the total turn.
 struct Travel {
     double net_m = 0.0, path_m = 0.0, turned_rad = 0.0;
 };
@@ -48,8 +52,8 @@ Travel travel_of(const PoseTrack& track) {
     return travel;
 }
 
-/// Whether something may have this size and speed, and has come so far that its sides, as
-/// they appear, cannot be all that moves.
+/// Returns true if the size and the speed of a box are plausible. The box must also have
+/// moved so far that a changing view of a static object cannot explain the motion.
 bool is_plausible(const BoxTrack& box) {
     const std::vector<double> speeds = speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
@@ -60,13 +64,14 @@ bool is_plausible(const BoxTrack& box) {
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
            fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kWayOfSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
-           // as a label would be: what is joined around a gap may have jumped in it and
-           // nowhere else
+           // Applies the same motion test as for labels. It rejects a track that moved
+           // only by a jump across a gap.
            !turns_on_the_spot && box.moves();
 }
 
-/// The box of a track of which other frames say that it moved, without what they say
-/// stayed; nothing where they do not say so.
+/// Removes the returns that other frames prove to be static, and fits a box to the
+/// remainder of the track. Returns nothing if other frames do not prove that the track
+/// moved.
 std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& track) {
     Testimony sum;
     const BoxTrack box = box_of(track);
@@ -80,8 +85,8 @@ std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& tra
     return result;
 }
 
-/// A labelled box with what of its track other frames say moved before or after its
-/// labels; nothing where they do not say so.
+/// Extends a labelled box before and after its labels by those parts of its track that
+/// other frames prove to have moved. Returns nothing if no part is proven.
 std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverTrack& track,
                                             const BoxTrack& label) {
     const BoxTrack box = continued_box(track, label);
@@ -98,7 +103,7 @@ std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverT
     return continued_box(track, label);
 }
 
-/// What processes send each other of a box.
+/// Data of a box that the processes of a group exchange.
 struct BoxHead {
     glm::dvec3 size_m;
     std::uint64_t n_poses, n_before, n_after;
@@ -106,8 +111,8 @@ struct BoxHead {
     std::array<char, 16> size_guess;
 };
 
-/// Boxes of all processes' tracks; those of labelled ones have the id and the class of
-/// their label.
+/// Collects the boxes of the tracks of all processes. The boxes of labelled tracks get
+/// the id and the class of their label.
 std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
                              const std::vector<std::optional<BoxTrack>>& found, std::size_t first,
                              const Sequence& sequence) {
@@ -145,7 +150,8 @@ std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverT
     return boxes;
 }
 
-/// Those of all tracks, of which each process of a process group looks at its share.
+/// Returns the proven boxes of all tracks. Each process of a process group checks its
+/// share of the tracks.
 std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrack>& tracks,
                                    const Sequence& sequence, const Progress& progress,
                                    const ProcessGroup& group) {
@@ -162,8 +168,8 @@ std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrac
     return joined(group, tracks, found, share.begin, sequence);
 }
 
-/// Whether a track is mostly inside another's box: a part of it that was a group of its
-/// own for a while.
+/// Returns true if `part` lies inside the box `whole` for more than half of its time.
+/// Then it is a part of the object that was a separate cluster for a while.
 bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
     const double margin =
         std::max(whole.size_m.x, whole.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -177,8 +183,8 @@ bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
 
 bool is_continued(const BoxTrack& box) { return !box.id.empty(); }
 
-/// Of several boxes of one thing the one that was seen most; what continues a label stays
-/// beside what discovers it again.
+/// Keeps the box with the most observations of each object. A box that continues a label
+/// is removed only for a box with the same label.
 std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& a, const BoxTrack& b) {
         return std::pair(is_continued(a), a.world_from_box.time_s.size()) >
@@ -193,14 +199,14 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
     return kept;
 }
 
-/// Whether there is anything to box: a mover on a path of its own, or a label's track
-/// that goes on without it.
+/// Returns true if a track may yield a box. It must either move by itself, or extend a
+/// labelled track beyond its labels.
 bool is_worth_boxing(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     if (track.label == kNoLabel) return comes_far(track) && !rides_along(track, world_from_vehicle);
     return !std::ranges::all_of(track.seen, [](const Observation& o) { return o.cluster.label != kNoLabel; });
 }
 
-/// What one LiDAR has seen move.
+/// Returns the boxes of the objects that one LiDAR has seen move.
 std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::vector<int> positions,
                                     const Progress& progress, const ProcessGroup& group) {
     std::erase_if(positions,
@@ -217,9 +223,10 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds what another LiDAR has seen move. Of a mover that is there already the box stays,
-/// unless the other saw it half as long again: the longer of two paths of about the same
-/// length need not be the better one, but the end of a shorter one is where it is lost.
+/// Adds the boxes that another LiDAR has seen move. If an object already has a box, the
+/// existing box stays unless the other LiDAR saw the object 1.5 times as often. If two
+/// paths have a similar length, the longer one is not always better. A much shorter path,
+/// however, means that the LiDAR lost the object.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
         const auto is_same = [&](const BoxTrack& b) {
@@ -241,7 +248,8 @@ void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
-    // two sweeps at one time would see a mover twice in a track
+    // Each LiDAR is processed separately, because two simultaneous sweeps would add one
+    // object twice to a track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
         add_movers(boxes, discovered_by(lidar, sequence, train_positions, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });

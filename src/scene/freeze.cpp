@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene at one moment as one set of surfels in the world.
+// Converts a scene at one moment into a single set of surfels in the world frame.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -17,8 +17,9 @@ namespace {
 
 using Basis = std::array<double, kShCoefficients>;
 
-/// shaders/scene/gaussian/sh.glsl in double: real harmonics up to degree 3, orthonormal
-/// on the sphere. @param d [3] unit
+/// Evaluates the real spherical harmonics up to degree 3, orthonormal on the sphere. Same
+/// as shaders/scene/gaussian/sh.glsl, in double precision.
+/// @param d [3] unit
 Basis harmonics(const glm::dvec3& d) {
     const double x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
     const auto root = [](double part) { return std::sqrt(part / kPi); };
@@ -42,14 +43,16 @@ Basis harmonics(const glm::dvec3& d) {
 
 using Turn = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
-/// What takes coefficients of directions in a model to those of the same directions in
-/// the world: the integral of Y_i(R d) Y_j(d) over the sphere. Products are of degree 6:
-/// four Gauss-Legendre heights by eight azimuths are exact.
+/// Returns the matrix that rotates SH coefficients from the frame of a model to the world
+/// frame. Its elements are the integrals of Y_i(R d) Y_j(d) over the sphere. The products
+/// have degree 6, so a quadrature with four Gauss-Legendre heights and eight azimuths is
+/// exact.
 Turn turn_of(const glm::dquat& world_from_model) {
     constexpr std::array<std::array<double, 2>, 4> kHeights{{{-0.8611363115940526, 0.3478548451374538},
                                                              {-0.3399810435848563, 0.6521451548625461},
                                                              {0.3399810435848563, 0.6521451548625461},
-                                                             // and their weights
+                                                             // each row: height and its
+                                                             // weight
                                                              {0.8611363115940526, 0.3478548451374538}}};
     constexpr int kAzimuths = 8;
     Turn turn{};
@@ -75,8 +78,8 @@ void turn_harmonics(const Turn& turn, float* channel) {
     std::ranges::copy(turned, channel);
 }
 
-/// Moves a surfel to where it is at a phase of its gait, and lets it fade
-/// (shaders/scene/gaussian/gait.glsl).
+/// Moves a surfel to its position at a phase of the gait and reduces its opacity outside
+/// its own phase (shaders/scene/gaussian/gait.glsl).
 void bend(Surfels& s, std::size_t i, double phase) {
     const Gait& gait = s.gait[i];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);

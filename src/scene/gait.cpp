@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Strides found in the points of a box, and the surfels that swing with them.
+// Estimates the stride of a walking actor from the points in its box, and makes surfels
+// that swing with the stride.
 #include "scene/gait.hpp"
 
 #include <algorithm>
@@ -18,12 +19,12 @@
 namespace relidar {
 namespace {
 
-constexpr double kAverage_s = 1.0;  // labels jitter
+constexpr double kAverage_s = 1.0;  // positions are averaged over this time, because labels jitter
 constexpr double kStands_mps = 0.2;
 
 struct PhaseCloud {
     const std::vector<Sample>& samples;
-    std::vector<std::uint32_t> of;  ///< numbers of samples
+    std::vector<std::uint32_t> of;  ///< indices of the samples
 
     std::size_t kdtree_get_point_count() const { return of.size(); }
     float kdtree_get_pt(std::size_t i, std::size_t axis) const { return samples[of[i]].position[int(axis)]; }
@@ -35,14 +36,14 @@ struct PhaseCloud {
 using PhaseTree = nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, PhaseCloud>,
                                                       PhaseCloud, 3, std::size_t>;
 
-/// Samples of a part of them, searched by place.
+/// Spatial index of a subset of the samples.
 struct Index {
     PhaseCloud cloud;
     PhaseTree tree;
     Index(const std::vector<Sample>& samples, std::vector<std::uint32_t> of)
         : cloud{samples, std::move(of)}, tree(3, cloud, nanoflann::KDTreeSingleIndexAdaptorParams(8)) {}
 
-    /// To the nearest of them; `most_m` where none is nearer.
+    /// Returns the distance to the nearest sample, limited to `most_m`.
     double distance_m(const glm::vec3& p, double most_m) const {
         if (cloud.of.empty()) return most_m;
         std::size_t nearest;
@@ -50,7 +51,7 @@ struct Index {
         tree.knnSearch(&p.x, 1, &nearest, &distance2);
         return std::min(most_m, std::sqrt(double(distance2)));
     }
-    /// Numbers of the samples within a distance, the nearest first, at most so many.
+    /// Returns the indices of at most `most` samples within a radius, sorted by distance.
     std::vector<std::uint32_t> within(const glm::vec3& p, double radius_m, std::size_t most) const {
         std::vector<std::size_t> found(most);
         std::vector<float> distance2(most);
@@ -64,7 +65,7 @@ struct Index {
 };
 
 double turn(double turns) { return turns - std::floor(turns); }
-/// From one phase to another the short way round, -0.5 .. 0.5.
+/// Returns the shortest signed difference of two phases, -0.5 .. 0.5 turns.
 double apart(double a, double b) { return b - a - std::round(b - a); }
 
 }  // namespace
@@ -72,7 +73,7 @@ double apart(double a, double b) { return b - a - std::round(b - a); }
 WalkedWay::WalkedWay(const PoseTrack& track) : time_s_(track.time_s) {
     const auto average = [&](double t_s) {
         const double half = std::min({0.5 * kAverage_s, t_s - time_s_.front(), time_s_.back() - t_s});
-        constexpr int kSteps = 5;  // to each side
+        constexpr int kSteps = 5;  // number of steps to each side
         glm::dvec3 sum(0.0);
         for (int k = -kSteps; k <= kSteps; ++k) sum += track.at(t_s + half * k / kSteps).translation;
         return sum / double(2 * kSteps + 1);
@@ -98,21 +99,22 @@ double WalkedWay::at(double t_s) const {
 
 std::optional<StrideRange> stride_range(ObjectKind kind) {
     if (kind == ObjectKind::person) return StrideRange{0.7, 2.4};
-    if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};  // a turn of the pedals
+    if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};  // distance per turn of the pedals
     return std::nullopt;
 }
 
 namespace {
 
-constexpr double kTurns = 2.0;          // at the least that a stride has to be seen
-constexpr double kNearSurface_m = 0.3;  // farther is not looked
+constexpr double kTurns = 2.0;          // minimum number of strides that must be observed
+constexpr double kNearSurface_m = 0.3;  // maximum search distance
 
-/// How far some samples are from the nearest points of each frame.
+/// Distances from selected samples to the nearest point of each frame.
 struct FrameGaps {
-    std::vector<double> walked_m;                ///< [frames] when it was taken
-    std::vector<std::size_t> frame;              ///< [samples] each is of
+    std::vector<double> walked_m;                ///< [frames] distance walked at the time of each frame
+    std::vector<std::size_t> frame;              ///< [samples] frame of each sample
     std::vector<std::vector<float>> distance_m;  ///< [samples][frames]
-    std::vector<char> varies;  ///< [samples] whether it is one of the half whose distances vary most: limbs
+    /// [samples] true for the half whose distances vary most, which are the limbs
+    std::vector<char> varies;
 };
 
 FrameGaps frame_gaps(const std::vector<Sample>& samples) {
@@ -130,7 +132,7 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     const std::size_t step = samples.size() / kMost + 1;
     for (std::size_t i = 0; i < samples.size(); i += step) gaps.frame.push_back(place[samples[i].frame]);
     gaps.distance_m.resize(gaps.frame.size());
-    run_parallel(int(gaps.frame.size()), [&](int k) {
+    parallel_for(int(gaps.frame.size()), [&](int k) {
         for (const std::unique_ptr<Index>& frame : frames)
             gaps.distance_m[std::size_t(k)].push_back(
                 float(frame->distance_m(samples[std::size_t(k) * step].position, kNearSurface_m)));
@@ -147,10 +149,11 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     return gaps;
 }
 
-/// How much nearer frames of the same phase lie than those of others: about 1 where a
-/// stride means nothing; more than that where no two frames are of the same phase.
+/// Returns the mean distance to frames of the same phase, divided by the mean distance to
+/// other frames. The ratio is about 1 for a wrong stride. Returns a larger value if too
+/// few frames have the same phase.
 double misfit_share(const FrameGaps& gaps, double stride_m) {
-    constexpr double kSame = 0.06, kOther = 0.15;  // turns apart
+    constexpr double kSame = 0.06, kOther = 0.15;  // phase difference in turns
     constexpr double kWorst = 2.0;
     double same = 0.0, other = 0.0;
     std::size_t n_same = 0, n_other = 0;
@@ -159,12 +162,14 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
         for (std::size_t f = 0; f < gaps.walked_m.size(); ++f) {
             const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m,
                          off = std::abs(apart(0.0, turns));
-            if (std::abs(turns) < 0.5) continue;  // it looks like itself a moment ago
+            // skips frames of the same stride, which look alike because they are close in
+            // time
+            if (std::abs(turns) < 0.5) continue;
             if (off < kSame) same += gaps.distance_m[k][f], ++n_same;
             if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
         }
     }
-    // not even one frame each
+    // less than one frame for every second sample
     if (n_same < gaps.frame.size() / 2 || n_other < gaps.frame.size() / 2) return kWorst;
     return same / double(n_same) / std::max(other / double(n_other), 1e-9);
 }
@@ -172,7 +177,8 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
 }  // namespace
 
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
-    constexpr std::size_t kFewest = 200, kFewestFrames = 24;  // of fewer some stride fits by chance
+    // with fewer samples or frames, a stride can fit by chance
+    constexpr std::size_t kFewest = 200, kFewestFrames = 24;
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;
     if (samples.size() < kFewest)
@@ -190,9 +196,10 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
     std::vector<double> strides;
     for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
     std::vector<double> shares(strides.size()), smooth;
-    run_parallel(int(strides.size()),
+    parallel_for(int(strides.size()),
                  [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
-    for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)  // a single one is chance
+    // averages over neighbouring strides, because a single good stride can be chance
+    for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
         smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) /
                          (2 * kBeside + 1));
     if (smooth.size() < 3) return {0.0, "it came too few strides"};
@@ -209,11 +216,12 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
 
 namespace {
 
-constexpr int kBins = 40;         // of a turn
-constexpr double kWindow = 0.06;  // turns: standard deviation of when a surfel is there
-constexpr double kSame_m = 0.07;  // points nearer than this show the same surface
+constexpr int kBins = 40;  // bins per turn
+// turns: standard deviation of the time during which a surfel is visible
+constexpr double kWindow = 0.06;
+constexpr double kSame_m = 0.07;  // points closer than this belong to the same surface
 
-/// The samples of each fortieth of a turn.
+/// Samples sorted into `kBins` bins by phase.
 struct Phases {
     const std::vector<Sample>& samples;
     double stride_m;
@@ -231,7 +239,8 @@ struct Phases {
     const Index& at(int bin) const { return *bins[std::size_t((bin + kBins) % kBins)]; }
 };
 
-/// Whether something is there at three of four phases, which is what does not move.
+/// Returns true if there are points near `p` in at least three of four phases. Such a
+/// place does not move with the gait.
 bool rests(const Phases& phases, const glm::vec3& p) {
     int seen = 0, filled = 0;
     for (int bin = 0; bin < kBins; ++bin) {
@@ -242,8 +251,8 @@ bool rests(const Phases& phases, const glm::vec3& p) {
     return 4 * seen >= 3 * filled;
 }
 
-/// The velocity, in metres a turn, at which the points around a sample lie on those of
-/// the phases before and after.
+/// Estimates the velocity, in metres per turn, that moves the points around a sample onto
+/// the points of the earlier and later phases.
 glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     constexpr double kPatch_m = 0.12, kFar_m = 0.15;
     constexpr std::size_t kOfPatch = 6;
@@ -255,7 +264,8 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     for (float x = -3.2f; x <= 3.21f; x += 0.4f)
         for (float z = -0.8f; z <= 0.81f; z += 0.4f) {
             const glm::vec3 velocity(x, 0.0f, z);
-            double sum = 1e-4 * double(glm::length(velocity));  // of equals the slowest
+            // prefers the slowest of equally good velocities
+            double sum = 1e-4 * double(glm::length(velocity));
             for (const int ahead : {-4, -2, 2, 4}) {
                 const Index& there = phases.at(bin + ahead);
                 for (const std::uint32_t j : patch) {
@@ -269,8 +279,10 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     return best;
 }
 
-/// The same of all samples, each the middle of those around it.
-/// @param wanted  of which @return [samples]
+/// Estimates the velocities of all samples. Each velocity is the median over the samples
+/// nearby.
+/// @param wanted true for each sample whose velocity is computed
+/// @return [samples]
 std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted,
                                   const Progress& progress) {
     constexpr double kAround_m = 0.15;
@@ -280,7 +292,7 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
     for_each_block_told(wanted.size(), progress, "steps of actors", [&](std::size_t i) {
         if (wanted[i]) each[i] = velocity_at(phases, i);
     });
-    run_parallel(n, [&](int number) {
+    parallel_for(n, [&](int number) {
         const std::size_t i = std::size_t(number);
         if (!wanted[i]) return;
         const int bin = Phases::bin(phases.of(i));
@@ -294,13 +306,14 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
             std::vector<float>& values = around[std::size_t(k)];
             const auto half = values.begin() + std::ptrdiff_t(values.size() / 2);
             std::nth_element(values.begin(), half, values.end());
-            middle[i][k] = *half;  // there is itself at the least
+            middle[i][k] = *half;  // not empty, because it contains the sample itself
         }
     });
     return middle;
 }
 
-/// One surfel a sample, there around its own phase, or always.
+/// Makes one surfel for each sample. A surfel is visible around its own phase, or always
+/// if its gait is at rest.
 Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
                   const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
@@ -317,7 +330,7 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
                           const Progress& progress) {
     const Phases phases(samples, stride_m);
     std::vector<char> at_rest(samples.size());
-    run_parallel(int(samples.size()),
+    parallel_for(int(samples.size()),
                  [&](int i) { at_rest[std::size_t(i)] = rests(phases, samples[std::size_t(i)].position); });
     std::vector<char> moves(at_rest);
     for (char& one : moves) one = !one;
@@ -330,7 +343,7 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
         resting = thin_out(resting, most / 2);
         surfels = with_gait(resting, std::vector<Gait>(resting.size()), options, incidence);
     }
-    constexpr int kTogether = 4;  // bins whose points make surfaces together
+    constexpr int kTogether = 4;  // number of bins whose points form surfaces together
     for (int first = 0; first < kBins; first += kTogether) {
         std::vector<std::uint32_t> numbers;
         for (int bin = first; bin < first + kTogether; ++bin)
@@ -340,7 +353,7 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
         for (const std::uint32_t i : numbers)
             gait.push_back(
                 {float(phases.of(i)), float(1.0 / (2.0 * kPi * kWindow)), velocity[i] / float(2.0 * kPi)});
-        std::vector<Sample> moving;  // all where they are in the middle of these bins
+        std::vector<Sample> moving;  // samples moved to their positions at the middle phase of these bins
         const double middle = (first + 0.5 * kTogether) / kBins;
         for (std::size_t k = 0; k < numbers.size(); ++k) {
             moving.push_back(samples[numbers[k]]);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// People and cyclists that walk: how far they have come, how long a stride is, and
-// surfels that take part in it (docs/method.md M10). Private to scene.
+// Measures the walked distance and the stride of people and cyclists, and makes surfels
+// that move with the stride (docs/method.md M14). Private to scene.
 #pragma once
 
 #include <optional>
@@ -13,38 +13,43 @@
 
 namespace relidar {
 
-/// How far something has come along its track. Positions are averaged over a second,
-/// since labels jitter, and what is slower than 0.2 m/s stands.
+/// Distance that an actor has walked along its track. Averages the positions over one
+/// second, because labels jitter. Motion slower than 0.2 m/s counts as standing.
 class WalkedWay {
 public:
     explicit WalkedWay(const PoseTrack& world_from_box);
-    /// Metres since the first pose; outside the track as fast as at its end.
+    /// Returns the distance walked since the first pose, in metres. Extrapolates outside
+    /// the track with the speed at its end.
     double at(double t_s) const;
 
 private:
     std::vector<double> time_s_, walked_m_;
 };
 
-/// Ways that one turn of a gait may take.
+/// Range of distances that one turn of a gait may cover.
 struct StrideRange {
     double least_m, most_m;
 };
-/// Of things of a kind that bend; nothing where they are rigid.
+/// Returns the range of strides of a kind of object that bends, or nothing for a rigid
+/// kind.
 std::optional<StrideRange> stride_range(ObjectKind kind);
 
-/// A stride, or why there is none.
+/// Estimated stride, or the reason why there is none.
 struct FoundStride {
-    double stride_m = 0.0;  ///< 0: none
+    double stride_m = 0.0;  ///< 0 if no stride was found
     std::string why_none = {};
 };
-/// The stride at which points of one moment lie nearest to those of the same phase in
-/// other turns.
-/// @param samples  in the frame of the box, with what was walked until then
+/// Finds the stride for which points of the same phase in different turns are nearest to
+/// each other.
+/// @param samples points in the frame of the box, with the distance walked so far
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range);
 
-/// Surfels of something that walks: where points lie at every phase they rest, others are
-/// there around their own phase and swing as the points beside them do. @param samples
-/// at least one @param most  surfels @param progress  what it throws ends it
+/// Makes the surfels of a walking actor. Points that are present at every phase become
+/// surfels at rest. Other points become surfels that are visible around their own phase
+/// and swing with the velocity of their neighbours.
+/// @param samples at least one
+/// @param most maximum number of surfels
+/// @param progress an exception that it throws ends the call
 Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
                           const InitialiseOptions& options, double incidence, std::size_t most,
                           const Progress& progress = {});

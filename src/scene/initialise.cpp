@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Background surfels from the training frames: points averaged per voxel, normals and
-// scales from nearest neighbours (docs/method.md section 2; paper section 3.2). Points of
-// moving boxes are left out, and no held-out frame is looked at.
+// Makes background surfels from the training frames. Averages the points of each voxel
+// and estimates normals and scales from nearest neighbours (docs/method.md section 2;
+// paper section 3.2). Skips points in moving boxes. Never reads held-out frames.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -16,6 +16,7 @@
 
 #include "base/nearest_place.hpp"
 #include "base/parallel.hpp"
+#include "base/parallel_sort.hpp"
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
 #include "scene/point_surfels.hpp"
@@ -25,20 +26,21 @@ namespace relidar {
 
 namespace {
 
-// of the frames that see a place: with 1, what stood for a while stays as a ghost (RMSE
-// 2.28 instead of 2.12 m on KITTI 0005)
+// Share of the frames observing a place that must see through it before its points are
+// removed. With a share of 1, objects that stood still for a while would remain as
+// ghosts.
 constexpr double kGoneShare = 0.25;
 
-/// Running sums of the samples of one voxel.
+/// Running sums of the samples in one voxel.
 struct Voxel {
-    std::uint64_t first = 0;  ///< sample that began it, counted over frames
+    std::uint64_t first = 0;  ///< index of the voxel's first sample, counted over all frames
     glm::dvec3 position{0.0};
     glm::dvec3 view{0.0};
     double intensity = 0.0;
     int count = 0;
 };
 
-/// Integer cell of a voxel grid whose edge doubles with every level.
+/// Integer cell of a voxel grid. The edge length doubles with each level.
 struct Cell {
     int level, x, y, z;
     bool operator==(const Cell&) const = default;
@@ -50,7 +52,8 @@ struct CellHash {
     }
 };
 
-/// Points of one frame in the world, each from where the sensor was when it fired.
+/// Returns the points of one frame in the world frame, each with the direction from the
+/// sensor at its firing time. Skips points inside the boxes `separate`.
 std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame,
                                   const std::vector<BoxTrack>& separate, const InitialiseOptions& options) {
     std::vector<Sample> samples;
@@ -64,7 +67,8 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame,
     return samples;
 }
 
-/// Where the sensors were at some frames. @return [positions] world
+/// Returns the sensor position at each of the given frames.
+/// @return [positions] world
 std::vector<glm::vec3> sensor_places(const Sequence& sequence, const std::vector<int>& positions) {
     std::vector<glm::vec3> places;
     for (const int position : positions) {
@@ -76,8 +80,8 @@ std::vector<glm::vec3> sensor_places(const Sequence& sequence, const std::vector
     return places;
 }
 
-/// Voxel edge at a point: voxel_m, doubled where the point is far from every sensor
-/// position (voxel_growth > 0).
+/// Returns the voxel that contains a point. The edge is `voxel_m`, doubled as needed for
+/// points far from all sensor positions if `voxel_growth` > 0.
 Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const InitialiseOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
@@ -89,15 +93,15 @@ Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const Initi
     return {level, int(std::floor(p.x / edge)), int(std::floor(p.y / edge)), int(std::floor(p.z / edge))};
 }
 
-/// A sample, its voxel, and which of its frame's samples it is.
+/// A sample, its voxel, and its index among the samples of its frame.
 struct Placed {
     Sample sample;
     Cell cell;
     std::uint32_t number;
 };
 
-// of the voxels, by their hash: each has a table of its own, so that threads fill all at
-// the same time
+// Number of hash tables. Voxels are distributed over the tables by their hash, so that
+// threads can fill all tables in parallel.
 constexpr std::size_t kParts = 32;
 using PlacedByPart = std::array<std::vector<Placed>, kParts>;
 
@@ -113,7 +117,7 @@ PlacedByPart placed_samples(const Sequence& sequence, const Frame& frame,
     return placed;
 }
 
-/// A part of the voxels.
+/// One of the hash tables of voxels.
 struct Voxels {
     std::unordered_map<Cell, std::size_t, CellHash> index;
     std::vector<Voxel> voxels;
@@ -129,8 +133,9 @@ struct Voxels {
     }
 };
 
-/// Voxel means in a reproducible order: that of first appearance. A few frames at a time,
-/// so that memory grows with the voxels alone.
+/// Returns the mean of each voxel in a reproducible order, the order of first appearance.
+/// Reads only a few frames at a time, so that memory grows with the number of voxels and
+/// not with the number of frames.
 std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train,
                                 const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;
@@ -140,12 +145,12 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     for (std::size_t begin = 0; begin < train.size(); begin += kFrames) {
         if (progress) progress("points of the background", double(begin) / double(train.size()));
         std::vector<PlacedByPart> frames(std::min(kFrames, train.size() - begin));
-        run_parallel(static_cast<int>(frames.size()), [&](int i) {
+        parallel_for(static_cast<int>(frames.size()), [&](int i) {
             frames[std::size_t(i)] =
                 placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])],
                                separate, sensors, options);
         });
-        run_parallel(kParts, [&](int part) {
+        parallel_for(kParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
                 for (const Placed& placed : frames[i][std::size_t(part)])
                     parts[std::size_t(part)].add(placed, begin + i);
@@ -157,7 +162,7 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
         voxels.insert(voxels.end(), part.voxels.begin(), part.voxels.end());
         part = {};
     }
-    sort_parallel(voxels, [](const Voxel& a, const Voxel& b) { return a.first < b.first; });
+    parallel_sort(voxels, [](const Voxel& a, const Voxel& b) { return a.first < b.first; });
     std::vector<Sample> means;
     for (const Voxel& v : voxels)
         means.push_back({glm::vec3(v.position / double(v.count)), static_cast<float>(v.intensity / v.count),
@@ -165,7 +170,7 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     return means;
 }
 
-/// Leaves out samples that other frames see through.
+/// Removes samples at places that other frames see through.
 std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence,
                                    const std::vector<int>& train, const Progress& progress) {
     Visibility visibility(sequence, train);

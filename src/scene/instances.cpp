@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Instances of a scene: found by name, and given models of their own.
+// Finds instances by name and copies models, so that each instance has a separate model.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -12,7 +12,7 @@
 namespace relidar {
 
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model) {
-    Model added = other.models[model];  // with its box and stride
+    Model added = other.models[model];  // copies the box size and the stride too
     const Surfels surfels = other.surfels.slice(added.first, added.count);
     added.first = static_cast<std::uint32_t>(scene.surfels.size());
     scene.models.push_back(std::move(added));

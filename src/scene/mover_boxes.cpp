@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Places what was seen of a thing by its near ends along its motion.
+// Fits a box to each track of a moving object, using the end of the object that faces the
+// sensor.
 #include "scene/mover_boxes.hpp"
 
 #include <algorithm>
@@ -12,22 +13,27 @@
 namespace relidar {
 namespace {
 
-constexpr int kRounds = 3;      // the first path is that of what was seen, which turns as other sides appear
-constexpr double kTop_s = 1.0;  // the road rises little while this passes
-constexpr double kMargin_m = 0.1;        // of the box around its points
+// several rounds, because the first path bends when other sides of the object become
+// visible
+constexpr int kRounds = 3;
+// window for the height of the top, in which the road height changes little
+constexpr double kTop_s = 1.0;
+constexpr double kMargin_m = 0.1;        // added around the points of a box
 constexpr double kGroundOfBox_m = 0.15;  // the lowest part of a box counts as ground (actors.cpp)
 constexpr double kSpeedOver_s = 0.5;
-constexpr std::size_t kNearLabels = 10;  // that tell where a labelled box lies about what is seen of it
-constexpr double kBeside_m = 0.5;        // of a box: a sensor farther out sees one of its ends
+// number of labelled observations that locate a labelled box relative to its visible
+// points
+constexpr std::size_t kNearLabels = 10;
+constexpr double kBeside_m = 0.5;  // a sensor farther outside the box than this sees one of its ends
 
-/// A frame of the ground: position and heading.
+/// Frame of an object on the ground: position and heading.
 struct Placement {
     glm::dvec3 position_m{0.0};
     double yaw = 0.0;
     glm::dvec3 along() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
     glm::dvec3 across() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
     glm::dquat rotation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
-    /// x along the heading, y to its left.
+    /// Transforms a world point into this frame: x along the heading, y to the left.
     glm::dvec3 to_local(const glm::dvec3& world) const {
         const glm::dvec3 d = world - position_m;
         return {glm::dot(along(), d), glm::dot(across(), d), d.z};
@@ -55,7 +61,7 @@ std::vector<Placement> placed_along(const std::vector<glm::dvec3>& path) {
     return placed;
 }
 
-/// The same path at the reference times of its frames.
+/// Returns the placements along a path at the reference times of the frames.
 std::vector<Placement> placed_at_frames(const MoverTrack& track, const std::vector<PathState>& path) {
     std::vector<glm::dvec3> positions;
     for (std::size_t k = 0; k < path.size(); ++k)
@@ -63,8 +69,8 @@ std::vector<Placement> placed_at_frames(const MoverTrack& track, const std::vect
     return placed_along(positions);
 }
 
-/// What of an observation lies between two ends along an axis, without the few points
-/// that are farthest out.
+/// Interval of an observation's points along an axis, without the 0.5 % outermost points
+/// at each end.
 struct Extent {
     double low, high;
 };
@@ -76,7 +82,8 @@ Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
     return {values[cut], values[values.size() - 1 - cut]};
 }
 
-/// Lengths of what observations show along axes, most of them, halved.
+/// Returns half the visible length along the axes. Uses the 90th percentile over all
+/// observations.
 double half_shown(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
     std::vector<double> lengths;
     for (std::size_t k = 0; k < axes.size(); ++k) {
@@ -87,7 +94,8 @@ double half_shown(const MoverTrack& track, const std::vector<glm::dvec3>& axes) 
     return 0.5 * lengths[lengths.size() * 9 / 10];
 }
 
-/// Centres along axes of something of a known size, by the end near the sensor.
+/// Returns the centre of an object along each axis, computed from the end near the sensor
+/// and half the size of the object.
 std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes, double half) {
     std::vector<double> centres;
     for (std::size_t k = 0; k < axes.size(); ++k) {
@@ -98,8 +106,8 @@ std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm
     return centres;
 }
 
-/// Heights of the top: of a thing far away the beams miss some, so an observation takes
-/// the highest of those within a second.
+/// Returns the height of the object's top for each observation. Beams can miss the top of
+/// a distant object, so the function takes the maximum over one second.
 std::vector<double> tops(const MoverTrack& track) {
     std::vector<double> own, result;
     for (const Observation& o : track.seen) own.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
@@ -113,9 +121,9 @@ std::vector<double> tops(const MoverTrack& track) {
     return result;
 }
 
-/// Where observations lie if the thing heads along its placements: centres by near ends,
-/// at the height of the top.
-/// @param size_m  length and width; none: what was shown
+/// Returns the position of the object in each observation, given its headings. The
+/// horizontal position comes from the near ends, and the height is that of the top.
+/// @param size_m length and width; if null, the visible size is used
 std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vector<Placement>& placed,
                                         const glm::dvec3* size_m) {
     std::vector<glm::dvec3> along, across, places;
@@ -130,8 +138,8 @@ std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vect
     return places;
 }
 
-/// Ends of a track's returns in its own frame, without the few that are farthest out, and
-/// a margin.
+/// Corners of a track's returns in the frame of the object, without the 1 % outermost
+/// points at each end, plus a margin.
 struct Corners {
     glm::dvec3 low, high;
 };
@@ -153,23 +161,25 @@ Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed
     return corners;
 }
 
-/// Sizes of things that are seen from one side: about the middle of what is on the road.
-/// Passenger cars are 3.6 to 5 m long and 1.6 to 1.9 m wide, a bicycle is 1.8 m long and
-/// its rider 0.6 m wide; of lorries and buses a length is not to be had from their rear,
-/// so that of a light one is taken: a longer one shows its side.
+/// Typical sizes of objects of which only one side is visible. Passenger cars are 3.6 to
+/// 5 m long and 1.6 to 1.9 m wide. A bicycle is 1.8 m long and its rider 0.6 m wide. The
+/// length of a lorry or a bus cannot be estimated from its rear. It gets the length of a
+/// light lorry, because a longer one shows its side.
 struct Kind {
     const char* name;
     double length_m, width_m;
-    double least_length_m, least_width_m;  ///< less of one, and all of the other, is a side
+    /// a box below one minimum and above the other shows a single side
+    double least_length_m, least_width_m;
 };
 constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-constexpr double kDrives_mps = 2.5;  // people on foot are slower, and may walk side by side
-constexpr double kTruck_m = 2.5;     // of what is taller
-constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;  // of what is narrower, and as tall
+constexpr double kDrives_mps = 2.5;  // pedestrians are slower, and several of them may walk side by side
+constexpr double kTruck_m = 2.5;     // objects taller than this are trucks
+// objects that are narrower and taller than this are cyclists
+constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
-/// What shows its rear, its front or its side alone; nothing for what is too small to
-/// tell.
+/// Returns the kind of an object of which only the rear, the front or a side is visible.
+/// Returns null if the object is too small to classify.
 const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
     if (speed_mps < kDrives_mps) return nullptr;
     const bool cyclist =
@@ -178,8 +188,8 @@ const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
     return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
 }
 
-/// On which side of a box the sensor was along an axis, most of the time: -1, 1, or 0
-/// where it was beside or on both.
+/// Returns on which side of a box the sensor was for most of the time, along one axis: -1
+/// or 1. Returns 0 if the sensor was next to the box or on both sides.
 double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.seen.size(); ++k) {
@@ -197,13 +207,14 @@ double median(std::vector<double> values) {
     return values[values.size() / 2];
 }
 
-/// How labels lie about what is seen of their thing: where the box is in the frame of a
-/// placement, and how far it is turned.
+/// Offset of the labelled box from the visible points of its object: position in the
+/// frame of a placement, and turn.
 struct Offset {
     glm::dvec3 local_m{0.0};
     double yaw = 0.0;
 };
-/// @param members  labelled observations
+/// Returns the median offset of the labels.
+/// @param members labelled observations
 Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& members,
                  const std::vector<Placement>& placed, const std::vector<glm::dvec3>& places,
                  const BoxTrack& label) {
@@ -217,7 +228,7 @@ Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& member
     return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
 }
 
-/// The labelled observations nearest to either end of the labels.
+/// Labelled observations nearest to the first and to the last label.
 struct NearLabels {
     std::vector<std::size_t> first, last;
 };
@@ -288,7 +299,7 @@ BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
     }
     const std::vector<Placement> at_frames = placed_at_frames(track, path);
     BoxTrack box = label;
-    PoseTrack poses[2];  // before and after the labels
+    PoseTrack poses[2];  // poses before the labels and after them
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         if (is_labelled(track.seen[k])) continue;
         PoseTrack& side = poses[is_before(k) ? 0 : 1];

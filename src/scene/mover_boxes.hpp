@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of what was seen of a thing, one size for a whole track. Private to scene.
+// Fits boxes to the observations of a track, with one size per track. Private to scene.
 #pragma once
 
 #include <vector>
@@ -10,22 +10,22 @@
 
 namespace relidar {
 
-/// The upright box of a track's returns, x along its motion, at the times of its frames.
-/// Of what is seen of a thing in a frame its near end is sure; its size is what it showed
-/// when it showed most.
+/// Returns the upright box of a track's returns at the times of its frames, with x along
+/// the motion. In each frame, only the end near the sensor is certain. The size is the
+/// largest visible extent over the track.
 BoxTrack box_of(const MoverTrack& track);
 
-/// Fills the size of a box up, away from the sensor, where only a side of it was seen,
-/// and says for what kind of thing. The others stay.
+/// Enlarges a box away from the sensor if only one side of the object was visible. Stores
+/// the kind of object whose size was used. Other boxes are unchanged.
 void complete_size(BoxTrack& box, const MoverTrack& track);
 
-/// A labelled box with a pose at each time at which its track was seen without the label,
-/// before or after. It keeps its size; where it lies about what is seen of it is taken
-/// from its labels near by.
+/// Returns a labelled box with additional poses at the times when its track was seen
+/// without a label. The box keeps its size. Its offset from the visible points is taken
+/// from the nearest labels.
 BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label);
 
-/// Speeds of a box over half a second or more, to each of its poses before which there is
-/// so much; none where the track is shorter.
+/// Returns the speeds of a box in m/s, each measured over at least half a second before
+/// one of its poses. Returns an empty vector if the track is shorter.
 std::vector<double> speeds_mps(const BoxTrack& box);
 
 }  // namespace relidar

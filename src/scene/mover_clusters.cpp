@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which returns moved, and which of a frame belong together.
+// Decides which returns of a frame moved, and groups them into clusters.
 #include "scene/mover_clusters.hpp"
 
 #include <algorithm>
@@ -16,30 +16,36 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxRange_m = 40.0;  // farther out a person is a return or two
-constexpr double kCell_m = 0.2;       // visibility is asked once a cell of the world
-constexpr double kSquare_m = 0.3;     // returns of one thing, seen from above, lie in squares of the ground
-constexpr int kReach = 2;             // of which the next is at most so many away: 0.6 to 0.9 m
-constexpr double kMinPoints = 12;     // that moved
+constexpr double kMaxRange_m = 40.0;  // a person farther away than this has only one or two returns
+constexpr double kCell_m = 0.2;       // visibility is computed once per cell of this size
+// size of the ground squares that hold the returns of one object, seen from above
+constexpr double kSquare_m = 0.3;
+// maximum distance to the next square of the same object, in squares: 0.6 to 0.9 m
+constexpr int kReach = 2;
+constexpr double kMinPoints = 12;  // minimum number of moved points
 constexpr double kMaxLength_m = 14.0;
-// of the frames that see a cell: what drives ahead hides where it was
+// Minimum share of the frames observing a cell that must see through it. It is low
+// because a vehicle ahead hides the places where it was before.
 constexpr double kSeenThroughShare = 0.25;
-constexpr int kSeldomSeen = 3;  // frames: what rests is seen by more, unless it is far or hidden
-// what moved: what is lower and seldom seen is the ground around it
+// in frames: more frames see a static object, unless it is far away or hidden
+constexpr int kSeldomSeen = 3;
+// Points below the moved points by more than this, and seldom seen, belong to the ground
+// around the object.
 constexpr double kGroundBelow_m = 0.05;
-// with nothing in it: what is higher is another thing. Beams two degrees apart have it at
-// 29 m
+// Size of an empty vertical gap that separates two objects. Beams two degrees apart have
+// a gap of this size at 29 m.
 constexpr double kGapAbove_m = 1.0;
-constexpr double kMovedShare = 0.15;  // of the returns of a group
-// frames at a time, at least, whose returns are in memory; cells that two see are asked
-// twice
+constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
+// Minimum number of frames whose returns are in memory at a time. Cells at the border of
+// two groups of frames are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// What the frames say of a cell. Where few frames look, as at the end of a log, nothing
-/// sees through a part of what moves: that part is taken in with the rest.
+/// State of a cell. If few frames see a place, as at the end of a log, no frame may see
+/// through parts of a moving object. Such parts are `seldom_seen` and join a cluster with
+/// the moved parts.
 enum class Motion : char { rests, seldom_seen, moved };
 
-/// A return of a frame.
+/// One return of a frame.
 struct Return {
     glm::vec3 point_m;
     double time_s;
@@ -47,15 +53,15 @@ struct Return {
     Motion motion = Motion::rests;
 };
 
-/// A box of which a frame may see something.
+/// Labelled box of which a frame may see a part.
 struct LabelledBox {
     BoxTrack box;
-    int label;  ///< kNoLabel where it stands
+    int label;  ///< kNoLabel if the box does not move
 };
 
-/// What is labelled needs no discovery: where it moves, at its time; and what stands as
-/// long as it is labelled, or is parked as far as its labels tell, stands before and
-/// after as well.
+/// Returns the labelled boxes at a time; their points need no discovery. A moving box is
+/// returned only while it is labelled. A static box is returned at all times, because an
+/// object that is parked during its labels was also parked before and after them.
 std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
@@ -73,13 +79,14 @@ std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     return boxes;
 }
 
-/// What a frame sees of boxes that move, and all that lies in no box.
+/// Returns of a frame in moving labelled boxes, and returns outside of all boxes.
 struct Returns {
     std::vector<Return> others;
     std::vector<MoverCluster> of_labels;
 };
 
-/// Makes means of sums. @param sum  time and centre are those of all points together
+/// Divides the sums of a cluster by its number of points.
+/// @param sum cluster whose time and centre are sums over all points
 MoverCluster averaged(MoverCluster sum) {
     sum.time_s /= double(sum.points_m.size());
     sum.centre_m /= double(sum.points_m.size());
@@ -97,7 +104,7 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
             labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
-            // the margin has ground
+            // without the margin around the box, which contains ground
         } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
@@ -111,8 +118,8 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
     return result;
 }
 
-/// Gives returns the cells of the world that they lie in. @return [cells] the mean of the
-/// returns of each
+/// Assigns each return to a cell of the world.
+/// @return [cells] mean position of the returns in each cell
 std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
     std::vector<Return*> all;
     for (Returns& frame : frames)
@@ -130,10 +137,11 @@ std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
     return means;
 }
 
-/// A thing is in one piece from bottom to top; a tree above it is another, and so is the
-/// ground below. The piece with most of what moved.
-/// @param heights_m  of the returns of a group that moved, one or more @return lowest and
-/// highest place of what belongs to it, metres
+/// Finds the vertical extent of one object. An object has no gap from bottom to top; a
+/// tree above it and the ground below it are separate pieces. Selects the piece with the
+/// most moved returns.
+/// @param heights_m heights of the moved returns of a cluster, at least one
+/// @return lowest and highest point of the object, metres
 std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
     std::sort(heights_m.begin(), heights_m.end());
     std::size_t best = 0, n_best = 0;
@@ -145,8 +153,8 @@ std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
     return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
 }
 
-/// Groups of returns whose squares of the ground are near each other; those seldom seen
-/// only beside one that moved.
+/// Groups returns whose ground squares are near each other. A return that is seldom seen
+/// joins a group only if it is near a moved return.
 std::vector<MoverCluster> group(const std::vector<Return>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kSquare_m); };
@@ -165,7 +173,7 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
             const Return& here = returns[open.back()];
             const glm::dvec3 p(here.point_m);
             open.pop_back();
-            // a group grows from what moved alone, by what is near that
+            // only moved returns extend a group to their neighbours
             if (here.motion != Motion::moved) continue;
             moved_at_m.push_back(p.z);
             for (int dx = -kReach; dx <= kReach; ++dx)
@@ -174,7 +182,7 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
                     if (near == squares.end()) continue;
                     for (const std::uint32_t j : near->second)
                         if (!std::exchange(taken[j], 1)) open.push_back(j);
-                    near->second.clear();  // all of them are taken
+                    near->second.clear();  // all returns of this square have been added
                 }
         }
         const auto [bottom_m, top_m] = heights_of_one(std::move(moved_at_m));
@@ -209,10 +217,10 @@ namespace {
 
 using Clusters = std::vector<std::vector<MoverCluster>>;  // [frames]
 
-/// Of some neighbouring frames.
+/// Returns the clusters of some consecutive frames.
 Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility) {
     std::vector<Returns> frames(positions.size());
-    run_parallel(static_cast<int>(positions.size()), [&](int i) {
+    parallel_for(static_cast<int>(positions.size()), [&](int i) {
         frames[std::size_t(i)] =
             returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
     });
@@ -226,7 +234,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
                                                              : Motion::rests;
     });
     Clusters clusters(frames.size());
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(frames.size()), [&](int i) {
         Returns& frame = frames[std::size_t(i)];
         for (Return& r : frame.others) r.motion = motion[r.cell];
         std::erase_if(frame.others, [](const Return& r) { return r.motion == Motion::rests; });
@@ -236,7 +244,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
     return clusters;
 }
 
-/// Clusters of all processes' frames.
+/// Collects the clusters of the frames of all processes.
 Clusters joined_clusters(const ProcessGroup& group, const Clusters& own) {
     if (group.size == 1) return own;
     struct Head {

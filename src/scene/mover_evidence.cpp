@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evidence for and against motion. What stands has returns at the same places of the
-// world whenever they can be seen; what moves left them free, and all that may be there
-// later is something else. Cells that are seen through are only where to look: glass,
-// leaves and edges have some too.
+// Counts evidence for and against motion. A static object has returns at the same places
+// whenever they are visible. A moving object leaves its places empty, or another object
+// fills them later. A cell that frames see through is only a candidate, because glass,
+// leaves and edges are seen through as well.
 #include "scene/mover_evidence.hpp"
 
 #include <algorithm>
@@ -10,11 +10,14 @@
 namespace relidar {
 namespace {
 
-constexpr double kSamePlace_m = 0.2;  // returns of one thing that stands, poses and noise included
-constexpr double kClear_m = 0.4;      // of the box, before its place may be expected to be free
-constexpr double kToldShare = 0.25;   // of the returns of a track, of which others say that they moved
-constexpr double kLeftShare = 0.85;   // of those of which they say anything
-constexpr double kProvenShare = 0.5;  // of the frames of a track
+// maximum distance between returns of one static object, including errors of poses and
+// ranges
+constexpr double kSamePlace_m = 0.2;
+constexpr double kClear_m = 0.4;  // margin around the box, outside of which a place should be free
+// minimum share of a track's returns about which other frames give evidence
+constexpr double kToldShare = 0.25;
+constexpr double kLeftShare = 0.85;   // minimum share of those returns that must have moved
+constexpr double kProvenShare = 0.5;  // minimum share of a track's frames in which motion is proven
 
 }  // namespace
 

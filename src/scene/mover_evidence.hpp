@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Whether returns belong to something that moved along a track, or to something that
-// stood: asked of the frames at which the track is elsewhere. Private to scene.
+// Decides whether returns belong to a moving object or to a static one. Uses frames at
+// whose time the tracked object is elsewhere. Private to scene.
 #pragma once
 
 #include <relidar/log/sequence.hpp>
@@ -10,40 +10,46 @@
 
 namespace relidar {
 
-/// What other frames say of the places where returns were.
+/// Number of frames that support or contradict motion at the positions of returns.
 struct Evidence {
-    std::size_t stayed = 0;  ///< frames that have a return there, though the track is elsewhere
-    std::size_t left = 0;    ///< frames that see through
+    /// frames with a return at the position, although the tracked object is elsewhere
+    std::size_t stayed = 0;
+    std::size_t left = 0;  ///< frames that see through the position
     void operator+=(const Evidence& other) { stayed += other.stayed, left += other.left; }
     bool is_any() const { return stayed + left > 0; }
     bool says_stayed() const { return stayed > 0 && stayed >= left; }
     bool says_moved() const { return left > kMuchMore * stayed; }
-    /// what passes behind a mover, or near by, has returns at its places too
+    /// Factor by which `left` must exceed `stayed`. Objects that pass behind or near a
+    /// moving object also have returns at its positions.
     static constexpr std::size_t kMuchMore = 3;
 };
 
-/// What they say of all returns of a track, or of a part of it.
+/// Summed evidence for all returns of a track, or for a part of the track.
 struct Testimony {
     Evidence looks;
     std::size_t returns = 0;
-    std::size_t told = 0;   ///< returns of which any frame says something
-    std::size_t moved = 0;  ///< of these, those of which it says that they moved
-    /// in which the thing was seen, and those of whose returns others say that they moved
+    std::size_t told = 0;   ///< returns with any evidence
+    std::size_t moved = 0;  ///< returns with evidence that they moved
+    /// Number of frames with observations of the object, and number of frames whose
+    /// returns are proven to have moved.
     std::size_t frames = 0, frames_moved = 0;
     void operator+=(const Testimony& other);
-    /// Of what moved, others see nearly all places free before or after, where they see
-    /// them: of what stands, parts are seen through at their edges, and others stay. A
-    /// box that hardly leaves its place has few that tell.
+    /// Returns true if the evidence proves motion. Other frames see nearly all positions
+    /// of a moving object free at other times. For a static object, they see through
+    /// edges only, and the remainder stays. A box that hardly moves has few returns with
+    /// evidence.
     bool says_moved() const;
 };
 
-/// Asks the frames near a place, those left out in which the track's box, or where it
-/// came from or ended up, covers it.
-/// @param point_m [3] world @param box  of the track that a return there belongs to
+/// Collects the evidence of the frames near a point. Skips frames at whose time the
+/// track's box covers the point. The first and last pose of the box hold before and after
+/// its track.
+/// @param point_m [3] world
+/// @param box box of the track to which a return at this point belongs
 Evidence look_back(const Visibility& visibility, const glm::dvec3& point_m, const BoxTrack& box);
 
-/// Takes the returns out of a group that other frames say stayed. @return of all returns
-/// that it had
+/// Removes the returns of a cluster that other frames prove to be static.
+/// @return evidence of all returns that the cluster had
 Testimony sift(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The spline is the mean of a walk with noise on the jerk, found by a Kalman filter
-// forward and the smoother of Rauch, Tung and Striebel backward:
+// Fits a smoothing spline. The spline is the mean of a random walk with white noise on
+// the jerk. A Kalman filter runs forward and a Rauch-Tung-Striebel smoother backward:
 //   state = (p, v, a),   F = [1 dt dt^2/2; 0 1 dt; 0 0 1],   Q = q [dt^5/20 dt^4/8 dt^3/6; dt^4/8 dt^3/3 dt^2/2; dt^3/6 dt^2/2 dt]
 #include "scene/mover_path.hpp"
 
@@ -10,15 +10,21 @@
 namespace relidar {
 namespace {
 
-constexpr double kPlaceNoise_m = 0.1;  // of where a frame sees the near end of something
-// q, m^2/s^5: with places every 0.1 s the path follows what takes longer than 0.4 s
+constexpr double kPlaceNoise_m = 0.1;  // standard deviation of the observed near end of an object
+// q, m^2/s^5. With a position every 0.1 s, the path follows motions that take longer than
+// 0.4 s.
 constexpr double kJerk = 0.2;
-constexpr double kFarFromPath_m = 0.3;  // from the path, where a place counts half
+constexpr double kFarFromPath_m = 0.3;  // distance from the path at which a position has half the weight
 constexpr int kPathRounds = 3;
-constexpr double kChord_m = 1.5;    // to either side: noise of 3 cm at its ends is less than a degree
-constexpr double kTurnsBack = 0.3;  // of that: where a path returns its chord says nothing
+// length of a chord to either side; an error of 3 cm at its ends turns it by less than a
+// degree
+constexpr double kChord_m = 1.5;
+// share of the longer half chord; below it the path turns back and the chord has no
+// direction
+constexpr double kTurnsBack = 0.3;
 
-/// A column an axis of the world; rows are position, velocity, acceleration.
+/// Estimate of the filter. One column per world axis; the rows are position, velocity and
+/// acceleration.
 struct Estimate {
     glm::dmat3 state{0.0};
     glm::dmat3 covariance{0.0};
@@ -71,8 +77,9 @@ std::vector<PathState> smooth_once(const std::vector<double>& time_s, const std:
     return path;
 }
 
-/// Where a path is first so far from one of its places, or ends. @param step  1 later, -1
-/// earlier
+/// Returns the first point of the path at the distance kChord_m from one of its
+/// positions, or the end of the path.
+/// @param step 1 for later positions, -1 for earlier ones
 glm::dvec2 end_of_chord(const std::vector<glm::dvec3>& path_m, std::size_t place, int step) {
     const glm::dvec2 here(path_m[place]);
     glm::dvec2 last = here;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The smooth path of a thing that was seen at noisy places, and where it heads. Private
-// to scene.
+// Smooths the noisy observed positions of an object and computes its headings. Private to
+// scene.
 #pragma once
 
 #include <vector>
@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Where something is at a time, and how it moves.
+/// Position and motion of an object at one time.
 struct PathState {
     glm::dvec3 position_m, velocity_mps, acceleration_mps2;
     glm::dvec3 after(double seconds) const {
@@ -17,15 +17,19 @@ struct PathState {
     }
 };
 
-/// The path over the whole track that is near the places and whose acceleration changes
-/// little (a smoothing spline of the fifth degree, docs/method.md section 6). Places far
-/// from it count little.
-/// @param time_s ascending @param place_m [times] @return [times]
+/// Fits a path over a full track that passes near the positions and whose acceleration
+/// changes little (a smoothing spline of the fifth degree, docs/method.md section 6).
+/// Positions far from the path have a low weight.
+/// @param time_s ascending
+/// @param place_m [times] observed positions
+/// @return [times]
 std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std::vector<glm::dvec3>& place_m);
 
-/// Headings along a path on the ground, radians: from where it was 1.5 m before to where
-/// it is 1.5 m later, so that what stands keeps the heading with which it came.
-/// @param path_m [places] @return [places]
+/// Returns the headings along a path on the ground, in radians. A heading points from the
+/// position 1.5 m earlier to the position 1.5 m later, so that a stopped object keeps its
+/// last heading.
+/// @param path_m [positions]
+/// @return [positions]
 std::vector<double> headings_along(const std::vector<glm::dvec3>& path_m);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Links clusters by where a track would be now, and joins tracks that are parts of one
-// thing, side by side or one after the other.
+// Links clusters to tracks by their predicted positions. Joins tracks that are parts of
+// one object, either side by side or one after the other.
 #include "scene/mover_tracks.hpp"
 
 #include <algorithm>
@@ -15,25 +15,29 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxGap_s = 0.35;     // a track is interrupted where nothing continues it so long
-constexpr double kLongestGap_s = 1.5;  // behind which it may go on
-constexpr std::size_t kEndsOfGap = 4;  // observations on either side of it, at least
-// observations that tell a velocity, for the next frame and over a gap
+constexpr double kMaxGap_s = 0.35;     // a track is interrupted if no cluster continues it for this time
+constexpr double kLongestGap_s = 1.5;  // maximum gap after which a track may continue
+constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations on either side of a gap
+// Number of observations used to estimate a velocity: for the next frame, and across a
+// gap.
 constexpr std::size_t kNext = 4, kFar = 10;
-constexpr double kFirstSpeed_mps = 15.0;  // of something seen once
-// what a prediction may be off, at once and a second
+constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that was seen once
+// Maximum error of a prediction: a constant part, and a part per second.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-constexpr double kOverGap_mps = 0.8;     // the same over a gap, forward and backward
-constexpr double kOtherSpeed_mps = 2.0;  // behind a gap
-constexpr double kMaxRatio = 8.0;        // of the numbers of returns of one thing in successive frames
+constexpr double kOverGap_mps = 0.8;     // maximum error per second across a gap, forward and backward
+constexpr double kOtherSpeed_mps = 2.0;  // maximum difference of the speeds before and after a gap
+// maximum ratio of the numbers of returns of one object in consecutive frames
+constexpr double kMaxRatio = 8.0;
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-constexpr double kMinStraightness = 0.5;  // of the path: noise walks to and fro
+// minimum ratio of net motion to path length, because noise moves to and fro
+constexpr double kMinStraightness = 0.5;
 constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
-// parts as large belong to a vehicle, not to people who walk together
+// Parts larger than this belong to a vehicle and not to people who walk together.
 constexpr double kVehiclePart_m = 1.2;
-constexpr double kBesides_m = 1.5;  // between parts of one vehicle
-// standard deviation of where a part is seen of the whole: its visible side changes
+constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one vehicle
+// Maximum standard deviation of the offset between two parts of one vehicle. The offset
+// varies because the visible side changes.
 constexpr double kRigid_m = 0.5;
 
 glm::dvec3 velocity_between(const MoverCluster& from, const MoverCluster& to) {
@@ -48,7 +52,8 @@ glm::dvec3 first_velocity(const MoverTrack& track, std::size_t most) {
                             track.seen[std::min(track.seen.size(), most) - 1].cluster);
 }
 
-/// How far a cluster is from where a track would be; beyond 1 it is something else.
+/// Returns the distance between a cluster and the predicted position of a track, relative
+/// to the allowed distance. A value above 1 means a different object.
 double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
     const double dt = cluster.time_s - track.last().time_s;
     if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
@@ -61,8 +66,8 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
            gate;
 }
 
-/// The same where labels are: a label's own track takes its clusters, and no others while
-/// it is there.
+/// Returns the mismatch for tracks and clusters with labels. While a label exists, its
+/// track accepts the clusters of the label and no others.
 double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
                 const Sequence& sequence) {
     if (track.label == kNoLabel) return mismatch(track, cluster);
@@ -72,7 +77,7 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster, double fra
                : mismatch(track, cluster);
 }
 
-/// Tracks that clusters of a frame may continue.
+/// Tracks that the clusters of the next frame may continue.
 class OpenTracks {
 public:
     explicit OpenTracks(const Sequence& sequence) : sequence_(sequence) {}
@@ -101,7 +106,7 @@ private:
     };
     const Sequence& sequence_;
     std::vector<MoverTrack> tracks_;
-    std::vector<std::size_t> open_;  // those that may go on
+    std::vector<std::size_t> open_;  // indices of the tracks that may continue
 
     bool is_over(const MoverTrack& track, double frame_time_s) const {
         if (track.label != kNoLabel &&
@@ -109,7 +114,7 @@ private:
             return false;
         return frame_time_s - track.seen.back().frame_time_s > 2.0 * kMaxGap_s;
     }
-    /// Best first.
+    /// Returns all possible pairs of track and cluster, sorted from best to worst.
     std::vector<Fit> fits(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Fit> result;
         for (const std::size_t t : open_)
@@ -128,7 +133,7 @@ private:
     }
 };
 
-/// The longer side of what is seen of something from above.
+/// Returns the longer side of a cluster's bounding rectangle, seen from above.
 double width_seen(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
     for (const glm::dvec3& p : cluster.points_m)
@@ -144,7 +149,7 @@ double gap_between(const MoverCluster& a, const MoverCluster& b) {
     return nearest;
 }
 
-/// Pairs of observations of two tracks in the same frames.
+/// Returns the pairs of observations of two tracks that are in the same frame.
 std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, const MoverTrack& b) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     for (std::size_t i = 0, j = 0; i < a.seen.size() && j < b.seen.size();) {
@@ -155,8 +160,8 @@ std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, 
     return pairs;
 }
 
-/// Whether two tracks are parts of one vehicle, as its tail and its cabin with a roof
-/// that no beam meets between them.
+/// Returns true if two tracks are parts of one vehicle. Example: no beam hits the roof of
+/// a vehicle, so that its tail and its cabin are separate clusters.
 bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     if (part.label != kNoLabel) return false;
     const auto common = in_common(whole, part);
@@ -175,8 +180,8 @@ bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     return variance.x + variance.y < kRigid_m * kRigid_m;
 }
 
-/// How well one track continues another behind a gap: both, driving on, meet in its
-/// middle. Beyond 1 it is something else.
+/// Returns how badly one track continues another after a gap. The predictions from both
+/// sides are compared across the gap. A value above 1 means a different object.
 double mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
     if (before.label != kNoLabel && after.label != kNoLabel) return 2.0;
     if (std::min(before.seen.size(), after.seen.size()) < kEndsOfGap) return 2.0;
@@ -190,12 +195,13 @@ double mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
                     glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
 }
 
-/// Pairs of tracks of which the second may continue the first, best first.
+/// Pair of tracks of which the second may continue the first.
 struct GapFit {
     double mismatch;
     std::size_t before, after;
 };
-// in the order of their first frames
+// Returns the possible continuations across gaps, sorted from best to worst. The tracks
+// must be sorted by their first frames.
 std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
     std::vector<GapFit> fits;
     const auto starts_s = [&](std::size_t t) { return tracks[t].seen.front().frame_time_s; };
@@ -214,8 +220,7 @@ std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
     return fits;
 }
 
-/// Joins tracks that a gap interrupts; what has a label of its own is not joined to what
-/// has another.
+/// Joins tracks across gaps. Tracks with different labels are not joined.
 std::vector<MoverTrack> joined_across_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);

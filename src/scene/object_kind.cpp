@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classes of datasets as a few kinds. The words of KITTI, KITTI-360, Waymo, Argoverse 2
-// and nuScenes mean the same wherever two of them have one, so a table of words does
-// without the dataset's name.
+// Maps the classes of datasets to a few kinds of objects. A word that occurs in several
+// of KITTI, KITTI-360, Waymo, Argoverse 2 and nuScenes means the same in each. Therefore
+// one table serves all datasets.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>

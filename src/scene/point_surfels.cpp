@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals, scales and start values of surfels from the points around each (docs/method.md
-// section 2; paper section 3.2).
+// Computes normals, scales and start values of surfels from the points around each of
+// them (docs/method.md section 2; paper section 3.2).
 #include "scene/point_surfels.hpp"
 
 #include <algorithm>
@@ -17,14 +17,14 @@ namespace relidar {
 
 namespace {
 
-constexpr float kSh0 = 0.28209479177387814f;  ///< constant of SH degree 0
-constexpr double kSh1 = 0.4886025119029199;   ///< of degree 1: -y, z, -x
+constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
+constexpr double kSh1 = 0.4886025119029199;   ///< SH constant of degree 1: factors of -y, z, -x
 constexpr int kScaleNeighbours = 3;
-/// a gap is wider than this times the distance of neighbours on a line: points at random
-/// have narrower ones
+/// A gap is wider than this factor times the distance of neighbours on a scan line.
+/// Random points have narrower gaps.
 constexpr double kGap = 2.5;
 
-/// nanoflann's view of the samples.
+/// Adapter that gives nanoflann access to the samples.
 struct Cloud {
     const std::vector<Sample>& samples;
     std::size_t kdtree_get_point_count() const { return samples.size(); }
@@ -39,20 +39,21 @@ struct Cloud {
 using Tree =
     nanoflann::KDTreeSingleIndexAdaptor<nanoflann::L2_Simple_Adaptor<float, Cloud>, Cloud, 3, std::size_t>;
 
-/// The plane of a neighbourhood.
+/// Plane through the neighbours of a point.
 struct Plane {
     glm::dvec3 point{0.0};
     glm::dvec3 normal{0.0};
-    bool is_line = false;  ///< the points spread along one axis
-    /// the points spread along two axes, and less along the third than options.flatness
-    /// says
+    bool is_line = false;  ///< the points spread along one axis only
+    /// The points spread along two axes. Their spread along the third axis is below
+    /// options.flatness.
     bool is_surface = false;
 };
 
-/// Normal: eigenvector of the smallest eigenvalue. Points along one scan line leave it
-/// free to turn about the line; then it faces the sensor as far as the line allows.
-/// Points that are no surface have no normal either. Their discs face the sensor, too:
-/// others are seen edge on, so that rays of the next scan pass by and return from behind.
+/// Fits a plane. The normal is the eigenvector of the smallest eigenvalue. Points of a
+/// single scan line leave the rotation about the line undetermined; then the normal is
+/// chosen to face the sensor as much as possible. The normal of points that form no
+/// surface faces the sensor as well. Other discs would be seen edge-on, and rays of the
+/// next scan would pass by them and hit the background.
 Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                 const glm::dvec3& view, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
@@ -80,21 +81,22 @@ Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_
     return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, is_line, is_surface};
 }
 
-/// At right angles to a normal, turned about it by an angle.
+/// Returns a unit vector perpendicular to a normal, rotated about the normal by an angle.
 glm::dvec3 direction_within(const glm::dvec3& normal, double angle) {
     const glm::dvec3 helper = std::abs(normal.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
     const glm::dvec3 x = glm::normalize(glm::cross(helper, normal));
     return std::cos(angle) * x + std::sin(angle) * glm::cross(normal, x);
 }
 
-/// Rotation whose first and third columns are these.
+/// Returns the rotation (w, x, y, z) whose first and third columns are `x` and `normal`.
 glm::vec4 rotation_of(const glm::dvec3& x, const glm::dvec3& normal) {
     const glm::dquat q = glm::quat_cast(glm::dmat3(x, glm::cross(normal, x), normal));
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
 
-/// How a surface was met by scan lines: the direction within it across them, and how far
-/// it is to the next points on either side of the line; 0 where there are none.
+/// Distance between the scan lines on a surface. `across` is the direction within the
+/// surface that is perpendicular to the lines. `left_m` and `right_m` are the distances
+/// to the nearest points on either side, or 0 if there are none.
 struct Gap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
@@ -103,15 +105,20 @@ struct Gap {
     double width_m() const { return std::max(left_m, right_m); }
 };
 
-/// @param neighbours of a point on the surface, itself first, the nearest first
+/// Measures the gap to the next scan lines.
+/// @param neighbours indices of points on the surface, sorted by distance; the first is
+/// the point itself
 Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                       const glm::dvec3& normal) {
-    constexpr std::size_t kOnLine = 4;               // the nearest are on the point's own line
-    constexpr double kAcross = 0.7071;               // cosine of how far aside
-    constexpr double kSlope = 0.1, kNoise_m = 0.05;  // how far off the plane
+    constexpr std::size_t kOnLine = 4;  // the nearest neighbours lie on the same scan line as the point
+    // minimum cosine of the angle between a neighbour and the direction across the line
+    constexpr double kAcross = 0.7071;
+    constexpr double kSlope = 0.1, kNoise_m = 0.05;  // maximum distance from the plane
     const glm::dvec3 point(samples[neighbours[0]].position), x = direction_within(normal, 0.0),
                                                              y = glm::cross(normal, x);
-    double even = 0.0, odd = 0.0;  // of twice the angle, so that either way along a line counts as the same
+    // sums of cos and sin of twice the angle, so that both directions along a line count
+    // as the same
+    double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
         const double u = glm::dot(d, x), v = glm::dot(d, y), length2 = std::max(u * u + v * v, 1e-12);
@@ -134,23 +141,24 @@ glm::dvec3 random_direction(Random& random) {
     return d / std::max(glm::length(d), 1e-12);
 }
 
-/// Intensity a (1 - q (1 - cos)) with cos = -n . d for rays of direction d towards the
-/// surface: harmonics of degrees 0 and 1. What was seen at a grazing angle says little of
-/// a. @param normal zero where there is none: as bright from every side
+/// Sets the SH coefficients of degrees 0 and 1 for the intensity a (1 - q (1 - cos)) with
+/// cos = -n . d, where d is the direction of a ray towards the surface. A sample seen at
+/// a grazing angle determines the albedo a poorly, so the cosine has a lower bound.
+/// @param normal zero if unknown: then the intensity is the same from all directions
 void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazing = 0.1;
     const double facing = -glm::dot(normal, glm::normalize(glm::dvec3(sample.view)));
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
                  albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
-    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // of a direction's y, z, x
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // coefficients of the y, z and x of a direction
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
     sh[2] = static_cast<float>(slope.z);
     sh[3] = static_cast<float>(-slope.x);
 }
 
-/// Numbers of up to n samples, the nearest first, and how far they are.
+/// Indices of up to n samples, sorted by distance, and their squared distances.
 struct Neighbours {
     std::vector<std::size_t> samples;
     std::vector<float> distance2;
@@ -158,7 +166,8 @@ struct Neighbours {
     Neighbours(const Tree& tree, const Sample& sample, std::size_t n) : samples(n), distance2(n) {
         samples.resize(tree.knnSearch(&sample.position.x, n, samples.data(), distance2.data()));
     }
-    /// Mean distance to the nearest but the sample itself; 0 where there are none.
+    /// Returns the mean distance to the nearest samples without the sample itself, or 0
+    /// if there are no others.
     double spacing_m() const {
         double sum = 0.0;
         std::size_t n = 0;
@@ -168,17 +177,18 @@ struct Neighbours {
     }
 };
 
-/// What a disc lies in, and how far apart the scan lines are that met it.
+/// Plane of a disc, and the gap between the scan lines that hit it.
 struct Place {
     Plane plane;
     Gap gap;
 };
 
-/// Nearest points of one scan line leave their plane free to turn about it, and those at
-/// one side of a gap do not see the other: then more are asked.
+/// Finds the plane and the gap at a sample. If the nearest points lie on one scan line or
+/// on one side of a gap, repeats the search with more neighbours. The points of one line
+/// leave the plane free to rotate about it.
 Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
                std::vector<std::size_t> nearest, const InitialiseOptions& options) {
-    constexpr int kWider = 2;  // times
+    constexpr int kWider = 2;  // maximum number of times that the search is widened
     Place place{fit_plane(samples, nearest, samples[i].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return place;
     const auto widen = [&] {
@@ -188,7 +198,8 @@ Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t
     for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
         widen();
         const Plane wider = fit_plane(samples, nearest, samples[i].view, options.flatness);
-        // too wide to move the point onto it
+        // The wider plane gives only the normal, because it is too coarse to move the
+        // point onto it.
         if (wider.is_surface) place.plane = {samples[i].position, wider.normal, true, true};
     }
     if (!place.plane.is_surface) return place;
@@ -199,7 +210,7 @@ Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t
     return place;
 }
 
-/// Fills surfel i from its sample and neighbours.
+/// Fills surfel i from its sample and its neighbours.
 void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree,
                  const InitialiseOptions& options, double incidence) {
     const std::size_t k =
@@ -251,7 +262,7 @@ Surfels surfels_from_points(const std::vector<Sample>& samples, const Initialise
 
 std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
                              std::vector<std::uint32_t>* kept) {
-    constexpr double kVoxel_m = 0.06;  // label jitter blurs anything finer
+    constexpr double kVoxel_m = 0.06;  // label jitter blurs smaller details
     std::unordered_set<std::uint64_t> seen;
     std::vector<std::uint32_t> first;
     for (std::size_t i = 0; i < samples.size(); ++i) {

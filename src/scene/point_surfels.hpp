@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels from points: normals and scales from nearest neighbours (docs/method.md section
-// 2). What the background and every actor share; private to scene.
+// Makes surfels from points, with normals and scales from nearest neighbours
+// (docs/method.md section 2). Used for the background and for actors. Private to scene.
 #pragma once
 
 #include <vector>
@@ -9,18 +9,18 @@
 
 namespace relidar {
 
-/// A point of the log: where, how bright, and from where it was seen. World, or the frame
-/// of an actor's box.
+/// A point of the log: position, intensity, and direction from the sensor. The frame is
+/// the world, or the frame of an actor's box.
 struct Sample {
     glm::vec3 position;
     float intensity;
-    glm::vec3 view;         ///< unit, sensor to point
-    float walked_m = 0.0f;  ///< how far the actor had come (WalkedWay)
-    int frame = 0;          ///< of an actor: position of its frame in the log
+    glm::vec3 view;         ///< unit vector from the sensor to the point
+    float walked_m = 0.0f;  ///< distance that the actor had walked (WalkedWay)
+    int frame = 0;          ///< for an actor: index of the point's frame in the log
 };
 
-/// Calls work(WorldReturn) for the returns of a frame, ray by ray. @param second_returns
-/// they too
+/// Calls work(WorldReturn) for each return of a frame, ray by ray.
+/// @param second_returns if true, the second returns are included
 template <class Work>
 void for_each_return(const Sequence& sequence, const Frame& frame, bool second_returns, const Work& work) {
     const Scan& scan = frame.scan;
@@ -32,17 +32,19 @@ void for_each_return(const Sequence& sequence, const Frame& frame, bool second_r
     }
 }
 
-/// One surfel a sample, in kd order. Where normals are found, intensity starts with the
-/// fall with incidence of the log's surfaces.
-/// @param samples at least one @param incidence of IntensityResponse @param order  [n]
-/// output: the sample of each surfel
+/// Makes one surfel for each sample, in kd order. If normals are estimated, the intensity
+/// starts with the incidence dependence of the log.
+/// @param samples at least one
+/// @param incidence coefficient of IntensityResponse
+/// @param order output [n]: the index of each surfel's sample
 Surfels surfels_from_points(const std::vector<Sample>& samples, const InitialiseOptions& options,
                             double incidence, const Progress& progress = {},
                             std::vector<std::uint32_t>* order = nullptr);
 
-/// First sample of each voxel of an actor, at most so many: averaging over jittering
-/// labels would only shrink the box.
-/// @param kept  output: their numbers
+/// Returns the first sample of each voxel of an actor, at most `most` samples. The
+/// samples of a voxel are not averaged, because the mean over jittering labels would
+/// shrink the box.
+/// @param kept output: indices of the returned samples
 std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
                              std::vector<std::uint32_t>* kept = nullptr);
 

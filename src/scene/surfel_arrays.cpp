@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters, gradients or moments on the device, group by group.
+// Stores surfel parameters, gradients or moments on the device, one array for each
+// parameter group.
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>

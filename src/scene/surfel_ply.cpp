@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels as PLY in the layout that tools for 3D Gaussian splatting read, and back. What
-// those tools know stays where they look for it, with their activations (3D Gaussians are
-// theirs whole, a surfel is a flat one); the LiDAR channels follow as further properties,
-// so that a file cropped or cleaned in such a tool comes back as a scene. The reader
-// trusts no number of the header before the size of the file confirms it.
+// Writes and reads surfels as PLY files in the layout of tools for 3D Gaussian splatting.
+// Parameters that these tools know keep their names and activations; a surfel is a flat
+// Gaussian. The LiDAR channels are additional properties, so that a file edited in such a
+// tool can be read back as a scene. The reader checks every number of the header against
+// the file size before it uses the number.
 #include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 
@@ -27,20 +27,22 @@ namespace {
 
 constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
-const float kFlat = std::log(1e-4f);  // thickness of a surfel for viewers of ellipsoids, metres
-constexpr std::string_view kEndOfHeader = "\nend_header";  // and a line end, which may be that of Windows
+// thickness of a surfel, in metres, for viewers that draw ellipsoids
+const float kFlat = std::log(1e-4f);
+constexpr std::string_view kEndOfHeader = "\nend_header";  // followed by a line end of Unix or Windows
 constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
-constexpr std::size_t kMaxModels = 1u << 24;  // an index is stored as a float
+// the index of a model is stored as a float, which must be exact
+constexpr std::size_t kMaxModels = 1u << 24;
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
-/// What a property is: a float of a group of parameters, or one of those that other tools
-/// want. Colours two and three repeat the first.
+/// A PLY property. It is either a float of a parameter group, or a value that other tools
+/// expect. The second and third colours repeat the first one.
 struct Property {
     std::string name;
-    const ParameterGroup* group = nullptr;  ///< of a parameter
-    std::uint32_t index = 0;                ///< float of the group's row, or component of the normal
+    const ParameterGroup* group = nullptr;  ///< group, if the property is a parameter
+    std::uint32_t index = 0;                ///< index in a row of the group, or component of the normal
     bool read = true;
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
@@ -70,7 +72,8 @@ std::vector<Property> properties(ParameterSet of) {
     return list;
 }
 
-/// Third column of the rotation; zero for a quaternion that is none.
+/// Returns the third column of the rotation, or zero if the quaternion is zero or not a
+/// number.
 glm::vec3 normal_of(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
@@ -93,14 +96,15 @@ float property_value(const Property& p, const Surfels& s, std::size_t i, std::si
     return 0.0f;
 }
 
-/// @param p one that is read
+/// Stores the value of a property in surfel i, or in `model`.
+/// @param p a property that is read
 void set_value(const Property& p, Surfels& s, std::size_t i, std::uint32_t& model, float value) {
     if (p.kind == Property::model) model = static_cast<std::uint32_t>(value);
     else p.group->mutable_values(s)[i * p.group->floats() + p.index] = value;
 }
 
-/// What a header says of the one element: its count, and name and byte offset of each
-/// property.
+/// Layout of the only element in a PLY header: number of records, and name and byte
+/// offset of each property.
 struct Layout {
     std::size_t count = 0;
     std::size_t stride = 0;
@@ -176,7 +180,7 @@ Layout parse_ply_header(const std::string& header) {
     return layout;
 }
 
-/// Values of the wanted properties of all records.
+/// Properties that are read, and their byte offsets in a record.
 struct Columns {
     std::vector<Property> property;
     std::vector<std::size_t> offset;
@@ -209,7 +213,7 @@ float checked(float value, const Property& p, std::size_t row, std::size_t n_mod
     return value;
 }
 
-/// Surfels by model, in the order of the file within each.
+/// Sorts the surfels by model and keeps the order of the file within each model.
 Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, const Scene& layout) {
     std::vector<std::uint32_t> order(model.size());
     std::iota(order.begin(), order.end(), 0u);
@@ -228,8 +232,8 @@ Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, c
     return scene;
 }
 
-/// Where the last line of the header begins, its line end before it. @return npos where
-/// there is none
+/// Returns the position of the line end before the last line of the header, or npos if
+/// there is none.
 std::size_t find_end_of_header(const std::string& start) {
     std::size_t at = start.find(kEndOfHeader);
     while (at != std::string::npos) {
@@ -265,7 +269,8 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
     return grouped(surfels, model, scene_layout);
 }
 
-/// @param frame  of the positions
+/// Returns the header of a PLY file.
+/// @param frame name of the frame of the positions
 std::string header_of(const Surfels& surfels, const std::vector<Property>& list, const char* frame,
                       const FileNotes& notes = {}) {
     std::string text = "ply\nformat binary_little_endian 1.0\ncomment relidar ";

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of scene/list_touched.
+// Runs the kernel scene/list_touched, which lists the rows that have a gradient.
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
@@ -27,7 +27,7 @@ void TouchedList::find(Stream& stream, Address<std::uint32_t, shared::TouchedSur
                        std::uint32_t n_rows) {
     Impl& l = *impl_;
     if (l.rows.size() < n_rows) {
-        stream.finish();  // what is there may be in use
+        stream.finish();  // earlier submissions may still use the old array
         l.rows.reserve(l.device, n_rows, "rows with a gradient");
     }
     stream.fill(l.count);
@@ -39,7 +39,7 @@ Address<std::uint32_t, shared::TouchedRows> TouchedList::rows() const { return i
 Address<std::uint32_t, shared::TouchedCount> TouchedList::count() const { return impl_->count.address(); }
 
 std::size_t TouchedList::threads(std::size_t most) const {
-    // on a CPU few, so that each of its threads has as much to do
+    // A CPU uses fewer threads, so that each thread has as much work.
     const bool is_cpu = !coalesces(impl_->device);
     return std::min(most, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }

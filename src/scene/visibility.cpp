@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Visibility of points in the frames of a log, by range images.
+// Computes the visibility of points in the frames of a log from range images.
 #include "scene/visibility.hpp"
 
 #include <algorithm>
@@ -16,23 +16,28 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-constexpr double kCellsPerRay = 4.0 / 3.0;  // six cells around a point hold four or five returns
-constexpr double kBeyond_rad = 0.002;       // the outermost beams: about a beam's own width
-constexpr int kMinReturns = 3;              // of the 2 x 3 cells around a point
-constexpr int kSectors = 64;     // of a sweep: in one the sensor moves by millimetres to centimetres
-constexpr double kBehind = 1.5;  // margins, that what is seen through a point lies behind it
-constexpr double kTile_m = 8.0;  // of the ground, whose points ask the same frames
-// a sensor farther away sees a person as a return or two, and most places not at all
+// chosen so that the six cells around a point hold four or five returns
+constexpr double kCellsPerRay = 4.0 / 3.0;
+constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
+constexpr int kMinReturns = 3;         // minimum number of returns in the 2 x 3 cells around a point
+// sectors of a sweep; within one sector the sensor moves by millimetres to centimetres
+constexpr int kSectors = 64;
+// number of margins by which a return must lie behind a point to see through it
+constexpr double kBehind = 1.5;
+constexpr double kTile_m = 8.0;  // size of a ground tile; all points of a tile use the same frames
+// A sensor farther away has only one or two returns from a person and does not see most
+// places.
 constexpr double kNear_m = 40.0;
-constexpr double kHardlyFarther = 1.25;  // than the nearest sensor, where none is near
+// maximum distance relative to the nearest sensor, if no sensor is near
+constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
 double elevation_rad(const glm::vec3& direction) {
     return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
 }
 
-/// Elevations of the rows of a scan, falling; of rays that are in no rows, even steps
-/// over what they see.
+/// Returns the elevations of the rows of a scan, descending. For rays without rows,
+/// returns evenly spaced elevations over the field of view.
 std::vector<double> row_elevations(const RayTable& rays) {
     std::vector<double> rows;
     if (rays.rows > 1) {
@@ -49,7 +54,8 @@ std::vector<double> row_elevations(const RayTable& rays) {
     return rows;
 }
 
-/// Columns of a turn, a little narrower than the rays of a row are apart.
+/// Returns the number of columns per turn. A column is a little narrower than the spacing
+/// of the rays in a row.
 int columns_of(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
@@ -68,7 +74,7 @@ glm::dvec3 tile_centre(const glm::dvec3& p) {
     return kTile_m * (glm::floor(glm::dvec3(p.x, p.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
-/// Every so many-th of them, so that at most kMostViews are left.
+/// Keeps at most kMostViews views, evenly spaced.
 void thin_out(std::vector<std::uint32_t>& views) {
     if (views.size() <= kMostViews) return;
     std::vector<std::uint32_t> kept;
@@ -124,7 +130,7 @@ std::vector<float> BeamGrid::nearest_m(const Scan& scan) const {
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    grids_.resize(sequence.lidars.size());  // those of LiDARs without a view are not asked
+    grids_.resize(sequence.lidars.size());  // LiDARs without a view keep an empty grid, which is not used
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];
@@ -145,7 +151,7 @@ void Visibility::want(const glm::dvec3& point_m) {
 void Visibility::make_wanted() {
     std::sort(wanted_.begin(), wanted_.end());
     wanted_.erase(std::unique(wanted_.begin(), wanted_.end()), wanted_.end());
-    run_parallel(static_cast<int>(wanted_.size()), [&](int i) {
+    parallel_for(static_cast<int>(wanted_.size()), [&](int i) {
         const std::uint32_t view = wanted_[std::size_t(i)];
         make(views_[view], sequence_.frames[std::size_t(positions_[view])]);
     });

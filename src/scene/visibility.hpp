@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What each frame says about a point: seen (a return lies there), seen through (the
-// returns above and below it lie well behind it), or nothing. Points that frames see
-// through belong to something that moved without a label (docs/method.md section 6).
+// Decides what each frame observes at a point: seen (a return is there), seen through
+// (the returns above and below are well behind the point), or nothing. Points that frames
+// see through belong to moving objects without labels (docs/method.md section 6).
 #pragma once
 
 #include <cstdint>
@@ -15,44 +15,48 @@ namespace relidar {
 
 enum class Sight : char { nothing, seen, seen_through };
 
-/// Directions of a LiDAR in rows and columns. Rows are as its beams are, close or far
-/// apart: on the ground a place between two beams is farther than what the lower one
-/// meets, and a row without a beam would leave that unsaid.
+/// Grid of directions of a LiDAR, with rows and columns. The rows follow the beams, which
+/// can be unevenly spaced. On the ground, a place between two beams is farther away than
+/// the return of the lower beam. A row without a beam would miss that.
 class BeamGrid {
 public:
-    BeamGrid() = default;                 ///< no rows: holds no direction
-    explicit BeamGrid(const Scan& scan);  ///< of any of its scans
+    BeamGrid() = default;                 ///< Makes an empty grid that contains no direction.
+    explicit BeamGrid(const Scan& scan);  ///< Makes the grid from any scan of the LiDAR.
 
-    /// Where a point is seen.
+    /// Cell of the grid in which a point is seen.
     struct Place {
-        int row = 0, column = 0;  ///< the nearest
-        int row_below = 0;        ///< it lies between this row and the one above
-        bool is_beyond = false;   ///< above or below all rows: no beam was meant for it
+        int row = 0, column = 0;  ///< nearest row and column
+        int row_below = 0;        ///< the point lies between this row and the row above it
+        /// true if the point lies above or below all rows, so that no beam can hit it
+        bool is_beyond = false;
     };
     int rows() const { return static_cast<int>(row_rad_.size()); }
-    int columns() const { return columns_; }  ///< of a turn
-    /// @param point_m [3] sensor frame @return nothing at the sensor itself
+    int columns() const { return columns_; }  ///< columns per turn
+    /// Returns the cell of a point, or nothing for the position of the sensor itself.
+    /// @param point_m [3] sensor frame
     std::optional<Place> place(const glm::dvec3& point_m) const;
-    /// Nearest returns. @param scan  in the sensor's frame @return [rows * columns] m, 0
-    /// where there is none
+    /// Returns the range of the nearest return in each cell.
+    /// @param scan scan in the sensor's frame
+    /// @return [rows * columns] metres, 0 if a cell has no return
     std::vector<float> nearest_m(const Scan& scan) const;
 
 private:
-    std::vector<double> row_rad_;  ///< [rows] elevations, falling
+    std::vector<double> row_rad_;  ///< [rows] elevations, descending
     int columns_ = 1;
 };
 
-/// Range images of some frames. A point asks at most 64 of them, so that the cost of many
-/// points grows with their number alone: frames whose sensor was within 40 m, or little
-/// farther than the nearest was, evenly spread in time. Images are made when points near
-/// them are announced, so that a process that asks for a part of a log makes those of
-/// that part.
+/// Range images of selected frames. A point is looked up in at most 64 frames, so that
+/// the cost of many points grows only with their number. These are frames whose sensor
+/// was within 40 m, or little farther away than the nearest sensor, evenly spaced in
+/// time. The images are created when points near them are announced. Therefore a process
+/// that handles a part of a log makes only the images of that part.
 class Visibility {
 public:
-    /// Of a log that stays as it is.
+    /// Prepares the visibility of a log. Keeps a reference to `sequence`, which must not
+    /// change.
     Visibility(const Sequence& sequence, const std::vector<int>& positions);
 
-    /// Makes the images that some points ask; nothing may be asked of other points.
+    /// Creates the images needed for these points. Other points must not be looked up.
     /// @param points_m [points] vectors of 3, world
     template <class Points>
     void announce(const Points& points_m) {
@@ -63,22 +67,26 @@ public:
     struct Votes {
         int seen = 0;
         int seen_through = 0;
-        /// Seen through by at least two frames, and by this share of those that see it.
+        /// Returns true if at least two frames see through the point, and at least
+        /// `share` times as many as see it.
         bool is_seen_through(double share) const {
             return seen_through >= 2 && double(seen_through) >= share * double(seen);
         }
     };
+    /// Counts the frames that see a point and the frames that see through it.
     /// @param point_m [3] world
     Votes votes(const glm::vec3& point_m) const;
 
-    /// Views that a point asks, ascending. @param point_m [3] world @return indices into
-    /// the positions given
+    /// Returns the views in which a point is looked up, ascending.
+    /// @param point_m [3] world
+    /// @return indices into the positions of the constructor
     const std::vector<std::uint32_t>& views_near(const glm::dvec3& point_m) const;
-    /// What one view says of a point, with a margin of decimetres. @param point_m [3]
-    /// world
+    /// Returns what one view observes at a point, with a margin of decimetres.
+    /// @param point_m [3] world
     Sight look(std::uint32_t view, const glm::dvec3& point_m) const;
-    /// Whether a view has a return in the direction of a point that is as far away, to
-    /// tolerance_m. @param point_m [3] world
+    /// Returns true if a view has a return in the direction of a point, with the same
+    /// range up to `tolerance_m`.
+    /// @param point_m [3] world
     bool has_return_at(std::uint32_t view, const glm::dvec3& point_m, double tolerance_m) const;
     double time_s(std::uint32_t view) const { return views_[view].time_s; }
 
@@ -86,29 +94,30 @@ private:
     struct View {
         double time_s;
         int lidar;
-        /// one a sector of the sweep, when the head faces the middle of it; none: not
-        /// made yet
+        /// One pose for each sector of the sweep, at the time when the head faces the
+        /// middle of the sector. Empty until the image is made.
         std::vector<Pose> sensor_from_world;
-        std::vector<float> range_m;  ///< [rows*columns] nearest return, 0 where there is none
+        /// [rows * columns] range of the nearest return, or 0 if a cell has no return
+        std::vector<float> range_m;
     };
-    /// A point as a view sees it: its range, and the returns of the 2 x 3 cells around
-    /// it, of the rows between which it lies.
+    /// Range of a point in a view, and the ranges of the returns in the 2 x 3 cells
+    /// around it, in the two nearest rows.
     struct Surroundings {
         double range_m = 0.0;
         float returned_m[6];
         int n = 0;
     };
-    /// Views that a tile of the ground asks.
+    /// Views in which the points of a ground tile are looked up.
     struct Tile {
         std::vector<std::uint32_t> views;
         bool wanted = false;
     };
     const Sequence& sequence_;
     std::vector<BeamGrid> grids_;  ///< [lidars]
-    std::vector<int> positions_;   ///< [views] in the log
+    std::vector<int> positions_;   ///< [views] index of each view's frame in the log
     std::vector<View> views_;
     std::unordered_map<std::uint64_t, Tile> tiles_;
-    std::vector<std::uint32_t> wanted_;  ///< views to be made; some twice
+    std::vector<std::uint32_t> wanted_;  ///< views whose images are pending; can contain duplicates
 
     void want(const glm::dvec3& point_m);
     void make_wanted();

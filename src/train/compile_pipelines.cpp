@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every pipeline of the program, made by what makes them in a training and in rendering:
-// a look at what a driver's compiler says of them needs neither a log nor a card.
+// Compiles every pipeline of the program by constructing the objects that training and
+// rendering use. This needs neither a log nor a GPU. Developers use it to read the
+// statistics of a driver's compiler.
 #include "train/compile_pipelines.hpp"
 
 #include <relidar/diff/forward.hpp>
@@ -16,14 +17,14 @@
 namespace relidar {
 namespace {
 
-/// A setting that changes a kernel or its constants.
+/// A setting that changes a kernel or its specialisation constants.
 struct Setting {
     const char* key;
     const char* value;
 };
 
-// What is tried on top of the preset `default`, one at a time, beside the terms of the
-// loss. A new specialisation constant is a line here.
+// Settings that are compiled one at a time on top of the preset `default`, in addition to
+// the terms of the loss. Add a row for each new specialisation constant.
 constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"image.sh_direction", "surfel"},
                                  {"image.single_drop_logit", "true"},
@@ -32,8 +33,7 @@ constexpr Setting kSettings[] = {{"image.sh_direction", "ray"},
                                  {"render.range", "mode"},
                                  {"trace.chunk", "16"},
                                  {"trace.chunk", "64"},
-                                 {"densify.strategy", "adaptive"},
-                                 {"densify.strategy", "mcmc"}};
+                                 {"densify.strategy", "adaptive"}};
 
 Scene smallest_scene(const Sequence& street, Primitive primitive) {
     Scene scene;
@@ -51,7 +51,8 @@ void compile(Device& device, const Sequence& street, const Config& config) {
     const ScanRenderer renderer(device, scene, config, street);
 }
 
-/// What a device chooses by itself, chosen for it.
+/// Compiles the search variants. Normally the device type determines which of them is
+/// used.
 void compile_searches(Device& device, const Sequence& street) {
     const Config config = make_preset("default");
     const Scene scene = smallest_scene(street, config.image.primitive);
@@ -73,11 +74,11 @@ void compile_searches(Device& device, const Sequence& street) {
 
 void compile_pipelines(Device& device, const std::function<void(const std::string&)>& progress) {
     const Sequence street = make_synthetic_street({.n_frames = 2, .rows = 2, .columns = 16});
-    const auto tell = [&](const std::string& what) {
+    const auto report = [&](const std::string& what) {
         if (progress) progress(what);
     };
     for (const char* preset : {"paper", "released", "default", "quick"}) {
-        tell(preset);
+        report(preset);
         compile(device, street, make_preset(preset));
     }
     std::vector<Setting> settings(std::begin(kSettings), std::end(kSettings));
@@ -87,21 +88,21 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
 #undef RELIDAR_TERM
     for (const PrimitiveKind& kind : kPrimitives) settings.push_back({"image.primitive", kind.name});
     for (const Setting& setting : settings) {
-        tell(std::string(setting.key) + "=" + setting.value);
+        report(std::string(setting.key) + "=" + setting.value);
         Config config = make_preset("default");
         set_key(config, setting.key, setting.value);
         compile(device, street, config);
     }
-    tell("ways to search and to sum");
+    report("ways to search and to sum");
     compile_searches(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
-        tell(std::string("refine.network=") + network);
+        report(std::string("refine.network=") + network);
         RefineOptions options;
         options.network = network;
         compile_drop_network(device, options);
     }
-    tell("sums of hits in a fixed order");
-    const RadixSort by_row(device, 1, 1);  // made by BackwardPass at its first batch
+    report("sums of hits in a fixed order");
+    const RadixSort by_row(device, 1, 1);  // BackwardPass creates this sort only for its first batch
 }
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reports of iterations on their way from the device, and what becomes of their losses.
+// Reads back the reports of iterations from the device and sums their losses.
 #include "train/iteration_reports.hpp"
 
 #include <cmath>

@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the intensities of a log scatter about those of its trained scene: some training
-// frames rendered along the rays that measured them. Residuals of held-out frames are as
-// large (0.083 against 0.081 on KITTI raw drive 0005), so what is learnt here holds
-// there.
+// Fits the intensity model (scatter) of each LiDAR of a log. Renders some training frames
+// along their measured rays and compares the intensities. Training frames are suitable,
+// because residuals of held-out frames have about the same size.
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
@@ -12,13 +11,13 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostFrames = 16;  // of a LiDAR
+constexpr int kMostFrames = 16;  // maximum number of frames of a LiDAR
 
 std::vector<int> frames_of(const Run& run, int lidar) {
-    std::vector<int> own;
+    std::vector<int> frames;
     for (const int position : run.split.train)
-        if (run.sequence.frames[std::size_t(position)].lidar == lidar) own.push_back(position);
-    return spread(own, kMostFrames);
+        if (run.sequence.frames[std::size_t(position)].lidar == lidar) frames.push_back(position);
+    return spread(frames, kMostFrames);
 }
 
 std::vector<float> measured_intensities(const Sequence& sequence, const Frame& frame, const Unknown& masks) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is estimated from a log before a scene is trained on it: poses of the sensor, its
-// beams, what moves without a label.
+// Estimates properties of a log before training: poses of the sensor, calibration of its
+// beams, and moving objects without labels.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -26,12 +26,12 @@ Sequence load_log(const Config& config, const Progress& progress, int most_scans
     options.lidars = words_of(config.dataset.lidars);
     options.frames = {config.dataset.frames_begin, config.dataset.frames_end};
     options.poses_file = config.dataset.poses;
-    options.poses_from = config.dataset.poses_from;
     options.skip_broken = config.dataset.skip_broken;
     options.rolling_shutter = config.sensor.rolling_shutter != RollingShutter::no;
     options.max_range_m = config.dataset.max_range_m > 0.0 ? config.dataset.max_range_m : INFINITY;
     options.min_range_m = config.dataset.min_range_m;
-    options.clamp_intensity = config.dataset.waymo_intensity == "clamp";
+    options.bag.poses_from = config.dataset.poses_from;
+    options.waymo.clamp_intensity = config.dataset.waymo_intensity == "clamp";
     options.progress = progress;
     options.most_scans = most_scans;
     std::error_code failed;
@@ -42,16 +42,19 @@ Sequence load_log(const Config& config, const Progress& progress, int most_scans
 
 namespace {
 
-/// Whether poses of the sensor are known before any are found from the scans.
+/// Returns true if the log provides poses of the sensor, so that registration does not
+/// start from nothing.
 bool has_poses(const Sequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
-/// By how much registration moved and turned the poses of a log.
+/// Statistics of how far registration moved and rotated the poses of a log.
 struct PoseCorrections {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
-    /// @param from, to  [poses] of the log, and as registered
+    /// Computes the statistics.
+    /// @param from  [poses] poses of the log
+    /// @param to  [poses] registered poses
     PoseCorrections(const PoseTrack& from, const PoseTrack& to) {
         std::vector<double> metres, degrees;
         for (std::size_t k = 0; k < from.pose.size(); ++k) {
@@ -71,8 +74,8 @@ struct PoseCorrections {
             "corrections of {:.3f} m and {:.2f} degrees (median) to {:.3f} m and {:.2f} degrees", median_m,
             median_deg, most_m, most_deg);
     }
-    /// A warning if the log's poses are worse than good poses of a vehicle ever are,
-    /// otherwise empty.
+    /// Returns a warning if the corrections are larger than the errors of good vehicle
+    /// poses. Otherwise returns an empty text.
     std::string warning() const {
         constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
         if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
@@ -93,22 +96,22 @@ std::string way_text(const PoseTrack& track) {
     return fmt::format("{:.1f} m driven", metres);
 }
 
-std::string loops_text(const Registration& found) {
-    if (found.places_again == 0) return "";
+std::string loops_text(const Registration& registration) {
+    if (registration.places_again == 0) return "";
     return fmt::format("; {} loops closed (places that the vehicle passed again), up to {:.2f} m corrected",
-                       found.places_again, found.loops_off_m);
+                       registration.places_again, registration.loops_off_m);
 }
 
-constexpr double kMostLost = 0.05;  // of the scans, one in any case
+constexpr double kMostLost = 0.05;  // maximum fraction of lost scans; one lost scan is always allowed
 
-/// What is told of scans that did not find their place. @throws DataError where they are
-/// too many
-void tell_lost(const Sequence& sequence, const Registration& found, const Config& config,
-               const PrepareSession& session) {
-    if (found.lost.empty()) return;
+/// Reports the scans that could not be registered.
+/// @throws DataError if there are too many of them
+void report_lost_scans(const Sequence& sequence, const Registration& registration, const Config& config,
+                       const PrepareSession& session) {
+    if (registration.lost.empty()) return;
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames) {
-        const bool is_lost = std::ranges::binary_search(found.lost, sequence.pose_of(frame));
+        const bool is_lost = std::ranges::binary_search(registration.lost, sequence.pose_of(frame));
         if (is_lost && (frames.empty() || frames.back() != frame.index)) frames.push_back(frame.index);
     }
     const std::size_t n = sequence.world_from_vehicle.pose.size();
@@ -123,46 +126,47 @@ void tell_lost(const Sequence& sequence, const Registration& found, const Config
     session.tell(text + "; they were moved with their neighbours");
 }
 
-/// @return done where there are poses to be taken
-Registration registered(Sequence& sequence, const Split& split, const Config& config,
-                        const PrepareSession& session) {
-    Registration found;
+/// Registers the scans of the log.
+/// @return a registration with `done` set if it has new poses
+Registration register_log(Sequence& sequence, const Split& split, const Config& config,
+                          const PrepareSession& session) {
+    Registration registration;
     try {
         RegisterOptions options = register_options(sequence, config);
         options.stop = session.stop;
         options.progress = session.progress;
         options.group = session.group;
-        found = register_scans(sequence, split, options);
+        registration = register_scans(sequence, split, options);
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
         session.tell(fmt::format("{}; the poses of the log are used", error.what()));
         return {};
     }
-    if (found.stopped)
+    if (registration.stopped)
         throw Error(ExitCode::interrupted,
                     "interrupted during the registration of scans, before training started");
-    if (!found.done) return found;
-    const PoseCorrections corrections(sequence.world_from_vehicle, found.world_from_vehicle);
+    if (!registration.done) return registration;
+    const PoseCorrections corrections(sequence.world_from_vehicle, registration.world_from_vehicle);
     session.tell(fmt::format(
         "scans registered: {:.0f} % of the points are on planes that several scans share, at a mean distance "
         "of {:.3f} m; {}{}",
-        100.0 * found.on_planes, found.rounds.back().residual_m,
-        has_poses(sequence, config) ? corrections.text() : way_text(found.world_from_vehicle),
-        loops_text(found)));
+        100.0 * registration.on_planes, registration.rounds.back().residual_m,
+        has_poses(sequence, config) ? corrections.text() : way_text(registration.world_from_vehicle),
+        loops_text(registration)));
     if (const std::string warning = corrections.warning(); has_poses(sequence, config) && !warning.empty()) {
         session.tell(warning);
-        sequence.notes.push_back(warning);  // info shows the notes of a run
+        sequence.notes.push_back(warning);  // stored as a note, so that the command `info` shows it
     }
-    tell_lost(sequence, found, config, session);
-    return found;
+    report_lost_scans(sequence, registration, config, session);
+    return registration;
 }
 
 void register_sensor(Sequence& sequence, const Split& split, const Config& config,
                      const PrepareSession& session) {
-    Registration found = registered(sequence, split, config, session);
-    if (!found.done) found.world_from_vehicle.pose.clear();
+    Registration registration = register_log(sequence, split, config, session);
+    if (!registration.done) registration.world_from_vehicle.pose.clear();
     PoseTrack track{sequence.world_from_vehicle.time_s,
-                    session.group.broadcast(std::move(found.world_from_vehicle.pose))};
+                    session.group.broadcast(std::move(registration.world_from_vehicle.pose))};
     if (!track.pose.empty()) set_vehicle_poses(sequence, std::move(track));
 }
 
@@ -170,17 +174,17 @@ void calibrate_beams(Sequence& sequence, const Split& split, const SensorConfig&
                      const PrepareSession& session) {
     const std::size_t n = sequence.count_beams();
     if (n > 1 && config.calibrates("range")) {
-        const LaserCalibration found = calibrate_ranges(sequence, split.train);
-        session.tell(
-            fmt::format("range calibration of {} beams ({:.1f} million returns): mean distance from planes "
-                        "{:.1f} mm, {:.1f} mm with one offset per beam; {}",
-                        n, double(found.returns) * 1e-6, found.rms_before * 1e3, found.rms_after * 1e3,
-                        found.adopted ? "the offsets are used" : "no offset is used"));
+        const LaserCalibration calibration = calibrate_ranges(sequence, split.train);
+        session.tell(fmt::format(
+            "range calibration of {} beams ({:.1f} million returns): mean distance from planes "
+            "{:.1f} mm, {:.1f} mm with one offset per beam; {}",
+            n, double(calibration.returns) * 1e-6, calibration.rms_before * 1e3, calibration.rms_after * 1e3,
+            calibration.adopted ? "the offsets are used" : "no offset is used"));
     }
 }
 
 void calibrate_intensities(Sequence& sequence, const Split& split, const PrepareSession& session) {
-    const IntensityCalibration found = calibrate_intensity(sequence, split.train);
+    const IntensityCalibration calibration = calibrate_intensity(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
     const std::string fall = fmt::format(
         "intensity falls to {:.2f} at 40 m and to {:.2f} at 60 degrees of "
@@ -188,15 +192,16 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
         r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
     const std::string start =
         fmt::format("intensity calibration ({:.1f} million returns): returns of one surface differ by {:.3f}",
-                    double(found.returns) * 1e-6, found.rms_before);
-    session.tell(!found.shared && !found.beams
+                    double(calibration.returns) * 1e-6, calibration.rms_before);
+    session.tell(!calibration.shared && !calibration.beams
                      ? start + "; a correction does not reduce this, so no correction is used"
-                     : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, found.rms_after,
-                                   found.beams ? "one gain and offset per beam" : "",
-                                   found.beams && found.shared ? "; " : "", found.shared ? fall : ""));
+                     : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
+                                   calibration.beams ? "one gain and offset per beam" : "",
+                                   calibration.beams && calibration.shared ? "; " : "",
+                                   calibration.shared ? fall : ""));
 }
 
-void tell_noise(const Sequence& sequence, const PrepareSession& session) {
+void report_noise(const Sequence& sequence, const PrepareSession& session) {
     for (const Lidar& lidar : sequence.lidars)
         if (!lidar.range_noise.sigma_m.empty())
             session.tell(
@@ -206,40 +211,43 @@ void tell_noise(const Sequence& sequence, const PrepareSession& session) {
                             1e3 * lidar.range_noise.at(10.0, 1.0), 1e3 * lidar.range_noise.at(40.0, 1.0)));
 }
 
-/// @throws Error with exit code 130 if the user has interrupted
-void stop_if_wanted(const PrepareSession& session) {
+/// Checks for an interruption.
+/// @throws Error with exit code 130 if the user has interrupted the program
+void throw_if_interrupted(const PrepareSession& session) {
     if (session.stop && session.stop())
         throw Error(ExitCode::interrupted,
                     "interrupted during the preparation of the log, before training started");
 }
 
-/// What the beams were found to be.
+/// Calibrates the beams on the first process and sends the results to all processes.
 void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config,
                const PrepareSession& session) {
     if (session.group.is_first()) {
-        stop_if_wanted(session);
+        throw_if_interrupted(session);
         calibrate_beams(sequence, split, config, session);
-        stop_if_wanted(session);
+        throw_if_interrupted(session);
         measure_range_noise(sequence, split.train);
-        tell_noise(sequence, session);
-        stop_if_wanted(session);
+        report_noise(sequence, session);
+        throw_if_interrupted(session);
         if (config.calibrates("intensity")) calibrate_intensities(sequence, split, session);
     }
-    const auto take_of_first = [&](auto& values) { values = session.group.broadcast(std::move(values)); };
+    const auto broadcast_from_first = [&](auto& values) {
+        values = session.group.broadcast(std::move(values));
+    };
     for (Lidar& lidar : sequence.lidars) {
-        take_of_first(lidar.sensor.beams);
-        take_of_first(lidar.range_noise.range_m);
-        take_of_first(lidar.range_noise.cosine);
-        take_of_first(lidar.range_noise.sigma_m);
+        broadcast_from_first(lidar.sensor.beams);
+        broadcast_from_first(lidar.range_noise.range_m);
+        broadcast_from_first(lidar.range_noise.cosine);
+        broadcast_from_first(lidar.range_noise.sigma_m);
     }
-    take_of_first(sequence.intensity_response.range_m);
-    take_of_first(sequence.intensity_response.factor);
+    broadcast_from_first(sequence.intensity_response.range_m);
+    broadcast_from_first(sequence.intensity_response.factor);
     sequence.intensity_response.incidence =
         session.group.broadcast(std::vector{sequence.intensity_response.incidence}).front();
 }
 
-/// Its id, size and speed.
-std::string described(const BoxTrack& box) {
+/// Returns a text with the id, size and speed of a box.
+std::string box_text(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
     return fmt::format(
@@ -249,8 +257,9 @@ std::string described(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
-/// A label's id and how much longer its thing was seen.
-std::string continued(const BoxTrack& box) {
+/// Returns a text with the id of a label, and the number of frames in which the object
+/// was seen before and after its labels.
+std::string continuation_text(const BoxTrack& box) {
     std::vector<std::string> sides;
     if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
     if (box.n_after > 0) sides.push_back(fmt::format("{} frames after the last label", box.n_after));
@@ -258,25 +267,42 @@ std::string continued(const BoxTrack& box) {
 }
 
 void add_discovered(Sequence& sequence, const Split& split, const PrepareSession& session) {
-    std::vector<std::string> movers, beside;
+    std::vector<std::string> movers, extended;
     const Progress progress = [&](std::string_view what, double done) {
-        stop_if_wanted(session);
+        throw_if_interrupted(session);
         if (session.progress) session.progress(what, done);
     };
     for (BoxTrack& box : discover_tracks(sequence, split.train, progress, session.group)) {
         if (box.n_before + box.n_after > 0) {
-            beside.push_back(continued(box));
+            extended.push_back(continuation_text(box));
             *std::ranges::find(sequence.boxes, box.id, &BoxTrack::id) = std::move(box);
         } else {
-            movers.push_back(described(box));
+            movers.push_back(box_text(box));
             sequence.boxes.push_back(std::move(box));
         }
     }
     session.tell(fmt::format("{} moving object{} without a label detected{}{}", movers.size(),
                              movers.size() == 1 ? "" : "s", movers.empty() ? "" : ": ",
                              fmt::join(movers, ", ")));
-    if (!beside.empty())
-        session.tell(fmt::format("tracks extended beyond their labels: {}", fmt::join(beside, ", ")));
+    if (!extended.empty())
+        session.tell(fmt::format("tracks extended beyond their labels: {}", fmt::join(extended, ", ")));
+}
+
+/// Registers moving boxes on the first process and sends their poses to all processes.
+void register_boxes(Sequence& sequence, const Split& split, const PrepareSession& session) {
+    ActorRegistration registration;
+    if (session.group.is_first())
+        registration = register_actors(sequence, split.train, [&](std::string_view what, double done) {
+            throw_if_interrupted(session);
+            if (session.progress) session.progress(what, done);
+        });
+    for (BoxTrack& box : sequence.boxes)
+        box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
+    if (registration.n_actors == 0) return;
+    session.tell(fmt::format(
+        "{} of {} moving boxes registered by their points, moved by {:.3f} m (median); {} "
+        "boxes stand although their labels drift",
+        registration.n_registered, registration.n_actors, registration.moved_m, registration.n_standing));
 }
 
 }  // namespace
@@ -284,7 +310,7 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
 RegisterOptions register_options(const Sequence& sequence, const Config& config) {
     RegisterOptions options;
     options.given_motion = has_poses(sequence, config);
-    for (const BoxTrack& box : sequence.boxes)  // without poses nobody knows which boxes move
+    for (const BoxTrack& box : sequence.boxes)  // without poses, it is unknown which boxes move
         if (!options.given_motion || box.moves()) options.movers.push_back(box);
     return options;
 }
@@ -301,6 +327,7 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     calibrate(sequence, split, config.sensor, session);
     begin_stage(session.stages, "movers");
     if (config.init.unlabelled_movers == UnlabelledMovers::actors) add_discovered(sequence, split, session);
+    if (registers_sensor(config.train)) register_boxes(sequence, split, session);
 }
 
 }  // namespace relidar

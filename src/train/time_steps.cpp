@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Runs training steps after a warm-up and averages their times.
 #include "train/time_steps.hpp"
 
 #include <algorithm>

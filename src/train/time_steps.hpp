@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Times training steps on a trained run's own batches, kernel by kernel.
+// Measures the time of training steps on the batches of a trained run, for each kernel.
 #pragma once
 
 #include <cstdint>
@@ -12,31 +12,31 @@
 
 namespace relidar {
 
-/// Means over steps, as they are at the end of a run's training.
+/// Mean times of training steps, as at the end of a run's training.
 struct StepTimes {
-    /// Of one kernel in one step.
+    /// Mean of a kernel in a step.
     struct Kernel {
         double launches = 0.0, ms = 0.0;
     };
     int n_steps = 0;
-    std::map<std::string, Kernel> kernels;  ///< none where the device has no timestamps
-    double kernels_ms = 0.0;                ///< of all of them
+    std::map<std::string, Kernel> kernels;  ///< times by kernel; empty if the device has no timestamps
+    double kernels_ms = 0.0;                ///< sum over all kernels
     double wall_ms = 0.0;
-    std::size_t surfels = 0, rays = 0;  ///< of the scene, of a batch
-    std::uint32_t kept_hits = 0;        ///< of a ray, at the end
+    std::size_t surfels = 0, rays = 0;  ///< surfels in the scene; rays in a batch
+    std::uint32_t kept_hits = 0;        ///< hits kept for each ray at the end
 
-    double between_ms() const { return wall_ms - kernels_ms; }  ///< no kernel runs
+    double between_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
-/// The most steps that are timed: the times of so many launches are kept.
+/// Maximum number of timed steps, because the times of all launches are kept in memory.
 inline constexpr int kMostTimedSteps = 500;
 
-/// Trains on from a run's scene, at the rates of its last steps, and times that; the run
-/// stays as it is.
-/// @param run  with the scans of its training frames @param n_steps  after some that warm
-/// up, 1 to kMostTimedSteps
-/// @param stop  asked after each step; true ends it
-/// @throws UsageError for a run in blocks; as train()
+/// Continues training from a run's scene, with the learning rates of its last steps, and
+/// measures the time. Does not change the run.
+/// @param run  a run with the scans of its training frames
+/// @param n_steps  number of timed steps after a few warm-up steps, 1 to kMostTimedSteps
+/// @param stop  polled after each step; if it returns true, the measurement ends
+/// @throws UsageError for a run in blocks; otherwise like train()
 StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop = {});
 
 }  // namespace relidar

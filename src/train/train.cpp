@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training from a log to a scene: initialise or continue, iterate, report, keep
-// checkpoints (the iteration itself is in train_loop.cpp).
+// Trains a scene from a log: initialises or resumes, iterates, reports and saves
+// checkpoints. The iteration itself is in train_loop.cpp.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -26,8 +26,8 @@ double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-/// With one drop logit it starts as the difference of the two, which is the same ray-drop
-/// probability (M6).
+/// Returns the options of the initialisation. With a single drop logit, its start value
+/// is the difference of the two logits, which gives the same ray-drop probability (M6).
 InitialiseOptions start_options(const Config& config) {
     InitialiseOptions options = config.init;
     options.seed = config.train.seed;
@@ -35,7 +35,7 @@ InitialiseOptions start_options(const Config& config) {
     return options;
 }
 
-/// What training starts from.
+/// Returns the initial scene of a training.
 Scene start_scene(const Sequence& sequence, const Split& split, const Config& config,
                   const TrainSession& session) {
     std::vector<std::string> notes;
@@ -46,9 +46,9 @@ Scene start_scene(const Sequence& sequence, const Split& split, const Config& co
     return scene;
 }
 
-/// Says which moving boxes are nothing in the scene.
-void tell_masked(const Scene& scene, const Sequence& sequence, const Config& config,
-                 const TrainSession& session) {
+/// Reports the moving boxes that are masked out and have no surfels.
+void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Config& config,
+                         const TrainSession& session) {
     const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
     session.note(
@@ -58,8 +58,8 @@ void tell_masked(const Scene& scene, const Sequence& sequence, const Config& con
                     masked.size(), names_of(masked)));
 }
 
-/// Says how many training frames stay on the device, where not all do.
-void tell_sent(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
+/// Reports how many training frames are resident on the device, unless all of them are.
+void report_sent_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.n_staying() == frames.all().size() || !session.note) return;
     session.note(
         fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are "
@@ -67,24 +67,24 @@ void tell_sent(const TrainingFrames& frames, const Config& config, const TrainSe
                     frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
 }
 
-/// Settings with the poses alone that can be found. Where all training frames are of one
-/// sweep nothing tells its pose: it would drift, and the scene with it, away from the
-/// poses of every other sweep.
+/// Returns the settings, with refinement disabled for poses that cannot be determined. If
+/// all training frames belong to the same sweep, nothing constrains its pose. The pose
+/// and the scene would then drift away from the poses of all other sweeps.
 Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial,
                            const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
     const auto of_first_sweep = [&](int position) {
         return frame(position).index == frame(split.train[0]).index;
     };
-    const auto tell = [&](const char* note) {
+    const auto report = [&](const char* note) {
         if (session.note) session.note(note);
     };
     if (config.train.refines("sensor") && std::ranges::all_of(split.train, of_first_sweep)) {
         config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
-        tell("train.refine_poses=sensor: one sweep is trained on, its pose stays as it is");
+        report("train.refine_poses=sensor: one sweep is trained on, its pose stays as it is");
     }
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2)
-        tell("train.refine_poses=actors: the scene has no actor, no pose is refined");
+        report("train.refine_poses=actors: the scene has no actor, no pose is refined");
     return config;
 }
 
@@ -121,15 +121,15 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     const Scene initial =
         session.start ? scene_of(*session.start) : start_scene(sequence, split, config, session);
     result.initialise_s = seconds_since(begin);
-    tell_masked(initial, sequence, config, session);
+    report_masked_boxes(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
-    // the loop refers to it
+    // a variable, because the loop keeps a reference to it
     const Config findable = with_findable_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("memory and kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);
     if (session.progress) session.progress("memory and kernels", 1.0);
-    tell_sent(loop.frames(), config, session);
+    report_sent_frames(loop.frames(), config, session);
     if (session.start) {
         loop.restore(*session.start);
         read_result(*session.start, config, result);
@@ -152,7 +152,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         stop = stop || (session.stop && session.stop());
         if (!stop && !checkpoints.due(step)) continue;
         loop.settle();
-        take_lines();  // they belong into the checkpoint
+        take_lines();  // the lines are part of the checkpoint
         checkpoints.save(loop, result, trained_s());
     }
     loop.finish();

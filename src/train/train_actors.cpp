@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors of a scene in blocks learn on before the joined background. What they learn from
-// is little: the rays near their boxes, and the surfels along these, so that many blocks
-// go into one training and an actor that drives along learns from all of them in random
-// order.
+// Trains the actors of a scene in blocks again, in front of the joined background. This
+// needs only the rays near their boxes and the surfels along these rays. So many blocks
+// fit into a single training, and an actor that drives along learns from all of them in
+// random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -18,23 +18,30 @@
 namespace relidar {
 namespace {
 
-constexpr double kBeside_m = 0.5;      // of an actor's box: its silhouette
-constexpr double kSweep_m = 0.2;       // that a sensor comes along while its beam crosses an actor
-constexpr double kAlong_m = 2.0;       // that it comes along within a sweep, to either side of its time
-constexpr double kReach_sigmas = 3.5;  // of a surfel: beyond, its alpha is below any that is blended
-// surfels of the blocks that go into one training, of which it takes what is near actors
+constexpr double kBeside_m = 0.5;  // margin around an actor's box, so that its silhouette is included
+constexpr double kSweep_m = 0.2;   // maximum distance that a sensor moves while its beam crosses an actor
+constexpr double kAlong_m = 2.0;   // maximum distance that a sensor moves within half a sweep
+// radius of a surfel in standard deviations; farther out, its alpha is too small to be
+// blended
+constexpr double kReach_sigmas = 3.5;
+// Maximum number of surfels in the blocks of a training, which uses those near actors.
 constexpr std::size_t kTogether = 1'500'000;
-constexpr float kBlind = 0.5f;  // of the sensor's own drop probability: such rays tell nothing of actors
+// maximum drop probability of the sensor itself; rays above it carry no information about
+// actors
+constexpr float kBlind = 0.5f;
 
-/// An actor in a sweep, and where the sensor is when it faces the actor.
+/// An actor in a sweep, and the position of the sensor when it faces the actor.
 struct Sight {
     glm::dvec3 sensor_m;
     InstancePose placed;
     glm::dvec3 half_size_m;
 
-    /// @param after_s  when the ray is fired, from the reference time of the sweep
+    /// Returns true if a ray hits the box of the actor, enlarged by kBeside_m.
+    /// @param after_s  firing time of the ray, relative to the reference time of the
+    /// sweep
     bool is_met_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
-    /// Whether a ball is on the way of rays that meet it, before or behind.
+    /// Returns true if a sphere can lie on a ray that hits the actor, in front of it or
+    /// behind it.
     bool may_show(const glm::dvec3& point_m, double reach_m) const {
         const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
@@ -49,11 +56,11 @@ private:
     }
 };
 
-/// A training frame with the actors that it sees.
+/// A training frame, with the actors in its view.
 struct SightedFrame {
-    int position = 0;  ///< in Sequence::frames
+    int position = 0;  ///< index into Sequence::frames
     glm::dvec3 sensor_m{0.0};
-    double reach_m = 0.0;  ///< of its farthest return
+    double reach_m = 0.0;  ///< range of its farthest return
     std::vector<Sight> sights;
 
     bool reaches(const SceneBlock& block) const {
@@ -61,13 +68,14 @@ struct SightedFrame {
     }
 };
 
-/// Frames that go into one training, and the blocks that their rays can reach.
+/// Frames of a training, and the blocks that their rays can reach.
 struct Stretch {
     std::vector<SightedFrame> frames;
     std::set<std::size_t> blocks;
 };
 
-/// Poses of each LiDAR: made once, since they are as many as the log has sweeps.
+/// Returns the poses of each LiDAR. They are computed only once, because there are as
+/// many poses as sweeps.
 std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
     std::vector<PoseTrack> tracks;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
@@ -75,7 +83,7 @@ std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
     return tracks;
 }
 
-/// A frame with those actors that its returns reach.
+/// Returns a frame with the actors that are within the range of its returns.
 SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>& tracks) {
     const Frame& frame = run.sequence.frames[std::size_t(position)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
@@ -93,8 +101,8 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
     return result;
 }
 
-/// Cuts the training frames into stretches whose blocks have kTogether surfels at most,
-/// or those of one frame.
+/// Divides the training frames into sections. The blocks of a section have at most
+/// kTogether surfels, unless it has only one frame.
 std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& tracks) {
     std::vector<Stretch> stretches(1);
     for (const int position : run.split.train) {
@@ -113,8 +121,8 @@ std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& 
     return stretches;
 }
 
-/// The rays of a scan that come near an actor and that the sensor is not blind for,
-/// without image order.
+/// Returns the rays of a scan that are near an actor, without image order. Skips rays for
+/// which the sensor itself has a high drop probability.
 Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
                const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;
@@ -137,10 +145,10 @@ Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_s
     return scan;
 }
 
-/// The log of a stretch: its frames with the rays that are near actors.
+/// Returns the log of a section: its frames, with the rays near actors.
 Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(frames.size()), [&](int i) {
         const SightedFrame& sighted = stretch.frames[std::size_t(i)];
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
@@ -154,7 +162,7 @@ Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTr
     return log;
 }
 
-/// Those surfels that lie along rays near actors.
+/// Returns the surfels along the rays near actors.
 Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*>& frames) {
     std::vector<std::uint8_t> kept(surfels.size(), 0);
     for_each_block(surfels.size(), [&](std::size_t i) {
@@ -172,7 +180,7 @@ Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*
     return surfels.permuted(order);
 }
 
-/// What a stretch is trained on, and the extent that training a block of it would have.
+/// Scene of a section, and the extent that a training of one of its blocks would use.
 struct StretchScene {
     Scene scene;
     double extent_m = 1.0;
@@ -194,8 +202,8 @@ StretchScene scene_of(const Run& run, const Stretch& stretch) {
     return {with_background(run.scene, background), extent_m};
 }
 
-/// The schedule of training once more, on all rays there are, without what changes poses
-/// or the number of surfels.
+/// Returns the settings: the same schedule, with all rays, and without changes of the
+/// poses or of the number of surfels.
 Config settings_of(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
@@ -203,11 +211,11 @@ Config settings_of(const Config& config, std::size_t n_frames) {
         std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;  // such rays are left out before
+    t.sensor_drop = false;  // rays_near() has already removed such rays
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
-    c.loss.intensity_ssim = c.loss.normal = 0.0f;  // compare neighbours in an image
+    c.loss.intensity_ssim = 0.0f;  // compare neighbours in an image
     return c;
 }
 

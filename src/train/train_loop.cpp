@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// One iteration: sample a frame, render its rays, compare, differentiate, step
-// (docs/method.md sections 4-6). One submission an iteration, and no wait: what the host
-// must know of it comes a few iterations later (readback_lag.hpp).
+// A training iteration: samples a frame, renders its rays, computes losses and
+// gradients, updates the parameters (docs/method.md sections 4-6). Each iteration is one
+// submission without a wait. The host evaluates its results a few iterations later
+// (readback_lag.hpp).
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -44,12 +45,12 @@ bool FrameSampler::is_sound(std::size_t n) const {
 
 namespace {
 
-/// Rate of the other harmonics over that of the constant one: what depends on the
-/// direction is known from few views, and learns a twentieth as fast, as in 3D Gaussian
-/// splatting.
+/// Learning rate of the higher spherical harmonics, relative to the constant one. The
+/// dependence on direction is observed in few views, so it learns at a twentieth of the
+/// rate, as in 3D Gaussian splatting.
 constexpr double kShRestFactor = 0.05;
 
-constexpr int kGrowthEvery = 32;  // iterations between two looks at how the tree has grown
+constexpr int kGrowthEvery = 32;  // iterations between two checks of how much the tree has grown
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
     const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
@@ -63,11 +64,12 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             .intensity_factor = c.intensity_factor};
 }
 
-/// Means learn at a rate in proportion to the extent of their own model: steps that suit
-/// a street would throw an actor's out of its box. Done where surfels are cloned and
-/// split by shares of that extent, as in the paper; a dense start learns at a tenth of
-/// the paper's rate.
-/// @return [models] over the background's
+/// Returns the learning rates of the means of each model, relative to the background's.
+/// The rate is proportional to the extent of the model, because the steps for a street
+/// would move an actor's surfels out of its box. It applies if surfels are cloned and
+/// split by fractions of that extent, as in the paper. A dense initialisation uses a
+/// tenth of the paper's rate.
+/// @return [models] factors
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
     for (const Model& model : layout.models)
@@ -77,33 +79,37 @@ std::vector<float> mean_factors(const Scene& layout, double background_extent_m)
     return factors;
 }
 
-/// Active degree of the spherical harmonics; the image's own may be lower.
+/// Returns the active degree of the spherical harmonics. The maximum degree of the image
+/// model can be lower.
 int sh_degree_at(const TrainConfig& c, int step) {
     return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval);
 }
 
-/// How often trees are fitted to what has been learnt, and how much larger their boxes
-/// are so that no hit is lost in between.
+/// How often trees are refitted to the trained surfels, and the margin of their boxes,
+/// which prevents lost hits between two refits.
 struct TreeFits {
-    int every = 1;  ///< iterations
+    int every = 1;  ///< iterations between two refits
     AccelOptions accel;
 };
 
-/// At the rates of training a surfel moves by millimetres and grows by some per cent an
-/// iteration. One that has just begun to be visible at all may grow by more, and is met
-/// from the next fit on. Where most surfels are fixed, fitting trees to the few that
-/// learn would be most of an iteration. Without harmonics per surfel only a fit brings
-/// the records of hits up to date.
+/// Returns the refit interval and margins. In an iteration, a surfel moves by millimetres
+/// and grows by a few per cent. A surfel that has just become visible may grow more; rays
+/// hit it after the next refit. If most surfels are fixed, the interval is longer,
+/// because refitting for few trained surfels would dominate the iteration. Without
+/// per-surfel harmonics, trees are refitted in every iteration, because only a refit
+/// updates the hit records.
 TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Whether trees are fitted in a step: in every one as long as surfels may outgrow the
-/// margin between two fits.
+/// Returns true if trees are refitted in a step. They are refitted in every step as long
+/// as surfels could outgrow the margin between two refits.
 bool is_fit_due(const TreeFits& fits, const TrainConfig& config, int step) {
-    constexpr double kShare = 0.9;  // of the margin; opacities make surfels larger, too
+    // fraction of the margin for growth of scales, because growing opacities also enlarge
+    // surfels
+    constexpr double kShare = 0.9;
     const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
     return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
 }
@@ -115,8 +121,8 @@ RendererOptions renderer_options(const Config& config, const TrainingFrames& fra
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
-/// How far each surfel may grow: what lies close together began small and has no need to
-/// be large, what lies far apart must close holes.
+/// Returns the maximum size of each surfel. Surfels that are close together start small
+/// and do not need to become large. Surfels that are far apart must close holes.
 std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -127,7 +133,8 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     return bounds;
 }
 
-/// Terms of the surfels themselves reach those that no ray has met.
+/// Returns true if every surfel gets a gradient, even if no ray hits it: the box loss
+/// depends on the surfels alone.
 bool all_have_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
@@ -138,14 +145,15 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
     return masks;
 }
 
-/// The cells that are trained on; nothing: the sensor's own rays. @throws UsageError
-/// beside what speaks of those
+/// Returns the grid whose cells are used for training, or nothing to train on the
+/// sensor's rays.
+/// @throws UsageError if another setting requires the sensor's rays
 std::optional<RangeGrid> trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
     const std::pair<bool, const char*> of_own_rays[] = {{config.train.sensor_drop, "train.sensor_drop"},
                                                         {config.blocks.length_m > 0.0, "blocks.length_m"}};
-    for (const auto& [found, setting] : of_own_rays)
-        if (found)
+    for (const auto& [is_set, setting] : of_own_rays)
+        if (is_set)
             throw UsageError(
                 fmt::format("setting train.grid={}: found {} too, which is of the sensor's own rays, "
                             "expected one of them",
@@ -183,17 +191,18 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed =
             place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
-    // else there are others soon, and large ones are split
+    // with densification, surfels are replaced and large ones are split, so no limit is
+    // needed
     if (config.densify.strategy == DensifyStrategy::none)
         adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
     try {
-        // where training ends by an exception, the device may still use the arrays
+        // if training ends with an exception, the device may still use the arrays
         stream_.wait(submitted_);
     } catch (const DeviceError&) {
-        // a lost device uses nothing any more, and has been reported
+        // a lost device uses no arrays any more; the error was already reported
     }
 }
 
@@ -211,11 +220,11 @@ const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
-    renderer_.record_forward(rays);  // Eq. 2-4
-    // Eq. 10-11
+    renderer_.record_forward(rays);  // renders the batch (equations 2-4)
+    // Computes the losses (equations 10-11).
     for (const std::unique_ptr<Loss>& loss : losses_)
         loss->compare(stream_, renderer_.batch(), targets, terms);
-    renderer_.record_backward();  // Eq. 9
+    renderer_.record_backward();  // computes the gradients (equation 9)
 }
 
 void TrainLoop::iterate(int step, bool ends_line) {
@@ -250,8 +259,7 @@ void TrainLoop::iterate(int step, bool ends_line) {
     if (densifier_.due(step))
         change_surfels(
             [&](double others_bytes) { return densifier_.run(stream_, scene, adam_, step, others_bytes); });
-    densifier_.after_step(stream_, scene, adam_, step,
-                          rates.mean / std::max(config_.train.mean_rate * extent_m_, 1e-30));
+    densifier_.after_step(stream_, scene, adam_, step);
     if (ends_line || reports_.is_full()) close_report(step, ends_line);
     if (step % kGrowthEvery == 0) renderer_.accel().check_growth(stream_);
     submitted_ = stream_.submit();
@@ -293,18 +301,18 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
                         "fewer rays of a step (train.rays_per_iteration) have fewer",
                         report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
-    close_report(last_step_, false);  // of iterations that had the room there is now
-    // before it is needed
+    close_report(last_step_, false);  // a report of the iterations with the current capacity
+    // reserves the capacity before it is needed
     renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
-    // a report of before there were more
+    // a report from before the last increase
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
-    const std::uint32_t wanted = kept_hits_wanted(report.kept_hits, report.overfull);
-    if (wanted == report.kept_hits) return;
-    close_report(last_step_, false);  // of iterations that kept as many as now
-    no_room_to_keep_more_ = !renderer_.keep_hits(wanted);
+    const std::uint32_t n_hits = kept_hits_wanted(report.kept_hits, report.overfull);
+    if (n_hits == report.kept_hits) return;
+    close_report(last_step_, false);  // a report of the iterations with the current number of kept hits
+    no_room_to_keep_more_ = !renderer_.keep_hits(n_hits);
 }
 
 void TrainLoop::settle() {
@@ -327,7 +335,7 @@ void TrainLoop::save(Checkpoint& checkpoint) {
 }
 
 void TrainLoop::restore(const Checkpoint& checkpoint) {
-    settle();  // of the steps this state replaces
+    settle();  // waits for the steps that this state replaces
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
@@ -342,22 +350,26 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 }
 
 DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {
-    constexpr std::uint32_t kRays = 20000;   // of a frame at once: hundreds a bin over a log
-    constexpr std::size_t kRaysPerBin = 20;  // of a short log all rays, if need be
+    // rays of a frame in one batch: hundreds for each bin over a log
+    constexpr std::uint32_t kRays = 20000;
+    // minimum for each bin; for a short log this can mean all rays
+    constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    some_rays.loss.intensity_ssim = some_rays.loss.normal = 0.0f;  // no windows: rays from all directions
+    some_rays.loss.intensity_ssim = 0.0f;  // no windows: rays from all directions
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
     renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));
-    // of a frame
-    const std::size_t wanted = kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
+    // rays for each frame
+    const std::size_t rays_of_frame =
+        kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        const FrameData& frame = bring(k, k == 0);  // the last step has moved surfels
+        // surfels_changed for the first frame, because the last step has moved them
+        const FrameData& frame = bring(k, k == 0);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
-        const auto passes =
-            static_cast<std::uint32_t>(std::clamp<std::size_t>(wanted / kRays, 1, batches.n_batches(frame)));
+        const auto passes = static_cast<std::uint32_t>(
+            std::clamp<std::size_t>(rays_of_frame / kRays, 1, batches.n_batches(frame)));
         for (std::uint32_t pass = 0; pass < passes; ++pass)
             count_drops(counts, sequence, frame, batches.take(stream_, frame, first, pass));
     }
@@ -366,8 +378,8 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
 
 void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                             const SampledBatch& batch) {
-    // a ray must meet this much of a surface; a blind one, for which none was trained,
-    // any of one
+    // Minimum blending weight for a ray to count. Blind rays need no minimum, because no
+    // surface was trained for them.
     constexpr float kSolid = 0.9f;
     const Frame& sweep = sequence.frames[std::size_t(frame.position)];
     const DropTable& observed = frames_.unknown().observed_drops;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One training iteration and everything it touches on the device.
+// The training loop: an iteration and all of its data on the device.
 #pragma once
 
 #include <functional>
@@ -23,13 +23,13 @@
 
 namespace relidar {
 
-/// Frames in random order, each once an epoch.
+/// Draws frames in random order, each once in an epoch.
 class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
     std::size_t next();
-    /// What next() will return; nothing where a new epoch begins, whose order is not
-    /// drawn yet.
+    /// Returns the value that next() will return. Returns nothing at the end of an epoch,
+    /// because the next order has not been drawn.
     std::optional<std::size_t> coming() const;
     Random& random() { return random_; }
 
@@ -39,7 +39,7 @@ public:
         visit("sampler/position", position_);
         visit("sampler/random", random_.state());
     }
-    /// Whether what was read back can be gone on with.
+    /// Returns true if a state that was read from a checkpoint is valid.
     bool is_sound(std::size_t n) const;
 
 private:
@@ -50,49 +50,55 @@ private:
 
 class TrainLoop {
 public:
-    /// @param n_fixed   the first so many surfels stay as they are
-    /// @param extent_m  of the background, metres; nothing: the initial scene's
+    /// Creates the loop and its arrays on the device.
+    /// @param n_fixed  number of surfels at the beginning of the scene that are not
+    /// trained
+    /// @param extent_m  extent of the background in metres; empty: computed from the
+    /// initial scene
     TrainLoop(Device& device, const Sequence& sequence, const Split& split, const Scene& initial,
               const Config& config, std::uint32_t n_fixed = 0, std::optional<double> extent_m = std::nullopt);
     ~TrainLoop();
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
 
-    /// Records and submits one iteration. Waits for room in the stream alone, except
-    /// where densification is due or a batch has more rays or hits than any before, or
-    /// too many rays with more hits than are kept.
-    /// @param step counts from 1 @param ends_line  a line of the log ends with it
-    /// @throws DataError naming iteration, frame and term where a loss was not finite: at
+    /// Records and submits an iteration. Normally waits only for a free slot of the
+    /// stream. It waits longer for densification, for a batch with more rays or hits than
+    /// any before, and if too many rays have more hits than are kept.
+    /// @param step  counts from 1
+    /// @param ends_line  true if a log line ends with this iteration
+    /// @throws DataError naming iteration, frame and term if a loss was not finite at
     /// most 64 + kReadbackLag iterations ago
     void iterate(int step, bool ends_line = false);
-    /// Lines of the log that have come back from the device, kReadbackLag iterations late
-    /// or after settle().
+    /// Returns the log lines that were read back since the last call. They arrive
+    /// kReadbackLag iterations late or after settle().
     std::vector<LogLine> take_lines() { return reports_.take_lines(); }
-    /// Waits for what iterations have reported so far, and looks at it. @throws as
-    /// iterate
+    /// Waits for all submitted iterations and evaluates their reports.
+    /// @throws DataError like iterate()
     void settle();
-    /// After the last iteration: settles, and takes the steps of poses still on their
-    /// way.
+    /// Completes training after the last iteration: calls settle(), then applies the
+    /// pending steps of poses.
     void finish();
-    /// Puts everything that training has changed into a checkpoint. Settles. @throws as
-    /// iterate
+    /// Writes all trained state into a checkpoint. Calls settle().
+    /// @throws DataError like iterate()
     void save(Checkpoint& checkpoint);
-    /// Takes it back. The loop must have been made for the checkpoint's scene and log.
-    /// @throws DataError for what does not fit
+    /// Restores the state from a checkpoint. The loop must have been created for the
+    /// scene and log of the checkpoint.
+    /// @throws DataError if the state does not match
     void restore(const Checkpoint& checkpoint);
-    /// Sensor-level ray-drop, from rays for which the scene as it is now expects a
-    /// return. Blocks.
+    /// Estimates the ray-drop of the sensor itself. Uses rays for which the current scene
+    /// expects a return. Waits for the device.
     DropTable estimate_sensor_drop(Device& device, const Sequence& sequence);
-    /// Poses as they are now, where they are refined.
+    /// Returns the current poses if they are refined.
     std::optional<RefinedPoses> refined_poses() const {
         return refiner_.is_active() ? std::optional(refiner_.poses()) : std::nullopt;
     }
-    /// The scene as it is now. Blocks.
+    /// Downloads the current scene. Waits for the device.
     Scene download() { return renderer_.download(); }
     const KernelTimes& times() { return renderer_.stream().times(); }
     std::uint32_t n_surfels() const { return renderer_.scene().size(); }
     std::uint32_t rays_of_last_batch() const { return renderer_.rendered().rays.n_rays; }
-    std::uint32_t kept_hits() const { return renderer_.kept_hits(); }  ///< of a ray, now
+    /// current number of kept hits for each ray
+    std::uint32_t kept_hits() const { return renderer_.kept_hits(); }
     const TrainingFrames& frames() const { return frames_; }
 
 private:
@@ -102,20 +108,20 @@ private:
     BatchSampler batches_;
     PoseRefiner refiner_;
     DifferentiableRenderer renderer_;
-    Stream& stream_;  ///< the renderer's
+    Stream& stream_;  ///< the stream of the renderer
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
     Densifier densifier_;
-    DensifyReport densified_;  ///< since the last log line
+    DensifyReport densified_;  ///< changes since the last log line
     IterationReports reports_;
     double extent_m_;
     FrameSampler sampler_;
-    std::uint64_t submitted_ = 0;  ///< ticket of the last iteration
+    std::uint64_t submitted_ = 0;  ///< submission ticket of the last iteration
     int last_step_ = 0;
-    bool no_room_to_keep_more_ = false;  ///< the device had no memory for more kept hits
+    bool no_room_to_keep_more_ = false;  ///< the device had no memory to keep more hits
 
-    /// All state of the loop: what is not listed here is lost where training stops. A new
-    /// kind of state is a line.
+    /// Visits all state of the loop. State that is not listed here is lost when training
+    /// stops. Add a line for each new kind of state.
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         visit("parameters", renderer_.scene().parameters());
@@ -137,24 +143,26 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records a frame's rays, where everything is in it, and the surfels as they look
-    /// from there at a step.
+    /// Records a frame's rays, the poses of its instances, and the appearance of the
+    /// surfels from its sensor position at a step.
     const FrameData& place(std::size_t frame_index, int step);
-    /// Brings a frame to the device and the instances to where they are in it. @param
-    /// surfels_changed  since the last frame
+    /// Uploads a frame to the device if necessary, and moves the instances to their poses
+    /// in it.
+    /// @param surfels_changed  true if surfels have changed since the last frame
     const FrameData& bring(std::size_t frame_index, bool surfels_changed);
-    /// Records the image of a batch, its losses, and the gradients of those.
+    /// Records the image of a batch, its losses and their gradients.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
-    /// Looks at the reports of the iterations up to `last`.
+    /// Evaluates the reports of the iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);
-    /// Hits of a report's iterations against the room for their records; makes more.
-    /// @throws DeviceError where a deterministic step did not fit
+    /// Compares the number of hits in a report with the capacity of the hit records, and
+    /// increases the capacity if necessary.
+    /// @throws DeviceError if a deterministic step exceeded the capacity
     void check_room(const IterationReports::Report& report);
-    /// Has the forward pass keep more hits of a ray where too many rays of a report had
-    /// more, so that almost none is searched twice.
+    /// Increases the number of hits that the forward pass keeps for each ray if too many
+    /// rays exceeded it. Then almost no ray is searched twice.
     void keep_more_hits(const IterationReports::Report& report);
-    /// Counts the rays of a batch of a frame for which the scene expects a return.
+    /// Counts the rays of a batch for which the scene expects a return.
     void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                      const SampledBatch& batch);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files, folders and texts as they should not be: each is told as what it is.
+// Tests error messages for invalid files, folders and texts.
 #include "base/files.hpp"
 
 #include <cstdlib>
@@ -17,8 +17,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// The user "nobody" while it lives, where the test runs as root, for whom no file is
-/// locked.
+/// Switches to the user "nobody" if the test runs as root, because permissions do not
+/// apply to root.
 struct Nobody {
     Nobody() : root(::geteuid() == 0) {
         if (root && ::seteuid(65534) != 0) std::abort();
@@ -87,7 +87,7 @@ TEST_F(Files, ExcerptsAreShortAndPrintable) {
     EXPECT_EQ(excerpt("a\tb\n"), "a?b?");
     EXPECT_EQ(excerpt(std::string(80, 'x')), std::string(80, 'x'));
     EXPECT_EQ(excerpt(std::string(1 << 20, 'x')), std::string(77, 'x') + "...");
-    // not half of a letter
+    // must not cut a multi-byte character
     EXPECT_EQ(excerpt(std::string(76, 'x') + "\u00e9" + std::string(9, 'x')), std::string(76, 'x') + "...");
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers as text: no other library's taste, no locale's; read back by three libraries
-// that are not ours, bit by bit.
+// Tests the text form of numbers, which must not depend on libraries or locales. Three
+// other libraries must read the numbers back bit by bit.
 #include "base/number_text.hpp"
 
 #include <cmath>
@@ -33,7 +33,7 @@ To bits(From value) {
     return result;
 }
 
-/// Borders of the format, and doubles of any bits.
+/// Returns numbers at the limits of the format, and doubles with random bits.
 std::vector<double> many_numbers() {
     std::vector<double> numbers{0.0,
                                 -0.0,
@@ -53,7 +53,7 @@ std::vector<double> many_numbers() {
     std::mt19937_64 random(5);
     while (numbers.size() < 20'000)
         if (const double x = bits<double>(random()); std::isfinite(x)) numbers.push_back(x);
-    // what people write
+    // typical numbers with few digits
     for (int i = 0; i < 2'000; ++i) numbers.push_back(double(random() % 2'000'000) / 1000.0);
     return numbers;
 }

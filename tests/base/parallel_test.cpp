@@ -5,35 +5,48 @@
 #include <chrono>
 #include <cstdint>
 #include <map>
+#include <numeric>
 #include <stdexcept>
 #include <string>
+#include <thread>
 #include <vector>
 
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <gtest/gtest.h>
+#include <tbb/global_control.h>
+#include <tbb/task_arena.h>
+#include <tbb/task_group.h>
 
 #include "base/cell_numbers.hpp"
+#include "base/parallel_sort.hpp"
 #include "base/progress_blocks.hpp"
 #include "base/random.hpp"
 
 namespace relidar {
 namespace {
 
-TEST(RunParallel, RunsEveryItemOnce) {
+/// Runs task() with n threads, also where that is more than there are cores.
+template <class Task>
+void with_threads(int n, const Task& task) {
+    const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, std::size_t(n));
+    tbb::task_arena(n).execute(task);
+}
+
+TEST(ParallelFor, RunsEveryItemOnce) {
     for (const int n : {0, 1, 2, 1000}) {
         std::vector<std::atomic<int>> runs(std::size_t(n) + 1);
-        run_parallel(n, [&](int i) { ++runs[std::size_t(i)]; });
+        parallel_for(n, [&](int i) { ++runs[std::size_t(i)]; });
         for (int i = 0; i < n; ++i) EXPECT_EQ(runs[std::size_t(i)], 1) << i << " of " << n;
         EXPECT_EQ(runs[std::size_t(n)], 0);
     }
 }
 
-TEST(RunParallel, LoopsInLoopsAndFromSeveralThreads) {
+TEST(ParallelFor, LoopsInLoopsAndFromSeveralThreads) {
     std::atomic<int> n{0};
     const auto nested = [&] {
-        run_parallel(8, [&](int) { run_parallel(8, [&](int) { run_parallel(3, [&](int) { ++n; }); }); });
+        parallel_for(8, [&](int) { parallel_for(8, [&](int) { parallel_for(3, [&](int) { ++n; }); }); });
     };
     std::vector<std::thread> threads;
     for (int k = 0; k < 4; ++k) threads.emplace_back(nested);
@@ -41,11 +54,11 @@ TEST(RunParallel, LoopsInLoopsAndFromSeveralThreads) {
     EXPECT_EQ(n, 4 * 8 * 8 * 3);
 }
 
-TEST(RunParallel, ThrowsTheFirstFailureAndBeginsNothingElse) {
+TEST(ParallelFor, ThrowsTheFirstFailureAndBeginsNothingElse) {
     for (int repeat = 0; repeat < 50; ++repeat) {
         std::atomic<int> n_begun{0}, n_ended{0};
         try {
-            run_parallel(100000, [&](int i) {
+            parallel_for(100000, [&](int i) {
                 ++n_begun;
                 if (i == 7) std::this_thread::sleep_for(std::chrono::milliseconds(1));
                 ++n_ended;
@@ -56,21 +69,66 @@ TEST(RunParallel, ThrowsTheFirstFailureAndBeginsNothingElse) {
             EXPECT_STREQ(error.what(), "7");
         }
         EXPECT_EQ(n_begun, n_ended);
-        EXPECT_LE(n_begun, 8 + int(n_cores()));
+        EXPECT_LE(n_begun, 8 + int(max_concurrency()));
     }
 }
 
-TEST(RunParallel, WorksInAFork) {
-    run_parallel(4, [](int) {});  // this process has threads, its fork has none of them
+TEST(ParallelFor, WorksInAFork) {
+    parallel_for(4, [](int) {});  // this process has threads, its fork has none of them
     const pid_t child = ::fork();
     if (child == 0) {
         std::atomic<int> n{0};
-        run_parallel(64, [&](int) { ++n; });
+        parallel_for(64, [&](int) { ++n; });
         ::_exit(n == 64 ? 0 : 1);
     }
     int status = 1;
     ASSERT_EQ(::waitpid(child, &status, 0), child);
     EXPECT_TRUE(WIFEXITED(status) && WEXITSTATUS(status) == 0);
+}
+
+TEST(ParallelFor, RunsOnTheCallingThreadWhereOneIsAllowed) {
+    const tbb::global_control one(tbb::global_control::max_allowed_parallelism, 1);
+    EXPECT_EQ(max_concurrency(), 1u);
+    std::vector<int> order;
+    std::vector<std::thread::id> threads;
+    parallel_for(1000, [&](int i) {
+        order.push_back(i);
+        threads.push_back(std::this_thread::get_id());
+    });
+    std::vector<int> ascending(1000);
+    std::iota(ascending.begin(), ascending.end(), 0);
+    EXPECT_EQ(order, ascending);
+    EXPECT_EQ(threads, std::vector(1000, std::this_thread::get_id()));
+}
+
+TEST(ParallelFor, NoOuterTaskStartsOnAThreadThatWaitsForAnInnerLoop) {
+    std::atomic<int> n_nested{0}, n_inner{0};
+    with_threads(8, [&] {
+        parallel_for(200, [&](int) {
+            thread_local bool is_in_task = false;
+            n_nested += is_in_task;
+            is_in_task = true;
+            parallel_for(8, [&](int) {
+                std::this_thread::sleep_for(std::chrono::microseconds(50));
+                ++n_inner;
+            });
+            is_in_task = false;
+        });
+    });
+    EXPECT_EQ(n_nested, 0);
+    EXPECT_EQ(n_inner, 200 * 8);
+}
+
+TEST(ParallelFor, IsCompleteInACancelledTaskOfTheCaller) {
+    std::atomic<int> n{0};
+    with_threads(4, [&] {
+        tbb::task_group group;
+        group.run_and_wait([&] {
+            group.cancel();
+            parallel_for(1000, [&](int) { ++n; });
+        });
+    });
+    EXPECT_EQ(n, 1000);
 }
 
 TEST(ForEachBlock, MeetsEveryItemOnce) {
@@ -81,7 +139,7 @@ TEST(ForEachBlock, MeetsEveryItemOnce) {
     }
 }
 
-TEST(SumParallel, AddsPartsInTheirOrder) {
+TEST(ParallelReduce, AddsPartsInTheirOrder) {
     struct Text {
         std::string text;
         Text& operator+=(const Text& other) {
@@ -89,21 +147,43 @@ TEST(SumParallel, AddsPartsInTheirOrder) {
             return *this;
         }
     };
-    const Text all = sum_parallel(10, 3, [](std::size_t begin, std::size_t end) {
+    const Text all = parallel_reduce(10, 3, [](std::size_t begin, std::size_t end) {
         Text part;
         for (std::size_t i = begin; i < end; ++i) part.text += std::to_string(i);
         return part;
     });
     EXPECT_EQ(all.text, "0123456789");
-    EXPECT_EQ(sum_parallel(0, 3, [](std::size_t, std::size_t) { return 1; }), 0);
+    EXPECT_EQ(parallel_reduce(0, 3, [](std::size_t, std::size_t) { return 1; }), 0);
 }
 
-TEST(SortParallel, SortsAsSortDoes) {
+/// Rounding makes a sum of floats depend on the order of its terms.
+TEST(ParallelReduce, IsTheSameForAnyNumberOfThreads) {
+    constexpr std::size_t kItems = 100003, kPart = 128;
+    std::vector<float> values;
+    for (std::size_t i = 0; i < kItems; ++i)
+        values.push_back(static_cast<float>(hash64(i) % 1000003) / (1.0f + float(i % 97)));
+    const auto sum = [&](std::size_t begin, std::size_t end) {
+        return std::accumulate(values.begin() + std::ptrdiff_t(begin), values.begin() + std::ptrdiff_t(end),
+                               0.0f);
+    };
+    float expected = sum(0, kPart);
+    for (std::size_t begin = kPart; begin < kItems; begin += kPart)
+        expected += sum(begin, std::min(begin + kPart, kItems));
+    ASSERT_NE(expected, sum(0, kItems)) << "the order should matter here";
+    for (const int n_threads : {1, 2, 3, 16})
+        for (int repeat = 0; repeat < 10; ++repeat)
+            with_threads(n_threads, [&] {
+                EXPECT_EQ(max_concurrency(), std::size_t(n_threads));
+                EXPECT_EQ(parallel_reduce(kItems, kPart, sum), expected) << n_threads << " threads";
+            });
+}
+
+TEST(ParallelSort, SortsAsSortDoes) {
     std::vector<std::uint64_t> values;
     for (std::uint64_t i = 0; i < 300000; ++i) values.push_back(hash64(i) % 100000);
     std::vector<std::uint64_t> expected = values;
     std::sort(expected.begin(), expected.end());
-    sort_parallel(values, std::less<>());
+    parallel_sort(values, std::less<>());
     EXPECT_EQ(values, expected);
 }
 

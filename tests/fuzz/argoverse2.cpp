@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Feather files by themselves, and a small Argoverse 2 log of which an input replaces one
-// file.
+// Fuzzes Feather files, and a small Argoverse 2 log in which the input replaces one file.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -28,7 +27,7 @@ std::vector<std::string> feather_seeds(const fs::path&) {
     return seeds;
 }
 
-/// Every column as all it might be.
+/// Reads every column as each possible type.
 void read_feather(std::string_view input, const fs::path&) {
     const Feather table("input", std::string(input));
     std::string failure;
@@ -39,14 +38,14 @@ void read_feather(std::string_view input, const fs::path&) {
                 if (as == 1) table.integers(column);
                 if (as == 2) table.texts(column);
             } catch (const DataError& error) {
-                failure = error.what();  // the last one is looked at
+                failure = error.what();  // only the last failure is reported
             }
         }
     }
     if (!failure.empty()) throw DataError(failure);
 }
 
-/// Two sweeps of three firings.
+/// Log of two sweeps with three firings each.
 struct Log {
     test::Argoverse2Log log;
     ChangedFiles files;

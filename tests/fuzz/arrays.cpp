@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binary files: arrays, models, checkpoints, surfels, weights.
+// Fuzzes binary files: arrays, models, checkpoints, surfels and weights.
 #include "harness.hpp"
 
 #include <cstring>
@@ -27,7 +27,7 @@ std::vector<NamedArray> some_arrays() {
 
 Scene small_scene() { return make_background_scene(example_surfels(3)); }
 
-/// What a writer of the program makes of a path.
+/// Returns the file that a writer of the program creates at a path.
 template <class Write>
 std::vector<std::string> written(const fs::path& folder, const Write& write) {
     write(folder / "seed");
@@ -58,7 +58,7 @@ std::vector<std::string> npy_seeds(const fs::path&) {
 std::vector<std::string> checkpoint_seeds(const fs::path& folder) {
     return written(folder, [](const fs::path& file) {
         auto arrays = some_arrays();
-        arrays.pop_back();  // safetensors has no texts
+        arrays.pop_back();  // safetensors does not support texts
         write_checkpoint(file, {7, {{"seed", "1"}, {"config", "x = 1"}}, arrays});
     });
 }
@@ -106,7 +106,7 @@ std::vector<Harness> array_harnesses() {
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_surfel_ply(file, small_scene()); });
          }},
-        // whole weights are 10 MB
+        // complete weights would have 10 MB
         {"lpips", safetensors_seeds,
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { Lpips{read_lpips_weights(file)}; });

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings of ROS: whole ones of each kind, and single messages. Seeds are written
-// here, by the specifications.
+// Fuzzes ROS recordings: full files of each kind, and single messages. The seeds are
+// written here according to the specifications.
 #include "harness.hpp"
 
 #include <cmath>
@@ -34,7 +34,7 @@ std::string sized(std::string_view bytes) {
     return all.append(bytes);
 }
 
-/// A message in ROS 1's form, or in CDR.
+/// Builds a message in the format of ROS 1 or in CDR.
 class Draft {
 public:
     explicit Draft(bool is_ros1) : is_ros1_(is_ros1) {}
@@ -63,7 +63,7 @@ private:
     std::string bytes_;
 };
 
-/// Four beams of 24 columns, with rings and times.
+/// Returns a cloud of four beams with 24 columns, rings and times.
 std::string cloud(bool is_ros1, std::uint64_t stamp_ns) {
     struct Field {
         const char* name;
@@ -103,7 +103,7 @@ std::string transform(bool is_ros1, std::uint64_t stamp_ns, double x) {
     return draft.take();
 }
 
-/// Of a VLP-16 that turns by half in each.
+/// Returns a packet of a VLP-16 that makes half a turn per packet.
 std::string packet(int number) {
     std::string bytes;
     for (int b = 0; b < 12; ++b) {
@@ -257,7 +257,7 @@ void read_mcap(std::string_view input, const fs::path& folder) { read_bag(input,
 void read_ros1(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.bag"); }
 void read_db3(std::string_view input, const fs::path& folder) { read_bag(input, folder, "input.db3"); }
 
-/// The first byte is the type, and whether it is of ROS 1.
+/// Returns messages. The first byte is the type and a flag for ROS 1.
 std::vector<std::string> message_seeds(const fs::path&) {
     std::string livox = Draft(false)
                             .add_header(kStart_ns, "l")
@@ -303,7 +303,7 @@ std::vector<std::string> message_seeds(const fs::path&) {
             '\x1c' + Draft(false).add_text("{}").take()};
 }
 
-/// Of messages that all hold the same packets.
+/// Reads the turns of messages that all contain the same packets.
 void read_turns(const packets::PacketLog& log, const std::vector<packets::PacketView>& views) {
     if (log.empty()) return;
     const SpinningSensor sensor = log.sensor();
@@ -353,8 +353,8 @@ void read_message(std::string_view input, const fs::path&) {
     }
 }
 
-/// Metadata of an Ouster behind its length, then what its packets hold one after the
-/// other. Two beams, four columns a turn, two a packet.
+/// Returns the metadata of an Ouster sensor after its length, followed by the contents of
+/// its packets. Two beams, four columns per turn, two per packet.
 std::vector<std::string> ouster_seeds(const fs::path&) {
     struct Profile {
         const char* name;

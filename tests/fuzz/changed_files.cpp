@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files of a log with other bytes in them, for the time of one reading.
+// Replaces the contents of files of a log for one read.
 #include "changed_files.hpp"
 
 #include <utility>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The files of a log, some of which an input replaces, so that each reader is reached
-// whatever another one would have said before. Input: options, then sections of file
-// number, length (2 bytes, little-endian), bytes; the last may be cut.
+// Replaces some files of a log by an input, so that each reader is reached even if
+// another one would fail first. Format of an input: options, then sections of file
+// number, length (2 bytes, little-endian) and bytes. The last section may be truncated.
 #pragma once
 
 #include <filesystem>
@@ -14,20 +14,20 @@ namespace relidar::fuzz {
 
 class ChangedFiles {
 public:
-    /// @param files  as they are written now
+    /// @param files files with their original contents
     explicit ChangedFiles(std::vector<std::filesystem::path> files);
 
-    /// Writes what an input says, reads, and puts back what was there.
+    /// Writes the files of an input, reads the log, and restores the original files.
     void read(std::string_view input, const std::function<void(unsigned options)>& read) const;
-    /// Inputs with the options alone, and with each file by itself: the start of a scan,
-    /// all of a text.
+    /// Returns inputs with options only, and with each file alone: the begin of a scan,
+    /// or the full text.
     std::vector<std::string> seeds(const std::vector<unsigned>& alone,
                                    const std::vector<unsigned>& with_a_file) const;
 
-    /// The simpler form: the first byte of an input chooses the one file that the rest
-    /// replaces; an empty one changes and reads nothing.
+    /// Reads an input in a simpler format. The first byte selects the file that the
+    /// remainder replaces. An empty input changes and reads nothing.
     void read_one(std::string_view input, const std::function<void()>& read) const;
-    /// Inputs of that form: each file as it is.
+    /// Returns inputs in the simpler format: each file with its original contents.
     std::vector<std::string> seeds_of_one() const;
 
 private:

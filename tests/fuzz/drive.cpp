@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A whole small KITTI drive, an odometry sequence of its scans, and a KITTI-360 of them:
-// an input says what other bytes some files hold.
+// Fuzzes a small KITTI drive, an odometry sequence of its scans, and a KITTI-360 log of
+// them. An input replaces the contents of some files.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -25,7 +25,7 @@ namespace fs = std::filesystem;
 
 constexpr unsigned kPosesFile = 1, kNone = 2, kAllScans = 4, kAllFrames = 8;  // options
 
-/// A seventh of the points of a scan are left: a sweep takes milliseconds to read.
+/// Keeps a seventh of the points of a scan, so that reading a sweep takes milliseconds.
 void thin(const fs::path& scan) {
     const std::string whole = contents(scan);
     std::string some;
@@ -33,7 +33,7 @@ void thin(const fs::path& scan) {
     put(scan, some);
 }
 
-/// The drive, and what an input may change of it.
+/// The drive and the files that an input can change.
 class Drive {
 public:
     explicit Drive(const fs::path& folder) : drive_((::setenv("TEST_TMPDIR", folder.c_str(), 1), "fuzz")) {
@@ -72,8 +72,8 @@ const Drive& drive_in(const fs::path& folder) {
     return drive;
 }
 
-/// Readers, each tried whatever the others say; of their failures the last one is looked
-/// at, a crash is one at once.
+/// Runs all readers, even if some fail. Reports the last failure; a crash is reported
+/// immediately.
 void attempt_all(const std::vector<std::function<void()>>& readers) {
     std::exception_ptr failure;
     for (const auto& read : readers) {
@@ -86,7 +86,7 @@ void attempt_all(const std::vector<std::function<void()>>& readers) {
     if (failure) std::rethrow_exception(failure);
 }
 
-/// Every reader of text, each alone.
+/// Runs every text reader separately.
 void read_texts(const Drive& drive, unsigned options) {
     const std::vector<int> frames = kitti::list_scans(drive.folder() / "velodyne_points/data", 0, -1);
     const PoseTrack track{{0.0, 0.1, 0.2}, std::vector<Pose>(3)};
@@ -175,10 +175,11 @@ std::vector<std::string> kitti_360_seeds(const fs::path& folder) {
 
 }  // namespace
 
-/// The whole drive takes a hundred times as long as its texts.
+/// Returns the harnesses. Reading the full drive takes a hundred times as long as reading
+/// its texts.
 std::vector<Harness> drive_harnesses() {
     return {
-        // a piece of a scan is none
+        // seeds are not valid logs, because a part of a scan is not a scan
         {"drive_texts", drive_seeds,
          [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
          false},

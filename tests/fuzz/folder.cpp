@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Plain folders. "points" reads one scan of points, its format by the input's first byte;
-// "folder" the text files of a whole folder, parted by lines of "=====": sequence.json,
-// poses.txt, boxes.json; "exr" a scan as a range image, with rays of its own or of the
-// log's sensor.
+// Fuzzes plain folders. "points" reads one scan of points in a format given by the first
+// byte. "folder" reads the text files of a folder (sequence.json, poses.txt, boxes.json),
+// separated by lines of "=====". "exr" reads a scan as a range image, with its rays or
+// those of the log's sensor.
 #include "harness.hpp"
 
 #include <cmath>
@@ -14,6 +14,7 @@
 #include <relidar/base/math.hpp>
 #include <relidar/log/dataset.hpp>
 
+#include "log/clouds/folder_points.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/clouds/point_writers.hpp"
 
@@ -25,7 +26,7 @@ namespace fs = std::filesystem;
 constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy"};
 constexpr std::string_view kParting = "\n=====\n";
 
-/// 16 beams x 40 columns on a cylinder.
+/// Returns 16 beams x 40 columns on a cylinder.
 test::FilePoints cylinder() {
     test::FilePoints points;
     for (int b = 0; b < 16; ++b)
@@ -55,7 +56,7 @@ void read_points(std::string_view input, const fs::path& folder) {
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};
     if (ending == kEndings[3]) columns.push_back("timestamp");
-    folder::read_point_file(file, columns);
+    folder::points_of(folder::read_point_file(file, columns), {}, 0.0, "scan");
 }
 
 fs::path log_in(const fs::path& folder) {
@@ -99,7 +100,7 @@ void read_folder(std::string_view input, const fs::path& folder) {
     load_sequence("folder:" + log.string(), {});
 }
 
-/// A log of one range image of 4 beams x 16 columns.
+/// Returns the folder of a log with one range image of 4 beams x 16 columns.
 fs::path image_log_in(const fs::path& folder) {
     static const fs::path log = [&] {
         fs::create_directories(folder / "images/scans");

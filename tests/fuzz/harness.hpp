@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A parser under libFuzzer: seeds the program makes itself, and what is done with an
-// input.
+// Declares a libFuzzer harness of a parser: the seeds that the program makes, and the
+// function that reads an input.
 #pragma once
 
 #include <filesystem>
@@ -12,16 +12,17 @@ namespace relidar::fuzz {
 
 struct Harness {
     const char* name;
-    /// Inputs to start from. @param folder for files that a writer of the program makes
+    /// Returns the initial inputs.
+    /// @param folder folder for files that a writer of the program creates
     std::vector<std::string> (*seeds)(const std::filesystem::path& folder);
-    /// Reads an input. What it throws must be a relidar::Error of usage or data, short
-    /// enough for a terminal.
+    /// Reads an input. It may only throw a relidar::Error of usage or data, with a
+    /// message short enough for a terminal.
     /// @param folder kept from input to input
     void (*read)(std::string_view input, const std::filesystem::path& folder);
-    bool seeds_are_good = true;  ///< they are read without a complaint
+    bool seeds_are_good = true;  ///< true if all seeds can be read without an error
 };
 
-/// Harnesses of each file; main.cpp joins them.
+/// Returns the harnesses of each file. main.cpp combines them.
 std::vector<Harness> array_harnesses();
 std::vector<Harness> text_harnesses();
 std::vector<Harness> drive_harnesses();

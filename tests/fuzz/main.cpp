@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// libFuzzer's entry points. relidar_fuzz --harness=NAME [--seeds=FOLDER] CORPUS...; with
-// --seeds it writes seeds and ends; --list names all.
+// Contains the entry points of libFuzzer. Usage: relidar_fuzz --harness=NAME
+// [--seeds=FOLDER] CORPUS... With --seeds, it writes the seeds and exits. --list prints
+// all names.
 #include "harness.hpp"
 
 #include <atomic>
@@ -20,9 +21,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kLongestMessage = 1000;  // paths included: those of the harnesses are short
+constexpr std::size_t kLongestMessage = 1000;  // includes paths, which are short in the harnesses
 
-constexpr long long kMostBytes = 64ll << 20, kMostBytesPerByte = 10;  // that an input may take, at one time
+// maximum memory of an input at one time, absolute and per byte of input
+constexpr long long kMostBytes = 64ll << 20, kMostBytesPerByte = 10;
 
 std::atomic<long long> bytes_held{0}, most_bytes_held{0};
 
@@ -45,7 +47,7 @@ std::vector<Harness> all_harnesses() {
     return all;
 }
 
-/// A new folder in TMPDIR, which tools/dev/fuzz makes in memory and takes away.
+/// Returns a new folder in TMPDIR, which tools/dev/fuzz creates in memory and removes.
 fs::path scratch_folder() {
     static const fs::path folder = [] {
         std::string pattern = fs::temp_directory_path() / "fuzz-XXXXXX";
@@ -61,7 +63,7 @@ Harness chosen;
     fs::create_directories(folder);
     std::size_t n = 0;
     for (const std::string& seed : chosen.seeds(scratch_folder())) {
-        // not caught: a seed that is refused teaches little
+        // exceptions are not caught, because a rejected seed is of little use
         if (chosen.seeds_are_good) chosen.read(seed, scratch_folder());
         put(folder / ("seed_" + std::to_string(n++)), seed);
     }
@@ -100,7 +102,7 @@ void check_memory(std::size_t n_input) {
 void read(std::string_view input) {
     try {
         chosen.read(input, scratch_folder());
-    } catch (const Error& error) {  // anything else ends the process, and libFuzzer keeps the input
+    } catch (const Error& error) {  // any other exception ends the process, and libFuzzer saves the input
         const std::string message = error.what();
         const bool expected = error.code() == ExitCode::data || error.code() == ExitCode::usage;
         if (expected && message.size() <= kLongestMessage) return;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What comes over a network: protobuf of `relidar serve`, wishes of the viewer's page,
-// and what its server asks of the head of a request. No device, no socket: decoding and
-// all that is looked at before a scan is rendered. tools/dev/fuzz_view has the sockets.
+// Fuzzes data from the network: protobuf messages of `relidar serve`, requests of the
+// viewer's page, and headers of its HTTP requests. Covers decoding and all checks before
+// rendering, without device or socket. tools/dev/fuzz_view tests the sockets.
 #include "harness.hpp"
 
 #include <algorithm>
@@ -52,7 +52,7 @@ std::vector<std::string> head_seeds(const fs::path&) {
         "[::1]:80\nhttp://[::1]\n\n", "127.0.0.1\n\n\n"};
 }
 
-/// Lines: Host, Origin, Cookie, query.
+/// Reads the lines Host, Origin, Cookie, query.
 void read_head(std::string_view input, const fs::path&) {
     std::string_view lines[4];
     for (std::string_view& line : lines) {
@@ -65,13 +65,14 @@ void read_head(std::string_view input, const fs::path&) {
         view::shows_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
     const bool there =
         (std::string(lines[2]) + std::string(lines[3])).find("0123456789abcdef") != std::string::npos;
-    if (shown && !there) std::abort();  // nobody is let in who does not show it
+    // access is granted although the request does not contain the token
+    if (shown && !there) std::abort();
 }
 
 #endif
 #ifdef RELIDAR_FUZZ_SERVE
 
-/// A run without surfels, as the service has it.
+/// A run without surfels, as the service stores it.
 struct Served {
     std::vector<Run> outlines;
     std::vector<serve::SceneSource> sources;
@@ -99,13 +100,13 @@ Message message_of(std::string_view bytes) {
 
 void silence_protobuf() {
 #if GOOGLE_PROTOBUF_VERSION < 4022000
-    // a line for each text that is no UTF-8
+    // otherwise protobuf prints a line for each text that is not UTF-8
     static const auto silenced = google::protobuf::SetLogHandler(nullptr);
     (void)silenced;
 #endif
 }
 
-/// A refusal names a client's fault in one line.
+/// Checks that a rejection reports an error of the client in one line.
 void check_status(const grpc::Status& status) {
     if (status.ok()) return;
     const grpc::StatusCode code = status.error_code();
@@ -115,12 +116,12 @@ void check_status(const grpc::Status& status) {
     throw Error(of_client ? ExitCode::usage : ExitCode::bug, status.error_message());
 }
 
-/// The first byte says which call the rest is of.
+/// Reads a call. The first byte selects its type.
 void read_call(std::string_view input, const fs::path& folder) {
     static const Served served(folder);
     silence_protobuf();
     if (input.empty()) return;
-    // what is uploaded is forgotten with it
+    // uploaded data is released with the reader
     serve::RequestReader reader(served.outlines, served.sources, served.assets, served.spawned);
     const unsigned call = static_cast<unsigned char>(input[0]) % 4u;
     input.remove_prefix(1);
@@ -139,7 +140,7 @@ void read_call(std::string_view input, const fs::path& folder) {
     check_status(status);
 }
 
-/// A frame of SensorsimService.
+/// Reads a frame of SensorsimService.
 void read_frame(std::string_view input, const fs::path& folder) {
     static const Served served(folder);
     static const serve::RequestReader scenes(served.outlines, served.sources, served.assets, served.spawned);

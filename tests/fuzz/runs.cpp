@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files of a run beside its scene: where the log has looked, where its heads pointed, the
-// ray-drop network, how intensities scatter.
+// Fuzzes the files of a run except its scene: the coverage of the log, the azimuths of
+// its heads, the ray-drop network, and the intensity scatter.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -24,7 +24,8 @@ std::vector<std::string> coverage_seeds(const fs::path& folder) {
     return {contents(folder / "seed")};
 }
 
-/// Wherever its blocks are, ways through them have a share between 0 and 1.
+/// Reads a coverage file. For any blocks, the observed share of a line must be between 0
+/// and 1.
 void read_coverage(std::string_view input, const fs::path& folder) {
     put(folder / "input", input);
     Coverage coverage = run_detail::load_coverage(folder / "input");

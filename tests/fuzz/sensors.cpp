@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files of sensors and rigs. The first byte of an input to "sensors" says what ending its
-// file has.
+// Fuzzes files of sensors and rigs. The first byte of an input to "sensors" selects the
+// file extension.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -14,17 +14,11 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kEndings[] = {"csv", "json", "npz"};
-constexpr std::size_t kMostMade = 20000;  // rays that are also made
+constexpr std::size_t kMostMade = 20000;  // maximum number of rays that are also made
 
-/// Makes the rays of what is small.
+/// Makes the rays of a sensor if there are few.
 void make(const SensorModel& sensor) {
-    const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
-    const auto* window = std::get_if<ScanningWindow>(&sensor.pattern);
-    const auto* rosette = std::get_if<Rosette>(&sensor.pattern);
-    const std::size_t n = spinning  ? spinning->beams.size() * std::size_t(spinning->columns)
-                          : window  ? std::size_t(window->rows) * std::size_t(window->columns)
-                          : rosette ? std::size_t(rosette->n_rays)
-                                    : 0;
+    const std::size_t n = describe_pattern(sensor.pattern).n_rays;
     if (n <= kMostMade) make_rays(sensor, 0.3);
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Small sequences of Boreas, MulRan and ONCE of which an input replaces one file.
+// Fuzzes small sequences of Boreas, MulRan and ONCE in which the input replaces one file.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -52,7 +52,7 @@ void read_mulran(std::string_view input, const fs::path& scratch) {
     const Sequences& in = sequences_in(scratch);
     in.of_mulran.read_one(input, [&] {
         DatasetOptions options;
-        options.frames = {1, 2};  // a scan has 65536 points
+        options.frames = {1, 2};  // only two frames, because a scan has 65536 points
         load_sequence("mulran:" + in.mulran.folder.string(), options);
     });
 }

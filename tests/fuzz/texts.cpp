@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text files: settings, scenes, streets, beam tables, trajectories. "toml" writes its
-// text from tokens, so that it stays a TOML file more often than not.
+// Fuzzes text files: settings, scenes, streets, beam tables and trajectories. "toml"
+// makes its text from tokens, so that most inputs are valid TOML.
 #include "harness.hpp"
 
 #include <fmt/format.h>
@@ -25,7 +25,7 @@ void read_config(std::string_view input, const fs::path& folder) {
     load_config(config, folder / "config.toml");
 }
 
-/// A street, cast where it is small.
+/// Reads a street, and simulates it if it is small.
 void read_street(std::string_view input, const fs::path& folder) {
     put(folder / "street.toml", input);
     const SyntheticOptions street = read_synthetic(folder);
@@ -35,8 +35,8 @@ void read_street(std::string_view input, const fs::path& folder) {
     load_sequence("synthetic:" + folder.string(), one);
 }
 
-/// Without sweeps: their file belongs to the sensor that an input changes. "sweeps" reads
-/// it.
+/// Returns a run without sweep azimuths, because their file belongs to the sensor that an
+/// input changes. "sweeps" reads that file.
 Run run_without_sweeps(const fs::path& folder) {
     Run run = example_run(folder);
     for (Frame& frame : run.sequence.frames) frame.azimuth_shift_rad.clear();
@@ -54,7 +54,7 @@ void read_scene(std::string_view input, const fs::path& folder) {
     const SpinningSensor& sensor = read.sequence.lidars[0].sensor;
     if (!sensor.beams.empty() && sensor.beams.size() * std::size_t(sensor.columns) < 10000) make_rays(sensor);
     for (const BoxTrack& box : read.sequence.boxes) (void)box.present(read.sequence.frames[0].time_s);
-    for (const Lidar& lidar : read.sequence.lidars)  // made where they are few
+    for (const Lidar& lidar : read.sequence.lidars)  // makes the rays if there are few
         if (lidar.pattern && std::holds_alternative<RayTable>(*lidar.pattern)) nominal_rays(lidar, 0.0);
     split_frames(read.sequence, 10);
 }
@@ -93,7 +93,7 @@ void read_entities(std::string_view input, const fs::path& folder) {
             box_track(entity, 0.0, {4, 2, 1.5});
 }
 
-/// TOML from tokens: a byte each.
+/// Makes TOML from tokens, one per byte.
 std::string toml_of(std::string_view input) {
     static const std::vector<std::string> tokens = [] {
         std::vector<std::string> all{"\n",
@@ -201,7 +201,7 @@ std::vector<Harness> text_harnesses() {
                  "8.0\nmoving_cars = true\n"};
          },
          read_street},
-        // a file is settings or a street
+        // the file contains either settings or a street
         {"toml",
          [](const fs::path&) {
              return std::vector<std::string>{std::string("\x28\x02\x17\x00\x29\x02\x16\x00", 8),

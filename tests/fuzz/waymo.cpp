@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A segment of Waymo Open. Its CRCs and zlib streams would keep an input out of the
-// parsers behind them, so the first byte of an input says what the rest is: the file, the
-// data of a record, or an unpacked matrix of TOP.
+// Fuzzes a Waymo Open segment. CRCs and zlib streams would prevent inputs from reaching
+// the parsers behind them. Therefore the first byte of an input selects what the
+// remainder is: the file, the data of a record, or an uncompressed matrix of the TOP
+// LiDAR.
 #include "harness.hpp"
 
 #include <cstdlib>
@@ -22,14 +23,15 @@ const test::WaymoSegment& segment_in(const fs::path& folder) {
     return segment;
 }
 
-/// A matrix of eight columns: libFuzzer takes no long inputs.
+/// Returns a matrix of eight columns, because libFuzzer inputs are short.
 std::string small_matrix(int channels) {
     const int rows = test::WaymoSegment::kTopRows, columns = 8;
     return test::waymo_unpacked_matrix(std::vector<float>(std::size_t(rows * columns * channels), 5.0f),
                                        {rows, columns, channels});
 }
 
-/// A record with TOP alone. @param image, poses  unpacked matrices
+/// Returns a record with the TOP LiDAR only.
+/// @param image, poses uncompressed matrices
 std::string record_with(const test::WaymoSegment& segment, const std::string& image,
                         const std::string& poses) {
     test::WaymoFrame frame = segment.frames[0];
@@ -38,7 +40,7 @@ std::string record_with(const test::WaymoSegment& segment, const std::string& im
     return frame.encoded();
 }
 
-/// The bytes of a file in which the input stands.
+/// Returns the bytes of a file that contains the input.
 std::string file_of(std::string_view input, const test::WaymoSegment& segment) {
     const unsigned part = input.empty() ? 0u : static_cast<unsigned char>(input[0]) % kParts;
     const std::string bytes(input.substr(std::min<std::size_t>(1, input.size())));

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of different types cannot take each other's place in what a kernel is given, nor
-// can kernels with other parameters. Most of it is whether something compiles.
+// Tests that arrays of different types cannot be exchanged in kernel parameters, and
+// kernels with different parameters cannot be exchanged either. Most checks are at
+// compile time.
 #include <concepts>
 #include <type_traits>
 
@@ -46,15 +47,15 @@ static_assert(std::same_as<decltype(Array<float>().address()), Address<float>>);
 static_assert(sizeof(Address<float>) == 8 && std::is_trivially_copyable_v<Address<float>> &&
               std::is_standard_layout_v<Address<float>>);
 
-/// Whether one member of a parameter struct takes what another one is given, so that
-/// nobody notices when they are swapped.
+/// Returns true if one of two members of a parameter struct can be assigned to the other,
+/// so that swapping them would compile.
 template <class Struct, class A, class B>
 consteval bool take_each_other(A Struct::*, B Struct::*) {
     return std::is_assignable_v<A&, B> || std::is_assignable_v<B&, A>;
 }
 
-// Of each header of parameters two pointers to the same kind of number. That no struct
-// has two of which this is not true is a rule of tests/structure.
+// Two pointers to the same type of number from each header of parameters. tests/structure
+// checks that no struct has two pointers that can be exchanged.
 static_assert(!take_each_other(&shared::ProxyParams::vertices, &shared::ProxyParams::boxes));
 static_assert(!take_each_other(&shared::GatherParams::parts, &shared::GatherParams::d_records));
 static_assert(!take_each_other(&shared::GatherParams::d_sh, &shared::GatherParams::d_records));
@@ -82,8 +83,8 @@ static_assert(!take_each_other(&shared::CollectHitsParams::instance, &shared::Co
 static_assert(take_each_other(&shared::ActivateVjpParams::surfels, &shared::ActivateVjpParams::d_surfels),
               "gradients are arranged alike");
 
-// What an array holds is said where it is made; by address_as() or as() where one memory
-// serves several purposes, and in no other way.
+// The meaning of an array is declared where it is created. It can only be changed by
+// address_as() or as(), for memory that serves several purposes.
 static_assert(
     std::same_as<decltype(Array<float, shared::LossTerms>().address()), Address<float, shared::LossTerms>>);
 static_assert(!std::is_convertible_v<Address<float>, Address<float, shared::LossTerms>> &&

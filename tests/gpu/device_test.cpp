@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Devices, memory and submission: what is listed, copies of every size, fills, memory
-// accounting, impossible requests.
+// Tests devices, memory and submission: device list, copies of all sizes, fills, memory
+// accounting, and impossible requests.
 #include <algorithm>
 #include <numeric>
 
@@ -23,13 +23,13 @@ TEST_F(Gpu, EveryDeviceIsDescribed) {
         EXPECT_FALSE(devices[i].name.empty());
         EXPECT_EQ(devices[i].ray_query,
                   devices[i].why_not_ray_query.empty() && devices[i].why_not_usable.empty());
-        if (devices[i].driver.starts_with("SwiftShader"))  // its compiler ends the process
+        if (devices[i].driver.starts_with("SwiftShader"))  // its compiler would terminate the process
             EXPECT_FALSE(devices[i].software);
     }
 }
 
 TEST_F(Gpu, UploadsAndDownloadsAreEqual) {
-    // the last one passes the staging size
+    // the last size exceeds the staging buffer
     for (const std::size_t n : {std::size_t(1), std::size_t(1000), std::size_t(9) << 20}) {
         std::vector<std::uint32_t> values(n);
         std::iota(values.begin(), values.end(), 7u);
@@ -61,7 +61,8 @@ TEST_F(Gpu, GrowingKeepsWhatThereWas) {
 }
 
 TEST_F(Gpu, MemoryLimitIsKept) {
-    Device limited({.memory_limit_bytes = 8u << 20});  // without the layer that the other device may have
+    // without the validation layer that the other device may use
+    Device limited({.memory_limit_bytes = 8u << 20});
     Array<float> first(limited, 1 << 20, "the first half");
     try {
         first.reserve(limited, 2 << 20, "twice the first half");

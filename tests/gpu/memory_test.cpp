@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Memory that many arrays share: ranges of a block against a map of its bytes, more
-// arrays than a driver allows allocations, what no array can have.
+// Tests memory blocks that many arrays share: ranges of a block against a map of its
+// bytes, more arrays than the driver allows allocations, and impossible arrays.
 #include <algorithm>
 #include <map>
 #include <random>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums (gpu/scan_sums, scan_write) and the stable sort (gpu/radix_count,
-// radix_scan, radix_scatter) against the standard library: sizes around the borders of
-// tiles and levels, counts known to the device alone, fewer keys than there is room for,
-// strided counts; nothing is written beyond the arrays.
+// Tests prefix sums (gpu/scan_sums, scan_write) and the stable sort (gpu/radix_count,
+// radix_scan, radix_scatter) against the standard library. Covers sizes near the limits
+// of tiles and levels, counts known to the device only, fewer keys than the capacity, and
+// strided counts. No value may be written beyond the arrays.
 #include <algorithm>
 #include <numeric>
 #include <optional>
@@ -78,8 +78,9 @@ protected:
         return result;
     }
 
-    /// Sorts on the device by the low bits. @param n_keys  that the device alone knows
-    /// of; of the rest nothing may be moved
+    /// Sorts on the device by the low bits.
+    /// @param n_keys number of keys, known to the device only; keys beyond it must not
+    /// move
     void compare(const std::vector<std::uint64_t>& keys, std::uint32_t key_words, std::uint32_t key_bits,
                  std::optional<std::uint32_t> n_keys = {}) {
         const auto capacity = static_cast<std::uint32_t>(keys.size()),
@@ -146,7 +147,7 @@ TEST_F(Sort, KeepsTheOrderOfEqualKeys) {
 
 TEST_F(Sort, SortedAndReversedKeys) {
     std::vector<std::uint64_t> keys(10'000);
-    std::iota(keys.begin(), keys.end(), 0xffff'0000ull);  // the carry crosses the words
+    std::iota(keys.begin(), keys.end(), 0xffff'0000ull);  // the carry crosses the two words of a key
     compare(keys, 2, 40);
     std::reverse(keys.begin(), keys.end());
     compare(keys, 2, 40);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The file of compiled pipelines: written when a device closes, found by the next one,
-// ignored where it is damaged or of another driver, and no error where it cannot be
-// written.
+// Tests the file of compiled pipelines. It is written when a device is closed, and read
+// by the next device. It is ignored if it is damaged or belongs to another driver. If it
+// cannot be written, no error occurs.
 #include <cstring>
 #include <filesystem>
 #include <fstream>
@@ -27,7 +27,7 @@ std::string contents(const fs::path& path) {
     return {std::istreambuf_iterator<char>(file), std::istreambuf_iterator<char>()};
 }
 
-/// With the hash that its driver's bytes have now (FNV-1a, behind magic and size).
+/// Recomputes the hash of the driver's bytes (FNV-1a, stored after magic and size).
 std::string rehashed(std::string bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (std::size_t i = 24; i < bytes.size(); ++i)
@@ -63,13 +63,13 @@ protected:
         fs::path path;
         std::size_t read_bytes;
     };
-    /// Opens a device, makes pipelines and closes it.
+    /// Opens a device, creates pipelines and closes the device.
     static Opened open() {
         Device opened(from_environment());
         const PrefixSum prefix_sum(opened);
         return {impl_of(opened).pipeline_cache->path(), impl_of(opened).pipeline_cache->read_bytes()};
     }
-    /// Whether the bytes of the driver's own cache are long enough for Vulkan's header.
+    /// Returns true if the driver's cache is long enough for the Vulkan header.
     static bool driver_keeps_pipelines() {
         Device opened(from_environment());
         std::size_t n_bytes = 0;
@@ -124,7 +124,8 @@ TEST_F(PipelineCacheFile, DamagedAndForeignOnesAreIgnoredAndReplaced) {
 
 TEST_F(PipelineCacheFile, UnwritableFoldersAreNoError) {
     put(folder / "a file", "x");
-    ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "a file").c_str(), 1);  // permissions would not stop root
+    // permissions would not prevent root from writing
+    ::setenv("RELIDAR_PIPELINE_CACHE", (folder / "a file").c_str(), 1);
     EXPECT_EQ(open().read_bytes, 0u);
     EXPECT_EQ(contents(folder / "a file"), "x");
     ::setenv("RELIDAR_PIPELINE_CACHE", "/proc/relidar", 1);
@@ -145,8 +146,8 @@ TEST_F(PipelineCacheFile, TheEnvironmentSaysWhere) {
     EXPECT_TRUE(open().path.empty());
 }
 
-/// Kernels that are alike have one pipeline of their device, also one after the other;
-/// those that differ in anything have their own.
+/// Equal kernels must share one pipeline per device, also if they are created one after
+/// the other. Kernels with any difference must not.
 TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     Device opened(from_environment());
     const auto n_made = [&] { return impl_of(opened).pipelines.by_key.size(); };
@@ -174,8 +175,8 @@ TEST_F(PipelinesOfADevice, AreMadeOnceForKernelsThatAreAlike) {
     EXPECT_EQ(n_made(), 4u);
 }
 
-/// As on a GPU: by other threads, from the making of the kernel on. Kernels may go before
-/// their pipelines are there, and never be run.
+/// Compiles pipelines in other threads when kernels are created, like on a GPU. Kernels
+/// may be destroyed before their pipelines are ready, or never run.
 TEST_F(PipelinesOfADevice, AreBegunWithTheirKernels) {
     Device opened(from_environment());
     impl_of(opened).compiles_ahead = true;

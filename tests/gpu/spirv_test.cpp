@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What is done to every module of the library when it is loaded: nothing else changes,
-// and spirv-val, where there is one, accepts the result.
+// Tests the modifications of SPIR-V modules when they are loaded. Nothing else may
+// change, and spirv-val must accept the result if it is installed.
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -24,7 +24,8 @@ using Words = std::vector<std::uint32_t>;
 
 constexpr std::uint32_t kOpExtension = 10, kOpEntryPoint = 15, kOpExecutionMode = 16;
 
-/// Instructions of a module. @return nothing where one is cut
+/// Splits a module into instructions.
+/// @return empty if an instruction is truncated
 std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     std::vector<Words> result;
     for (std::size_t at = 5; at < words.size();) {
@@ -36,8 +37,8 @@ std::vector<Words> instructions(std::span<const std::uint32_t> words) {
     return result;
 }
 
-/// Section of a module in which an instruction stands (SPIR-V specification, 2.4); 7 for
-/// the rest.
+/// Returns the section of a module that contains an instruction (SPIR-V specification,
+/// 2.4), or 7 for later sections.
 int section(const Words& instruction) {
     static const std::map<std::uint32_t, int> sections = {{17, 1}, {10, 2}, {11, 3}, {14, 4},
                                                           {15, 5}, {16, 6}, {331, 6}};
@@ -96,8 +97,8 @@ TEST(SpirvModes, AreAllThatIsAddedToAModule) {
         }
 }
 
-/// Loads from the block of parameters, before and after the first branch of the entry
-/// point; those of other functions count as after.
+/// Counts loads from the parameter block before and after the first branch of the entry
+/// point. Loads in other functions count as after.
 std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     enum : std::uint32_t {
         name = 5,
@@ -128,8 +129,8 @@ std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
     return n;
 }
 
-/// What is indexed by a value that the device alone knows stays where it is; nothing else
-/// does.
+/// Parameters must be loaded at the begin of the module, except if a value known only to
+/// the device indexes them.
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -185,8 +186,7 @@ TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     });
 }
 
-/// Every index into an array is a sum. The places of parameters have no index that is not
-/// constant.
+/// Every index into an array must be a sum. Indices of parameters must be constants.
 TEST(SpirvLanes, AreInEveryIndex) {
     enum : std::uint32_t { name = 5, type_pointer = 32, load = 61, chain = 65, add = 128, storage = 5349 };
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
@@ -209,7 +209,8 @@ TEST(SpirvLanes, AreInEveryIndex) {
     }
 }
 
-/// Values other than the module's own for all constants but the workgroup's size.
+/// Returns values that differ from the defaults for all constants except the workgroup
+/// size.
 std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint32_t> words) {
     const auto id_of = [](ConstantId id) { return static_cast<std::uint32_t>(id); };
     std::map<std::uint32_t, std::uint32_t> constants;
@@ -226,8 +227,7 @@ TEST(SpirvBranches, AreAcceptedBySpirvVal) {
     });
 }
 
-/// What spirv-opt makes of a module when it is given the constants and removes what they
-/// rule out.
+/// Returns the module after spirv-opt has set the constants and removed unreachable code.
 std::string optimised(std::span<const std::uint32_t> words,
                       const std::map<std::uint32_t, std::uint32_t>& constants) {
     const fs::path file =
@@ -248,8 +248,8 @@ std::string optimised(std::span<const std::uint32_t> words,
     return result;
 }
 
-/// spirv-opt takes the branches that are left and removes what nothing reaches: then a
-/// kernel is the same whether ours were taken or not.
+/// spirv-opt resolves the remaining branches and removes unreachable code. Its result
+/// must be the same with and without our removal of branches.
 TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     if (std::system("command -v spirv-opt > /dev/null") != 0) GTEST_SKIP() << "no spirv-opt";
     std::size_t n_shorter = 0;

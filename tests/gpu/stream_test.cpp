@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What one submission can carry, values that come back with it, and the copy that is
-// measured (gpu/copy).
+// Tests the limits of one submission, readbacks, and the copy kernel that measures memory
+// speed (gpu/copy).
 #include <map>
 #include <numeric>
 #include <optional>
@@ -23,10 +23,10 @@ using Words = std::vector<std::uint32_t>;
 
 class StreamTest : public test::DeviceTest {};
 
-/// Each launch has its own parameters: launch i copies word i, as the sum of that one
-/// word (gpu/scan_write).
+/// Each launch must get its parameters: launch i copies word i, computed as the sum of
+/// this single word (gpu/scan_write).
 TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
-    // more than slots: memory is used again
+    // more submissions than slots, so that memory is reused
     constexpr std::uint32_t kWords = 1 << 18, kLaunches = 5000, kSubmissions = 5;
     const Array<std::uint32_t, shared::ScanCounts> words(device(), kWords, "words");
     const Array<std::uint32_t, shared::ScanPrefix> prefix(device(), 1, "prefix");
@@ -51,7 +51,7 @@ TEST_F(StreamTest, ThousandsOfLaunchesAndAMegabyteInOneSubmission) {
     EXPECT_EQ(words.download().back(), 1000u * (kSubmissions - 1) + kWords - 1);
 }
 
-/// An array that a launch leaves out is a few zeros, not address 0.
+/// An omitted array must read as zeros and not as address 0.
 TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     constexpr std::uint32_t n = 64;
     const std::vector<glm::vec4> ones(n, glm::vec4(1.0f));
@@ -63,8 +63,8 @@ TEST_F(StreamTest, ArraysThatAreLeftOutAreZeros) {
     EXPECT_EQ(to.download(), std::vector<glm::vec4>(n, glm::vec4(0.0f)));
 }
 
-/// gpu/copy, by which a device's memory is measured, copies what it is asked to and
-/// nothing beyond.
+/// gpu/copy, which measures memory speed, must copy the requested values and nothing
+/// beyond.
 TEST_F(StreamTest, CopyThatIsMeasured) {
     constexpr std::uint32_t kCopied = 1000, kAll = 1003;
     std::vector<glm::vec4> values(kAll);
@@ -79,7 +79,7 @@ TEST_F(StreamTest, CopyThatIsMeasured) {
     stream.finish();
     for (std::uint32_t i = kCopied; i < kAll; ++i) values[i] = glm::vec4(-1.0f);
     EXPECT_EQ(to.download(), values);
-    EXPECT_GT(copy_bytes_per_s(device()).value_or(0.0), 1e8);  // no memory is slower
+    EXPECT_GT(copy_bytes_per_s(device()).value_or(0.0), 1e8);  // all memory is faster than this
 }
 
 TEST_F(StreamTest, ReadbacksArriveWithTheirSubmission) {
@@ -130,10 +130,11 @@ TEST_F(StreamTest, ReadbacksOutOfOrderAreBugs) {
     EXPECT_NE(readback.wait(stream), nullptr);
 }
 
-/// The validation layer's own tracking of hazards is the judge: it sees fills and copies.
+/// Checks barriers with the synchronization validation of the Vulkan validation layer,
+/// which tracks fills and copies.
 class StreamHazards : public StreamTest {
 protected:
-    std::optional<Device> hazards;  ///< a device that looks for them
+    std::optional<Device> hazards;  ///< device with synchronization validation
 
     void SetUp() override {
         StreamTest::SetUp();
@@ -170,7 +171,7 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     {
         const Concurrent scope(stream);
         stream.fill(a, 5u);
-        stream.fill(a, 6u);  // planted: twice the same array
+        stream.fill(a, 6u);  // deliberate hazard: the same array twice
         EXPECT_THROW(stream.submit(), Error) << "in an open scope";
     }
     stream.finish();
@@ -217,7 +218,7 @@ TEST_F(StreamHazards, StrandsHaveABarrierBehindEachOfTheirSteps) {
         Strands strands(stream, 2);
         stream.fill(arrays[0], 5u);
         strands.choose(1);
-        stream.fill(arrays[0], 6u);  // planted: what the other one writes
+        stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other strand writes
     }
     stream.finish();
     EXPECT_GT(validation_messages(watched), 0u) << "no barrier between strands";

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What the compilers of real cards make of the program's kernels, without a card: Mesa's
 // AMD driver compiles for the family that RADV_FORCE_FAMILY names and runs nothing
-// (docs/gpu.md). One ctest entry a family. Skipped where that driver is not installed.
+// (docs/debugging.md). One ctest entry a family. Skipped if that driver is missing.
 #include <cstdlib>
 #include <set>
 #include <string>

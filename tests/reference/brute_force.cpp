@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exhaustive traversal, the judge of all other providers (docs/architecture.md section
-// 6): each surfel of each instance goes through the canonical function (M1, M2), the
-// survivors are sorted by key.
+// Implements exhaustive traversal, the reference for all other providers
+// (docs/architecture.md section 6). Intersects each surfel of each instance with the
+// canonical function (M1, M2) and sorts the hits by key.
 #include <algorithm>
 #include <stdexcept>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chamfer distance of a simulated against a measured scan (Eq. 11; docs/method.md section
-// 5) in double, by comparing every pair.
+// Computes the Chamfer distance of a simulated and a measured scan (Eq. 11;
+// docs/method.md section 5) in double, by comparing all pairs.
 #pragma once
 
 #include <vector>
@@ -9,7 +9,7 @@
 
 namespace relidar::reference {
 
-/// A ray and the two points along it; range 0 = none.
+/// A ray with a simulated and a measured range; range 0 means no point.
 struct ChamferRay {
     glm::dvec3 origin_m{0.0};
     glm::dvec3 direction{0.0};
@@ -17,10 +17,10 @@ struct ChamferRay {
     double measured_m = 0.0;
 };
 
-/// (sum over simulated of min |a - b|^2 + sum over measured of min |a - b|^2) /
-/// min(number of simulated, of measured); 0 where a cloud is empty
-/// @param d_simulated  if given, receives the derivative by the simulated ranges [n], for
-/// the pairs as they are
+/// Returns (sum over simulated of min |a - b|^2 + sum over measured of min |a - b|^2) /
+/// min(number of simulated, of measured). Returns 0 if a cloud is empty.
+/// @param d_simulated if not null, receives the derivative with respect to the simulated
+/// ranges [n], with the nearest pairs fixed
 double chamfer_loss(const std::vector<ChamferRay>& rays, std::vector<double>* d_simulated = nullptr);
 
 }  // namespace relidar::reference

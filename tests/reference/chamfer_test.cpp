@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chamfer distance of the oracle against numbers by hand and central differences (Eq.
-// 11).
+// Tests the reference's Chamfer distance against values computed by hand and central
+// differences (Eq. 11).
 #include <gtest/gtest.h>
 
 #include <random>

@@ -49,7 +49,6 @@ Fate fate_of(const DensifiedSurfel& s, double mean_gradient, const DensifyRules&
         }
         if (outside[0] && outside[1]) return Fate::outside;
     }
-    if (rules.share) return Fate::share;
     return splits ? Fate::split : grows ? Fate::clone : Fate::keep;
 }
 
@@ -66,19 +65,6 @@ std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, s
         ++copies.at(std::size_t(owner - cumulative.begin()));
     }
     return copies;
-}
-
-SharedSurfel share(double opacity, int n) {
-    const double shared = 1.0 - std::pow(1.0 - opacity, 1.0 / n);
-    double sum = 0.0;
-    for (int i = 1; i <= n; ++i) {
-        double binomial = 1.0;  // i - 1 over k
-        for (int k = 0; k < i; ++k) {
-            sum += binomial * (k % 2 ? -1.0 : 1.0) * std::pow(shared, k + 1) / (k + 1);
-            binomial *= double(i - 1 - k) / (k + 1);
-        }
-    }
-    return {shared, std::sqrt(opacity / sum)};
 }
 
 }  // namespace relidar::reference

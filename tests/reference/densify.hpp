@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Densification in double, surfel by surfel, from docs/method.md section 6.
+// Implements densification in double, surfel by surfel, from docs/method.md section 6.
 #pragma once
 
 #include <cstdint>
@@ -10,17 +10,17 @@
 
 namespace relidar::reference {
 
-/// A surfel's parameters, activated.
+/// Activated parameters of a surfel.
 struct DensifiedSurfel {
     glm::dvec3 mean{0.0};
     glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};  ///< w, x, y, z, unnormalised
     glm::dvec2 scale{1.0};
     double opacity = 0.0;
     bool finite = true;
-    std::optional<double> scale_w{};  ///< of a 3D Gaussian
+    std::optional<double> scale_w{};  ///< third scale of a 3D Gaussian
 };
 
-enum class Fate { invalid, faint, large, outside, keep, clone, split, share };
+enum class Fate { invalid, faint, large, outside, keep, clone, split };
 
 struct DensifyRules {
     double min_opacity = 0.0;
@@ -28,34 +28,27 @@ struct DensifyRules {
     double clone_scale = 0.0;
     double gradient_threshold = 1e30;
     glm::dvec3 half_size{0.0};  ///< 0 = unbounded
-    bool share = false;         ///< grow by opacity
     std::uint32_t key = 0;      ///< of the random numbers
 };
 
-/// @param mean_gradient mean norm over the batches that saw it, 0 where none did @param
-/// item index for random numbers
+/// Returns what densification does with a surfel.
+/// @param mean_gradient mean norm over the batches that saw the surfel, 0 if none did
+/// @param item index for random numbers
 Fate fate_of(const DensifiedSurfel& surfel, double mean_gradient, const DensifyRules& rules,
              std::uint32_t item);
 
-/// The two normal deviates of PCG4D and Box-Muller.
+/// Returns two normal random numbers from PCG4D and Box-Muller.
 glm::dvec2 random_normal2(std::uint32_t key, std::uint32_t item, std::uint32_t draw);
 
-/// A point of a surfel, in units of its scales; z_w counts for a 3D Gaussian alone.
+/// Returns a point of a surfel, given in units of its scales. `z_w` is used for a 3D
+/// Gaussian only.
 glm::dvec3 point_of(const DensifiedSurfel& surfel, const glm::dvec2& z, double z_w);
 
-/// Who gets copies 0 ... n_new - 1, each looked up alone: copy j goes to the first surfel
-/// with cumulative weight c (its own included), c n_new + phase >= (j + 1) W. @return
-/// copies of each
+/// Distributes the copies 0 ... n_new - 1 to surfels; each copy is computed separately.
+/// Copy j belongs to the first surfel whose cumulative weight c satisfies c n_new + phase
+/// >= (j + 1) W.
+/// @return number of copies of each surfel
 std::vector<std::uint32_t> copies_of(const std::vector<std::uint32_t>& weight, std::uint32_t n_new,
                                      std::uint32_t phase);
-
-/// What one of n surfels needs so that all together stand for one of this opacity.
-struct SharedSurfel {
-    double opacity;
-    double scale_factor;
-};
-/// From the double sum over binomials as the paper prints it, with 1 / (k + 1) for the
-/// area of a surfel.
-SharedSurfel share(double opacity, int n);
 
 }  // namespace relidar::reference

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The reference of densification against what it is to achieve: shared surfels blend to
-// the opacity and integral of the one they replace; random numbers are normal; copies are
-// handed out fairly.
+// The reference of densification against what it is to achieve: random numbers are normal;
+// copies are handed out fairly.
 #include <cmath>
 #include <numeric>
 
@@ -11,29 +10,6 @@
 
 namespace relidar::reference {
 namespace {
-
-/// Integral over the plane of what n equal surfels of scale s blend to, in units of 2 pi.
-double blended(double opacity, double scale, int n) {
-    constexpr int kSteps = 20000;
-    const double end = 12.0 * scale, h = end / kSteps;
-    double sum = 0.0;
-    for (int i = 0; i < kSteps; ++i) {
-        const double r = (i + 0.5) * h;
-        sum += (1.0 - std::pow(1.0 - opacity * std::exp(-0.5 * r * r / (scale * scale)), n)) * r * h;
-    }
-    return sum;
-}
-
-TEST(Sharing, KeepsOpacityAndIntegral) {
-    for (const double opacity : {0.02, 0.3, 0.9, 0.999})
-        for (const int n : {1, 2, 3, 8, 15}) {
-            const SharedSurfel s = share(opacity, n);
-            EXPECT_NEAR(1.0 - std::pow(1.0 - s.opacity, n), opacity, 1e-12);
-            EXPECT_NEAR(blended(s.opacity, s.scale_factor, n) / blended(opacity, 1.0, 1), 1.0, 1e-5)
-                << opacity << " among " << n;
-            EXPECT_LE(s.scale_factor, 1.0 + 1e-12);
-        }
-}
 
 TEST(RandomNumbers, AreStandardNormal) {
     constexpr int kN = 200000;

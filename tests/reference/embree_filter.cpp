@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traversal by Embree: a two-level scene of proxy triangle pairs (M3). The filter
-// callback sees every triangle along the ray, asks the canonical function (M1, M2) and
-// keeps the nearest `chunk` keys. Embree's own t only shortens the ray, with a margin of
-// twice the largest proxy: canonical and Embree hit lie on one ray in one proxy, so their
-// t cannot differ by more than its diameter. A model that moves is not in the top scene:
-// its own scene is asked with the ray in the model's frame at the ray's time.
+// Implements traversal with Embree: a two-level scene of proxy triangle pairs (M3). The
+// filter callback sees every triangle along the ray, evaluates the canonical function
+// (M1, M2) and keeps the nearest `chunk` keys. Embree's t is only used to shorten the
+// ray, with a margin of twice the largest proxy. This is safe because both hits lie on
+// one ray inside one proxy. Moving models are not part of the top-level scene. Each has a
+// separate scene that is traced with the ray in the model's frame at the ray's time.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -58,8 +58,7 @@ bool all_finite(const FloatRecord& r) {
     return std::all_of(values, values + 13, [](float x) { return std::isfinite(x); });
 }
 
-/// The four corners of a surfel's proxy, in the order of the loop (-,-) (+,-) (+,+)
-/// (-,+).
+/// Corners of a surfel's proxy in the order (-,-) (+,-) (+,+) (-,+).
 struct Quad {
     glm::dvec3 corner[4];
     double radius;
@@ -76,7 +75,7 @@ Quad make_proxy(const Surfel& surfel, const ImageModel& model, const ProxyMargin
 }  // namespace
 
 struct EmbreeFilter::State {
-    /// One bottom-level scene: triangles 2i and 2i + 1 belong to surfel ids[i].
+    /// Bottom-level scene of a model: triangles 2i and 2i + 1 belong to surfel ids[i].
     struct ModelScene {
         SceneHandle scene;
         std::vector<std::uint32_t> ids;
@@ -92,7 +91,8 @@ struct EmbreeFilter::State {
     std::vector<FloatRecord> records;
     std::vector<FloatRows> rows;
     std::vector<Placement> instances;
-    std::vector<ModelScene> models;  // one an instance: simple, and instances of one model are few in tests
+    // one per instance, which is simple, because tests have few instances of a model
+    std::vector<ModelScene> models;
     double t_margin = 1e-3;
     Device device{rtcNewDevice("threads=1,set_affinity=0")};
     SceneHandle top{rtcNewScene(device.handle)};
@@ -100,7 +100,8 @@ struct EmbreeFilter::State {
 
 namespace {
 
-/// What the callback needs; the context Embree hands back is its first member.
+/// Data of the filter callback. Embree passes a pointer to the context, which is
+/// therefore the first member.
 struct Query {
     Context context;
     const FloatRecord* records;
@@ -111,10 +112,11 @@ struct Query {
     std::size_t chunk;
     double t_margin;
     std::vector<Hit>* hits;
-    std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;  // the instance whose own scene is asked
+    // moving instance whose separate scene is being traced
+    std::uint32_t moving = RTC_INVALID_GEOMETRY_ID;
 
-    /// Inserts a candidate into the sorted buffer, if it is a hit, new, and among the
-    /// nearest.
+    /// Inserts a candidate into the sorted buffer if it is a hit, not yet present, and
+    /// among the nearest.
     void offer(std::uint32_t instance, std::uint32_t triangle) {
         const std::uint32_t surfel = (*ids[instance])[triangle / 2];
         const auto hit = float_hit(records[surfel], local[instance], *model);
@@ -122,7 +124,8 @@ struct Query {
         const Hit key{double(hit->t), instance, surfel};
         if (!(after < key)) return;
         const auto at = std::lower_bound(hits->begin(), hits->end(), key);
-        if (at != hits->end() && *at == key) return;  // the other triangle of the same surfel
+        // the surfel was already found through its other triangle
+        if (at != hits->end() && *at == key) return;
         hits->insert(at, key);
         if (hits->size() > chunk) hits->pop_back();
     }
@@ -210,7 +213,7 @@ EmbreeFilter::~EmbreeFilter() = default;
 
 namespace {
 
-/// Offers what a ray meets in a scene to a query.
+/// Traces a ray through a scene and passes its candidates to a query.
 void search(RTCScene scene, const LocalRay<float>& ray, float near, Query& query) {
     RTCRayHit target{};
     target.ray.org_x = ray.origin.x, target.ray.org_y = ray.origin.y, target.ray.org_z = ray.origin.z;
@@ -240,7 +243,7 @@ void EmbreeFilter::next_hits(const Ray& ray, const HitKey& after, int chunk, std
     std::vector<LocalRay<float>> local;
     std::vector<const std::vector<std::uint32_t>*> ids;
     const glm::vec3 origin(ray.origin), direction(ray.direction);
-    // t counts lengths of the direction
+    // converts to t, which is in units of the direction's length
     const double t_margin = state_->t_margin / glm::length(ray.direction);
     for (std::size_t i = 0; i < state_->rows.size(); ++i) {
         const Placement& p = state_->instances[i];

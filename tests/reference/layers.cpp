@@ -38,7 +38,8 @@ void for_values(const ImageBatch& images, Visit&& visit) {
             for (std::size_t i = 0; i < images.pixels(); ++i) visit(c, images.index(image, c, 0, 0) + i);
 }
 
-/// Weights of the entries of a line of n_small from which entry `at` of n_large is mixed.
+/// Returns the interpolation weights of n_small entries for entry `at` of n_large
+/// entries.
 std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
     const double place = (at + 0.5) * n_small / n_large - 0.5, left = std::floor(place), share = place - left;
     const auto entry = [&](int k) {
@@ -50,8 +51,8 @@ std::vector<double> mixing(int at, int n_large, int n_small, bool circular) {
     return weights;
 }
 
-/// Calls visit(large row, large column, small row, small column, weight) for each weight
-/// that is not zero.
+/// Calls visit(large row, large column, small row, small column, weight) for each nonzero
+/// weight.
 template <class Visit>
 void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&& visit) {
     std::vector<std::vector<double>> of_row, of_column;
@@ -69,7 +70,7 @@ void for_mixed(int rows, int columns, int small_rows, int small_columns, Visit&&
         }
 }
 
-/// A head of one image: what each pixel takes from each (softmax).
+/// Attention head of one image: the weight of each pixel for each pixel (softmax).
 struct Head {
     int image, query, key, value, to, size;  ///< first channels
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Layers of the ray-drop network written out in double: images [n, channels, rows,
-// columns], columns a ring, beyond the rows zeros.
+// Implements the layers of the ray-drop network in double. Images are [n, channels, rows,
+// columns]; columns wrap around, and rows are padded with zeros.
 #pragma once
 
 #include <cstddef>
@@ -31,53 +31,60 @@ struct ImageBatch {
     std::size_t pixels() const { return std::size_t(rows) * columns; }
 };
 
-/// @param weights  [n_out, from.channels, taps], taps 1 or 9 @param bias  [n_out], or
-/// empty
+/// Returns the convolution of a batch.
+/// @param weights [n_out, from.channels, taps], taps 1 or 9
+/// @param bias [n_out], or empty
 ImageBatch convolve(const ImageBatch& from, const std::vector<double>& weights,
                     const std::vector<double>& bias, int n_out, int taps);
 ImageBatch convolve_input_vjp(const ImageBatch& d_to, const std::vector<double>& weights, int n_in, int taps);
+/// Returns the derivative of a convolution with respect to its weights.
 /// @return [d_to.channels, from.channels, taps]
 std::vector<double> convolve_weights_vjp(const ImageBatch& from, const ImageBatch& d_to, int taps);
-/// Of each channel over all images: derivative by a bias.
+/// Returns the sum of each channel over all images, which is the derivative with respect
+/// to a bias.
 std::vector<double> channel_sums(const ImageBatch& d_to);
 
 struct Moments {
-    std::vector<double> mean, variance;  ///< [channels], of the whole batch (divided by its size)
+    std::vector<double> mean, variance;  ///< [channels], over the full batch (divided by its size)
 };
 Moments moments_of(const ImageBatch& from);
 
 struct NormLayer {
     std::vector<double> beta, gamma;  ///< [channels]
-    std::vector<double> gate;         ///< [n,channels,rows,columns] factor behind ReLU (dropout), or empty
+    std::vector<double> gate;         ///< [n,channels,rows,columns] factor after ReLU (dropout), or empty
     double epsilon = 1e-5;
 };
-/// gate * relu(gamma (from - mean) / sqrt(variance + epsilon) + beta)
+/// Returns gate * relu(gamma (from - mean) / sqrt(variance + epsilon) + beta).
 ImageBatch normalise(const ImageBatch& from, const Moments& moments, const NormLayer& layer);
 struct NormGradient {
     ImageBatch from;
     std::vector<double> beta, gamma;  ///< [channels]
 };
-/// Of normalise() by the moments of `from` itself, which depend on it.
+/// Returns the derivatives of normalise(), including those through the moments, which
+/// depend on `from`.
 NormGradient normalise_vjp(const ImageBatch& from, const NormLayer& layer, const ImageBatch& d_to);
 
-/// Largest of 2 x 2; what is left of odd sizes is not looked at.
+/// Returns the maximum of each 2 x 2 block. Ignores the last row or column of odd sizes.
 ImageBatch pool(const ImageBatch& from);
-/// To the first of the largest, row by row.
+/// Passes each derivative to the first maximum of the block, row by row.
 ImageBatch pool_vjp(const ImageBatch& from, const ImageBatch& d_to);
-/// Bilinear, pixel centres at half steps; rows end with the last one, columns are a ring.
+/// Resizes images bilinearly, with pixel centres at half steps. Rows are clamped, columns
+/// wrap around.
 ImageBatch upsample(const ImageBatch& from, int rows, int columns);
 ImageBatch upsample_vjp(const ImageBatch& d_to, int rows, int columns);
 
-/// Query, key and value of each pixel one behind the other in the channels, heads within
-/// each.
+/// Applies attention. The channels of a pixel are query, key and value; the heads are
+/// contiguous within each.
 ImageBatch attend(const ImageBatch& qkv, int heads);
 ImageBatch attend_vjp(const ImageBatch& qkv, int heads, const ImageBatch& d_to);
 
 struct DropEntropy {
-    double mean = 0.0, accuracy = 0.0;         ///< over known pixels; 0 where there are none
-    std::vector<double> probability, d_logit;  ///< of each pixel; derivative of the mean
+    double mean = 0.0, accuracy = 0.0;  ///< over known pixels; 0 if there are none
+    /// drop probability of each pixel, and derivative of the mean
+    std::vector<double> probability, d_logit;
 };
-/// @param target  1 dropped, 0 returned, negative: not known
+/// Computes the cross-entropy of ray drops.
+/// @param target 1 dropped, 0 returned, negative: unknown
 DropEntropy drop_entropy(const std::vector<double>& logit, const std::vector<double>& target);
 
 }  // namespace relidar::reference

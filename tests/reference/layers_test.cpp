@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The double layers: values that can be worked out by hand, and each derivative against
-// central differences of the layer itself.
+// Tests the layers in double against values computed by hand, and each derivative against
+// central differences of the layer.
 #include <cmath>
 #include <functional>
 #include <random>
@@ -33,8 +33,8 @@ double dot(const std::vector<double>& a, const std::vector<double>& b) {
     return sum;
 }
 
-/// `actual` against the differences of <asked, value()> by each of `x`, which value()
-/// reads.
+/// Checks `actual` against central differences of the inner product <asked, value()> with
+/// respect to each element of `x`. The function value() reads `x`.
 void expect_derivative(std::vector<double>& x, const std::vector<double>& actual,
                        const std::vector<double>& asked, const std::function<std::vector<double>()>& value) {
     ASSERT_EQ(x.size(), actual.size());
@@ -57,8 +57,8 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
     from.at(0, 0, 0, 0) = 1.0;
     const std::vector<double> weights{1, 2, 3, 4, 5, 6, 7, 8, 9};
     const ImageBatch to = convolve(from, weights, {0.5}, 1, 9);
-    // what lies one column on sees it by its left tap; one before is the last column;
-    // nothing above, nothing two rows below
+    // An impulse is seen by the next column through its left tap, and by the previous
+    // column, which is the last one. Rows outside the image are zero.
     const std::vector<double> expected{5.5, 4.5, 0.5, 6.5, 2.5, 1.5, 0.5, 3.5, 0.5, 0.5, 0.5, 0.5};
     EXPECT_EQ(to.values, expected);
 }
@@ -66,7 +66,8 @@ TEST(LayersReference, ConvolutionTurnsAroundAndEndsInZeros) {
 TEST(LayersReference, UpsamplingByHand) {
     ImageBatch from(1, 1, 1, 2);
     from.values = {0.0, 4.0};
-    // centres at -1/4, 1/4, 3/4, 5/4: 1/4 of the last column, then of the next
+    // Centres at -1/4, 1/4, 3/4, 5/4: each value is a mixture of 3/4 and 1/4 of the
+    // nearest columns, which wrap around.
     const ImageBatch to = upsample(from, 2, 4);
     const std::vector<double> expected{1.0, 1.0, 3.0, 3.0, 1.0, 1.0, 3.0, 3.0};
     for (std::size_t i = 0; i < 8; ++i) EXPECT_DOUBLE_EQ(to.values[i], expected[i]) << i;
@@ -74,7 +75,7 @@ TEST(LayersReference, UpsamplingByHand) {
 
 TEST(LayersReference, EvenAttentionIsTheMean) {
     ImageBatch qkv(1, 3, 1, 4);
-    qkv.values = {0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 10};  // queries are zero: every score is
+    qkv.values = {0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 10};  // queries are zero, so all scores are zero
     for (const double x : attend(qkv, 1).values) EXPECT_DOUBLE_EQ(x, 7.0);
 }
 

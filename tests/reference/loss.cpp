@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loss terms of the oracle (docs/method.md section 5; M6). The cross-entropy is written
-// with softplus, so that extreme logits neither overflow nor lose their derivative: with
-// x = drop - hit, ln(1 + e^x) - y x, derivative beta - y.
+// Implements the loss terms of the reference (docs/method.md section 5; M6). The
+// cross-entropy uses softplus, so that extreme logits neither overflow nor lose their
+// derivative. With x = drop - hit, it is ln(1 + e^x) - y x, and its derivative is beta -
+// y.
 #include "loss.hpp"
 
 #include <algorithm>
@@ -41,7 +42,7 @@ LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Targ
         }
         if (returned) {
             const double residual = p.intensity - targets[i].intensity, delta = weights.intensity_delta;
-            // where the loss is squared; the rest is linear
+            // part of the residual with a quadratic loss; the remainder is linear
             const double within = std::min(std::abs(residual), delta);
             terms.intensity +=
                 (std::abs(residual) - within + (delta > 0.0 ? within * within / (2.0 * delta) : 0.0)) /

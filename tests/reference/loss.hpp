@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The per-ray loss terms of docs/method.md section 5 in double, with their derivatives
-// with respect to the rendered values:
-// L1 of depth, L1 or Huber of intensity on returned rays, cross-entropy of the ray-drop
-// probability beta = softmax(hit, drop) (M6).
+// Computes the loss terms of each ray (docs/method.md section 5) in double, and their
+// derivatives with respect to the rendered values. Terms: L1 of depth, L1 or Huber of
+// intensity on returned rays, and cross-entropy of the ray-drop probability beta =
+// softmax(hit, drop) (M6).
 #pragma once
 
 #include <vector>
@@ -15,11 +15,11 @@ struct LossWeights {
     double depth = 0.1;
     double intensity = 0.1;
     double drop = 0.01;
-    double intensity_delta = 0.0;  ///< of the Huber loss; 0: L1
+    double intensity_delta = 0.0;  ///< delta of the Huber loss; 0: L1
 };
 
-/// What the depth term compares with the measured range.
-enum class DepthKind { blended, normalised };  ///< D, or D / W (the term is left out where W = 0)
+/// Rendered value that the depth term compares with the measured range.
+enum class DepthKind { blended, normalised };  ///< D, or D / W (rays with W = 0 are skipped)
 
 /// Measured ray.
 struct Target {
@@ -30,22 +30,24 @@ struct Target {
 struct LossTerms {
     double depth = 0.0;      ///< mean |depth - range| over returned rays, metres
     double intensity = 0.0;  ///< mean |intensity - measured| over returned rays, or their Huber loss
-    double drop = 0.0;       ///< mean -[y ln beta + (1 - y) ln(1 - beta)] over all rays, y = 1 where dropped
-    double total = 0.0;      ///< weighted sum
+    /// mean -[y ln beta + (1 - y) ln(1 - beta)] over all rays, y = 1 for dropped rays
+    double drop = 0.0;
+    double total = 0.0;  ///< weighted sum
 };
 
-/// @param d_pixels  if given, receives d(total)/d(pixel) [n]; the derivative of |x| at 0
-/// is 0
+/// Computes all loss terms. The derivative of |x| at 0 is 0.
+/// @param d_pixels if not null, receives d(total)/d(pixel) [n]
 LossTerms evaluate_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets,
                         const LossWeights& weights, DepthKind kind,
                         std::vector<PixelGradient>* d_pixels = nullptr);
 
-/// Mean -ln(floor + (1 - floor) S) over returned rays, S the pixel's likelihood (M12).
-/// @param d_pixels [n] as above
+/// Returns the mean of -ln(floor + (1 - floor) S) over returned rays, where S is the
+/// likelihood of the pixel (M12).
+/// @param d_pixels [n] if not null, receives the derivatives
 double likelihood_loss(const std::vector<Pixel>& pixels, const std::vector<Target>& targets, double floor,
                        std::vector<PixelGradient>* d_pixels = nullptr);
 
-/// M6: beta from the two blended logits.
+/// Returns the drop probability beta from the two blended logits (M6).
 double drop_probability(double hit_logit, double drop_logit);
 
 }  // namespace relidar::reference

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loss terms against hand-computed numbers and their derivatives against central
-// differences (docs/method.md section 5, M6).
+// Tests the loss terms against values computed by hand, and their derivatives against
+// central differences (docs/method.md section 5, M6).
 #include <gtest/gtest.h>
 
 #include <random>

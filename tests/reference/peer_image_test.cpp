@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The oracle against an image rendered by the official implementation on a GPU
-// (../shared/bench, street(100000) under rays("kitti")): M1-M5 with SH along the ray. Two
-// kinds of outliers are known: it loses a hit at a chunk boundary on 36 of its 67,980
-// rays (here ray 4505, 16 hits), and where two t agree to 1e-6 m its single precision may
-// swap them, which leaves depth alone and moves the channels (here rays 48280, 48705,
-// 64090). Skipped where RELIDAR_SHARED (default: ../shared beside the repository) does
-// not hold the file.
+// Tests the reference against an image rendered by the official implementation on a GPU
+// (../shared/bench, street(100000) with rays("kitti")): M1-M5 with SH along the ray. Two
+// kinds of outliers are known. The official implementation loses a hit at a chunk
+// boundary on 36 of its 67,980 rays (here ray 4505, 16 hits). If two t agree to 1e-6 m,
+// single precision may swap the hits, which changes the channels but not the depth (here
+// rays 48280, 48705, 64090). The tests are skipped if RELIDAR_SHARED (default: ../shared
+// next to the repository) does not contain the file.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -30,7 +30,7 @@ std::filesystem::path shared_folder() {
     return std::filesystem::path(__FILE__).parent_path().parent_path().parent_path().parent_path() / "shared";
 }
 
-/// Channels of the peer's image, [rows*columns] each.
+/// Channels of the official image, [rows*columns] each.
 struct PeerImage {
     std::vector<float> directions, depth, intensity, hit_logit, drop_logit, weight, transmittance;
 
@@ -46,7 +46,7 @@ struct PeerImage {
     }
 };
 
-/// Largest differences seen, and how many rays were beyond tolerance.
+/// Largest differences, and number of rays beyond the tolerance.
 struct Differences {
     double depth_m = 0.0, channel = 0.0;
     int outliers = 0;
@@ -99,7 +99,7 @@ protected:
 
 TEST_F(PeerImageTest, DoubleBruteForceOn200Rays) {
     const Differences d = compare(BruteForce(world, {}, Precision::double_record), PeerImage(path), 339);
-    EXPECT_LE(d.outliers, 1);  // none was seen
+    EXPECT_LE(d.outliers, 1);  // no outlier is known among these rays
     EXPECT_GT(d.depth_m, 0.0) << "nothing was compared";
 }
 

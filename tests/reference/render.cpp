@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward half of the oracle: shading of a hit (M1, M2, SH) and blending nearest first
-// (M4, M5), in chunks as a GPU does it and over the complete list. The two differ only in
-// how hits are fetched.
+// Implements the forward pass of the reference: shading of a hit (M1, M2, SH) and
+// blending from near to far (M4, M5). Blends in chunks like a GPU, or over the complete
+// list. The two differ only in how hits are fetched.
 #include "render.hpp"
 
 #include <algorithm>
@@ -15,35 +15,32 @@ public:
     Blend(const Settings& settings, const Ray& ray)
         : settings_(settings), ray_(ray), transmittance_min_(double(settings.image.transmittance_min)) {}
 
-    /// Adds a surfel; false, without adding it, where it would take T under T_min.
+    /// Adds a surfel. If the surfel would reduce T below T_min, returns false and does
+    /// not add it.
     bool add(const ShadedHit& s) {
         const double next = pixel_.transmittance * (1.0 - s.alpha);
         if (next < transmittance_min_) return false;
         const double w = s.alpha * pixel_.transmittance;  // M4
-        pixel_.depth += w * s.t;
-        pixel_.weight += w;
-        pixel_.intensity += w * s.value[0];
-        pixel_.hit_logit += w * s.value[1];
-        drop_sum_ += w * s.value[2];
+        const BlendedValues c = values_of(settings_, ray_, s);
+#define RELIDAR_ADD(name, built, value, input, slope, meaning) pixel_.name += w * c.name;
+        RELIDAR_BLENDED_VALUES(RELIDAR_ADD)
+#undef RELIDAR_ADD
         if (pixel_.hits == 0) pixel_.instance = s.hit.instance;
         if (pixel_.transmittance > 0.5 && next <= 0.5) {
             pixel_.median_depth = s.t;
             pixel_.instance = s.hit.instance;
         }
-        // M10, pair by pair
-        for (const auto& [weight, t] : blended_) pixel_.distortion += w * weight * std::abs(s.t - t);
-        blended_.emplace_back(w, s.t);
-        pixel_.likelihood += w * range_kernel(settings_, ray_, s.t).value;  // M12
         pixel_.normal += w * s.normal;
         pixel_.transmittance = next;
         pixel_.hits += 1;
         return true;
     }
 
-    /// M5: the background (0, 0, 1) seen through what is left.
+    /// Returns the pixel with the background (0, 0, 1) added behind the blended surfels
+    /// (M5).
     Pixel finish() const {
         Pixel result = pixel_;
-        result.drop_logit = drop_sum_ + pixel_.transmittance;
+        result.drop_logit += pixel_.transmittance;
         return result;
     }
 
@@ -51,17 +48,33 @@ private:
     const Settings& settings_;
     const Ray& ray_;
     double transmittance_min_;
-    double drop_sum_ = 0.0;
     Pixel pixel_;
-    std::vector<std::pair<double, double>> blended_;  // w, t
 };
 
 }  // namespace
 
 double inner_product(const PixelGradient& g, const Pixel& p) {
-    return g.depth * p.depth + g.weight * p.weight + g.intensity * p.intensity + g.hit_logit * p.hit_logit +
-           g.drop_logit * p.drop_logit + glm::dot(g.normal, p.normal) + g.distortion * p.distortion +
-           g.likelihood * p.likelihood;
+    double sum = 0.0;
+#define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += g.name * p.name;
+    RELIDAR_BLENDED_VALUES(RELIDAR_ADD)
+#undef RELIDAR_ADD
+    return sum;
+}
+
+BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHit& s) {
+    return {.depth = s.t,
+            .weight = 1.0,
+            .intensity = s.value[0],
+            .hit_logit = s.value[1],
+            .drop_logit = s.value[2],
+            .likelihood = range_kernel(settings, ray, s.t).value};
+}
+
+BlendedValues slopes_of(const Settings& settings, const Ray& ray, const ShadedHit& s) {
+    BlendedValues slopes;
+    slopes.depth = 1.0;
+    slopes.likelihood = range_kernel(settings, ray, s.t).slope;
+    return slopes;
 }
 
 RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t) {

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward half of the oracle. M7 turns dL/d(pixel) into dL/d(alpha), dL/d(t) and
-// dL/d(channels) of each blended hit; M8 carries these through the ray-plane intersection
-// to the surfel's parameters, the ray, the view origin and the instance's pose.
+// Implements the backward pass of the reference. M7 converts dL/d(pixel) to dL/d(alpha),
+// dL/d(t) and dL/d(channels) of each blended hit. M8 propagates these through the
+// ray-plane intersection to the surfel's parameters, the ray, the view origin and the
+// instance's pose.
 #include "render.hpp"
 
 namespace relidar::reference {
 namespace {
 
-/// Upstream of one hit.
+/// Derivatives of the loss with respect to one hit.
 struct HitGradient {
     double alpha = 0.0;
-    double t = 0.0;  // direct part g_D w; what flows through u, v is added with the geometry
+    double t = 0.0;  // direct part; what flows through u, v is added with the geometry
     glm::dvec3 value{0.0};
-    glm::dvec3 normal{0.0};  // world
 };
 
 /// Gradients of a hit's geometry in the model's frame.
@@ -20,70 +20,30 @@ struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// Distortion, blended normal and likelihood (M10-M12), pair by pair the first: dL/dw_i
-/// is what a unit of weight is worth, and alpha_i makes w_i from T_i while it takes the
-/// same share of every weight behind.
-void add_geometry(const std::vector<ShadedHit>& hits, const std::vector<RangeKernel>& kernels,
-                  const PixelGradient& g, std::vector<HitGradient>& result) {
-    std::vector<double> transmittance, w, d_w(hits.size(), 0.0);
-    for (const ShadedHit& s : hits) {
-        transmittance.push_back(w.empty() ? 1.0 : transmittance.back() * (1.0 - hits[w.size() - 1].alpha));
-        w.push_back(s.alpha * transmittance.back());
-    }
-    for (std::size_t i = 0; i < hits.size(); ++i) {
-        d_w[i] += glm::dot(g.normal, hits[i].normal) + g.likelihood * kernels[i].value;
-        result[i].t += g.likelihood * w[i] * kernels[i].slope;
-        for (std::size_t j = 0; j < hits.size(); ++j) {
-            d_w[i] += g.distortion * w[j] * std::abs(hits[i].t - hits[j].t);
-            result[i].t += g.distortion * w[i] * w[j] *
-                           (hits[i].t > hits[j].t   ? 1.0
-                            : hits[i].t < hits[j].t ? -1.0
-                                                    : 0.0);
-        }
-    }
-    for (std::size_t i = 0; i < hits.size(); ++i) {
-        result[i].alpha += transmittance[i] * d_w[i];
-        for (std::size_t k = i + 1; k < hits.size(); ++k)
-            result[i].alpha -= w[k] * d_w[k] / (1.0 - hits[i].alpha);
-    }
-}
-
 /// M7, front to back: needs the final pixel, the running sums and T before each hit.
-std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits,
-                                       const std::vector<RangeKernel>& kernels, const Pixel& pixel,
-                                       const PixelGradient& g) {
+std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Settings& settings,
+                                       const Ray& ray, const Pixel& pixel, const PixelGradient& g) {
     std::vector<HitGradient> result(hits.size());
     double transmittance = 1.0;
-    Pixel sum;  // C_{<=i}: without any background
-    sum.drop_logit = 0.0;
+    BlendedValues sum;  // C_{<=i}: without any background
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
         const double w = s.alpha * transmittance;
-        sum.depth += w * s.t;
-        sum.weight += w;
-        sum.intensity += w * s.value[0];
-        sum.hit_logit += w * s.value[1];
-        sum.drop_logit += w * s.value[2];
-        const auto slope = [&](double c, double total, double so_far) {
-            return transmittance * c - (total - so_far) / (1.0 - s.alpha);
-        };
-        result[i].alpha = g.depth * slope(s.t, pixel.depth, sum.depth) +
-                          g.weight * slope(1.0, pixel.weight, sum.weight) +
-                          g.intensity * slope(s.value[0], pixel.intensity, sum.intensity) +
-                          g.hit_logit * slope(s.value[1], pixel.hit_logit, sum.hit_logit) +
-                          g.drop_logit * slope(s.value[2], pixel.drop_logit, sum.drop_logit);
-        result[i].normal = g.normal * w;
-        result[i].t = g.depth * w;
+        const BlendedValues c = values_of(settings, ray, s), by_t = slopes_of(settings, ray, s);
+#define RELIDAR_VALUE(name, built, value, input, slope, meaning)                                      \
+    sum.name += w * c.name;                                                                           \
+    result[i].alpha += g.name * (transmittance * c.name - (pixel.name - sum.name) / (1.0 - s.alpha)); \
+    result[i].t += g.name * w * by_t.name;
+        RELIDAR_BLENDED_VALUES(RELIDAR_VALUE)
+#undef RELIDAR_VALUE
+        if (s.alpha_clamped) result[i].alpha = 0.0;
         result[i].value = w * glm::dvec3(s.intensity_clamped ? 0.0 : g.intensity, g.hit_logit, g.drop_logit);
         transmittance *= 1.0 - s.alpha;
     }
-    add_geometry(hits, kernels, g, result);
-    for (std::size_t i = 0; i < hits.size(); ++i)
-        if (hits[i].alpha_clamped) result[i].alpha = 0.0;
     return result;
 }
 
-/// Channels: to the SH coefficients and to the direction they are evaluated in.
+/// Propagates the channel gradients to the SH coefficients and to the direction.
 void value_backward(const Surfel& surfel, const Settings& settings, const LocalRay<double>& ray,
                     const glm::dvec3& view, const glm::dvec3& d_value, Surfel& d_surfel,
                     LocalGradient& d_local) {
@@ -109,8 +69,8 @@ void value_backward(const Surfel& surfel, const Settings& settings, const LocalR
     }
 }
 
-/// Opacity and geometry of a 3D Gaussian (M9) by its precision matrix M = R diag(1 / s^2)
-/// R^T: with q = mean - origin
+/// Propagates gradients to opacity and geometry of a 3D Gaussian (M9). Uses its precision
+/// matrix M = R diag(1 / s^2) R^T and q = mean - origin:
 ///   t = d.Mq / d.Md,  p = t d - q,  alpha = sigma exp(-p.Mp / 2),  d.Mp = 0
 void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
                        const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
@@ -139,33 +99,31 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
 
 /// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q
 /// with q = mean - origin, t = n.q / n.d.
-/// @param d_normal  dL/d(normal), model frame, beside what flows through t
 void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
-                       const HitGradient& g, const glm::dvec3& d_normal, Surfel& d_surfel,
-                       LocalGradient& d_local) {
+                       const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);
     d_surfel.opacity_logit += g.alpha * s.gauss * a.opacity * (1.0 - a.opacity);
     const double d_u = -g.alpha * a.opacity * s.gauss * s.u;
     const double d_v = -g.alpha * a.opacity * s.gauss * s.v;
-    d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);  // u falls as 1 / s_u
+    d_surfel.log_scale += glm::dvec2(-s.u * d_u, -s.v * d_v);  // u is proportional to 1 / s_u
 
     const glm::dvec3 normal = a.rotation[2];
     const double facing = glm::dot(normal, ray.direction);
     const glm::dvec3 p = s.t * ray.direction - (a.mean - ray.origin);
     const glm::dvec3 d_p = a.rotation[0] * (d_u / a.scale.x) + a.rotation[1] * (d_v / a.scale.y);
-    const double d_t = g.t + glm::dot(ray.direction, d_p);  // p moves by d
+    const double d_t = g.t + glm::dot(ray.direction, d_p);  // dp/dt = d
     const glm::dvec3 d_q = normal * (d_t / facing) - d_p;   // dt/dmean = n / (n.d)
     d_surfel.mean += d_q;
     d_local.origin -= d_q;
     d_local.direction += s.t * d_p - normal * (d_t * s.t / facing);
     // dt/dn = (mean - hit) / (n.d)
-    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), d_normal - p * (d_t / facing));
+    const glm::dmat3 d_rotation(p * (d_u / a.scale.x), p * (d_v / a.scale.y), -p * (d_t / facing));
     d_surfel.rotation += rotation_matrix_vjp(surfel.rotation, d_rotation);
 }
 
-/// From the model's frame to the world: x_m = R^T (x_w - translation), and R -> exp([w]x)
-/// R turns x_m by -R^T (w cross ...). A model that moves is changed in its own axes,
-/// alike for all rays: PoseGradient says how.
+/// Transforms gradients from the model's frame to the world: x_m = R^T (x_w -
+/// translation), and R -> exp([w]x) R turns x_m by -R^T (w cross ...). PoseGradient
+/// describes the convention for models that move.
 void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& view_origin,
                    const LocalGradient& d_local, PoseGradient& d_pose, RayGradient& d_ray,
                    glm::dvec3& d_view) {
@@ -185,7 +143,8 @@ void pose_backward(const Placement& placed, const Ray& ray, const glm::dvec3& vi
 
 Gradients::Gradients(const World& world) : surfels(world.surfels.size()), instances(world.instances.size()) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
-        surfels[i].rotation = glm::dvec4(0.0);  // Surfel's default is the identity rotation
+        // the default rotation of Surfel is the identity, not zero
+        surfels[i].rotation = glm::dvec4(0.0);
         if (world.surfels[i].log_scale_w) surfels[i].log_scale_w = 0.0;
     }
 }
@@ -194,9 +153,7 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
                      const Ray& ray, int chunk, const PixelGradient& d_pixel, Gradients& gradients) {
     std::vector<ShadedHit> hits;
     const Pixel pixel = render(world, provider, settings, ray, chunk, &hits);
-    std::vector<RangeKernel> kernels;
-    for (const ShadedHit& s : hits) kernels.push_back(range_kernel(settings, ray, s.t));
-    const std::vector<HitGradient> d_hits = hit_gradients(hits, kernels, pixel, d_pixel);
+    const std::vector<HitGradient> d_hits = hit_gradients(hits, settings, ray, pixel, d_pixel);
     RayGradient d_ray;
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
@@ -211,15 +168,8 @@ RayGradient backward(const World& world, const HitProvider& provider, const Sett
         glm::dvec3 d_value = d_hits[i].value;
         if (settings.image.single_drop_logit) d_value[1] = 0.0;
         value_backward(surfel, settings, local, view, d_value, d_surfel, d_local);
-        if (surfel.log_scale_w) {
-            gaussian_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
-        } else {
-            const glm::dvec3 d_normal =
-                s.side * (glm::transpose(glm::mat3_cast(pose.rotation)) * d_hits[i].normal);
-            geometry_backward(surfel, local, s, d_hits[i], d_normal, d_surfel, d_local);
-            gradients.instances[s.hit.instance].rotation +=  // n turns with the model
-                placed.unturned(ray.time_s) * glm::cross(s.normal, d_hits[i].normal);
-        }
+        if (surfel.log_scale_w) gaussian_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
+        else geometry_backward(surfel, local, s, d_hits[i], d_surfel, d_local);
         pose_backward(placed, ray, settings.view_origin, d_local, gradients.instances[s.hit.instance], d_ray,
                       gradients.view_origin);
     }

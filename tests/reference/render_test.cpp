@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image formation and its gradient against closed forms: one surfel head-on, two surfels
-// at equal depth, the background counted once (the note to M7), clamps without gradient,
-// the stop rule, the median range, chunked against all at once.
+// Tests image formation and its gradient against closed forms: one surfel head-on, two
+// surfels at equal depth, a background that counts once (see the note to M7), clamps
+// without gradient, the stop rule, the median range, and chunks against a single list.
 #include <gtest/gtest.h>
 
 #include "../support/random_scene.hpp"
@@ -13,7 +13,7 @@ namespace {
 
 constexpr double kC0 = 0.28209479177387814;
 
-/// Facing the sensor at (x, 0, 0) with constant channel values.
+/// Returns a surfel at (x, 0, 0) that faces the sensor, with constant channel values.
 Surfel facing_surfel(double x, double opacity, const glm::dvec3& value) {
     Surfel s;
     s.mean = {x, 0, 0};
@@ -71,10 +71,10 @@ TEST(ReferenceRender, LikelihoodOfTheMeasuredRange) {
     Case c{world_of({facing_surfel(5, 0.8, glm::dvec3(1)), facing_surfel(7, 0.5, glm::dvec3(1))})};
     EXPECT_EQ(c.image().likelihood, 0.0) << "nothing was measured";
     c.settings.likelihood_scale_m = 1.0;
-    c.ray.measured_m = 7.0;  // the first surfel, 2 m before, counts a fifth
+    c.ray.measured_m = 7.0;  // the first surfel, 2 m in front, has the weight 1 / 5
     EXPECT_NEAR(c.image().likelihood, 0.8 / 5.0 + 0.2 * 0.5, 1e-12);
     c.settings.likelihood_scale_m = 0.8;
-    c.ray.measured_m = 5.0;  // the second, 2 m behind, 1 / (1 + 6.25)
+    c.ray.measured_m = 5.0;  // the second surfel, 2 m behind, has the weight 1 / (1 + 6.25)
     EXPECT_NEAR(c.image().likelihood, 0.8 + 0.2 * 0.5 / 7.25, 1e-12);
 }
 
@@ -91,7 +91,7 @@ TEST(ReferenceRender, EqualDepthIsOrderedByInstanceThenSurfel) {
     const auto ids = [&](const World& world) {
         blended.clear();
         const Case c{world};
-        // chunks of one: the key continues, not t
+        // with chunks of one hit, the search continues after the key and not after t
         render(c.world, c.provider(), c.settings, c.ray, 1, &blended);
         std::vector<std::pair<std::uint32_t, std::uint32_t>> result;
         for (const ShadedHit& s : blended) result.emplace_back(s.hit.instance, s.hit.surfel);
@@ -111,7 +111,7 @@ TEST(ReferenceRender, StopsBeforeTheSurfelThatGoesUnderTheMinimum) {
     Case c{world_of(surfels)};
     c.settings.image.transmittance_min = 0.5e-3f;
     const Pixel p = c.image();
-    EXPECT_EQ(p.hits, 3u);  // the fourth would bring 1e-3 to 1e-4
+    EXPECT_EQ(p.hits, 3u);  // the fourth surfel would reduce T from 1e-3 to 1e-4
     EXPECT_NEAR(p.transmittance, 1e-3, 1e-12);
     for (const int chunk : {1, 2, 3, 4}) EXPECT_EQ(c.image(chunk).hits, 3u);
 }
@@ -145,12 +145,12 @@ TEST(ReferenceRender, ChunkedEqualsAllAtOnce) {
 TEST(ReferenceRender, ShDirectionInTheModelsFrame) {
     Surfel s = facing_surfel(0, 0.8, glm::dvec3(0.5));
     s.sh[kShCoefficients + 3] = 1.0;  // hit logit: -C1 x
-    // the model's x axis is the world's y
+    // the model's x axis is the world's y axis
     const Pose turned{glm::angleAxis(kPi / 2, glm::dvec3(0, 0, 1)), {0, 5, 0}};
     Case c{{{s}, {{0, 1, turned}}}, {}, {{0, 0, 0}, {0, 1, 0}}};
     EXPECT_NEAR(c.image().hit_logit, 0.8 * (0.5 - 0.4886025119029199), 1e-12);
     c.settings.image.sh_direction = ShDirection::surfel;
-    c.settings.view_origin = {5, 5, 0};  // the mean is seen along the world's -x = the model's y
+    c.settings.view_origin = {5, 5, 0};  // the mean is seen along the world's -x, which is the model's y
     EXPECT_NEAR(c.image().hit_logit, 0.8 * 0.5, 1e-12);
 }
 
@@ -160,7 +160,7 @@ TEST(ReferenceBackward, OneSurfelClosedForm) {
     const double gauss = std::exp(-0.125), alpha = 0.8 * gauss;
     const Gradients depth = c.gradient({1, 0, 0, 0, 0});
     EXPECT_NEAR(depth.surfels[0].mean.x, alpha, 1e-12);  // dt/dmean = n / (n.d)
-    // u falls as the mean approaches the ray
+    // u decreases as the mean approaches the ray
     EXPECT_NEAR(depth.surfels[0].mean.y, 5.0 * alpha * 0.5 / 0.5, 1e-12);
     EXPECT_NEAR(depth.surfels[0].opacity_logit, 5.0 * gauss * 0.8 * 0.2, 1e-12);
     EXPECT_NEAR(depth.surfels[0].log_scale.x, 5.0 * alpha * 0.25, 1e-12);  // u^2 alpha
@@ -172,12 +172,12 @@ TEST(ReferenceBackward, OneSurfelClosedForm) {
 }
 
 TEST(ReferenceBackward, BackgroundIsCountedOnce) {
-    // drop = alpha c + (1 - alpha) * 1, so d drop / d alpha = c - 1. Counted twice it
-    // would be c - 2.
+    // drop = alpha c + (1 - alpha) * 1, so d drop / d alpha = c - 1. If the background
+    // were counted twice, the derivative would be c - 2.
     const Case one{world_of({facing_surfel(5, 0.8, {0.3, 2.0, 3.0})})};
     EXPECT_NEAR(one.gradient({0, 0, 0, 0, 1}).surfels[0].opacity_logit, (3.0 - 1.0) * 0.8 * 0.2, 1e-12);
-    // Two: drop = a c + (1 - a) b e + (1 - a)(1 - b): d/da = c - b e - (1 - b), d/db = (1
-    // - a)(e - 1).
+    // Two surfels: drop = a c + (1 - a) b e + (1 - a)(1 - b), so d/da = c - b e - (1 - b)
+    // and d/db = (1 - a)(e - 1).
     const Case two{
         world_of({facing_surfel(5, 0.8, {0.3, 2.0, 3.0}), facing_surfel(6, 0.6, {0.3, 2.0, -2.0})})};
     const Gradients d = two.gradient({0, 0, 0, 0, 1});

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity of the oracle: against scipy's separable correlation, against
-// central differences, and in cases known by hand.
+// Tests the reference's structural similarity against scipy's separable correlation,
+// central differences, and cases computed by hand.
 #include <gtest/gtest.h>
 
 #include <random>
@@ -22,8 +22,9 @@ Image waves(bool circular) {
     return image;
 }
 
-/// 1 - S averaged where known, with scipy.ndimage.correlate1d over columns ("wrap" or
-/// "constant") and rows ("constant"), moments divided by the same filter of the mask.
+/// Expected values: mean of 1 - S over known pixels with scipy.ndimage.correlate1d over
+/// columns ("wrap" or "constant") and rows ("constant"). The moments are divided by the
+/// same filter of the mask.
 TEST(ReferenceSsim, AgreesWithScipy) {
     EXPECT_NEAR(ssim_loss(waves(true)), 0.0632199605965267, 1e-12);
     EXPECT_NEAR(ssim_loss(waves(false)), 0.06353378196252815, 1e-12);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The oracle's surfel: activations, spherical harmonics with their gradients, records and
-// the canonical intersection (docs/method.md section 2, M1 and M2). Plain formulas; speed
-// does not matter here.
+// Implements the reference's surfel: activations, spherical harmonics with gradients,
+// records, and the canonical intersection (docs/method.md section 2, M1 and M2). The
+// formulas are kept simple, because speed does not matter here.
 #include "surfel.hpp"
 
 #include <glm/gtc/quaternion.hpp>
@@ -9,8 +9,8 @@
 namespace relidar::reference {
 namespace {
 
-// Normalisation of the real spherical harmonics, from their definition (3D Gaussian
-// splatting prints the decimals).
+// Normalisation constants of the real spherical harmonics, from their definition. The 3D
+// Gaussian Splatting code contains them as decimal numbers.
 const double kC0 = std::sqrt(1.0 / (4.0 * kPi));
 const double kC1 = std::sqrt(3.0 / (4.0 * kPi));
 const double kC2xy = std::sqrt(15.0 / (4.0 * kPi));   // m = +-1 and -2
@@ -159,7 +159,7 @@ Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s) 
 
 namespace {
 
-/// Rotation by the angle 2 atan |g| about g: p + 2 / (1 + g.g) (g x p + g x (g x p)).
+/// Rotates p by the angle 2 atan |g| about g: p + 2 / (1 + g.g) (g x p + g x (g x p)).
 glm::vec3 turned(const glm::vec3& g, const glm::vec3& p) {
     const glm::vec3 q = glm::cross(g, p), r = glm::cross(g, q);
     return p + 2.0f / (1.0f + glm::dot(g, g)) * (q + r);
@@ -182,7 +182,7 @@ LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, cons
 }
 
 FloatRows model_from_world_rows(const Pose& world_from_model) {
-    // its columns are the rows of the inverse
+    // the columns of this matrix are the rows of its inverse
     const glm::dmat3 world_rotation = glm::mat3_cast(world_from_model.rotation);
     FloatRows rows{};
     for (int i = 0; i < 3; ++i) {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// One surfel in double precision, written from docs/method.md alone: activations (section
-// 2), the real spherical harmonics of degree 3, the ray-surfel intersection (M1) and its
-// opacity (M2) or the same of a 3D Gaussian (M9). Part of the oracle: nothing here may
-// include shaders/ or src/. `float_hit` is the same formula in single precision, the form
-// a shader uses, so that hit ids of any traversal can be compared exactly.
+// Implements one surfel in double precision from docs/method.md: activations (section 2),
+// real spherical harmonics of degree 3, the ray-surfel intersection (M1) and its opacity
+// (M2), or those of a 3D Gaussian (M9). As a part of the reference, it must not include
+// shaders/ or src/. `float_hit` is the same formula in single precision, in the form of
+// the shader, so that hit ids of any traversal can be compared exactly.
 #pragma once
 
 #include <algorithm>
@@ -18,14 +18,14 @@
 
 namespace relidar::reference {
 
-/// Parameters of one surfel, model frame; the same 58 numbers as one row of
-/// relidar::Surfels. Also holds their gradient.
+/// Parameters of one surfel in the model's frame: the same 58 numbers as one row of
+/// relidar::Surfels. Also used for their gradient.
 struct Surfel {
     glm::dvec3 mean{0.0};  ///< metres
-    /// quaternion, components in the order w, x, y, z, unnormalised
+    /// quaternion w, x, y, z, unnormalised
     glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};
     glm::dvec2 log_scale{0.0};          ///< ln metres
-    std::optional<double> log_scale_w;  ///< ln metres along the normal: there for a 3D Gaussian
+    std::optional<double> log_scale_w;  ///< ln metres along the normal; only for a 3D Gaussian
     double opacity_logit = 0.0;
     double gait_phase = 0.0;  ///< turns
     double gait_sharpness = 0.0;
@@ -33,8 +33,8 @@ struct Surfel {
     std::array<double, kShFloats> sh{};  ///< [3,16] channel-major: intensity, hit logit, drop logit
 };
 
-/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) metres, sigma, s_w
-/// where there is one.
+/// Activated values: mean, R (columns a_u, a_v, normal), (s_u, s_v) in metres, sigma, and
+/// s_w for a 3D Gaussian.
 struct Activated {
     glm::dvec3 mean;
     glm::dmat3 rotation;
@@ -44,63 +44,65 @@ struct Activated {
 };
 Activated activate(const Surfel& surfel);
 
-/// R of the normalised quaternion (w, x, y, z). Non-finite for a zero quaternion.
+/// Returns R of the normalised quaternion (w, x, y, z). The result is not finite for a
+/// zero quaternion.
 glm::dmat3 rotation_matrix(const glm::dvec4& quaternion);
-/// dL/d(quaternion) from dL/dR (same layout as R: [column][row]); always at right angles
-/// to the quaternion.
+/// Returns dL/d(quaternion) from dL/dR (same layout as R: [column][row]). The result is
+/// perpendicular to the quaternion.
 glm::dvec4 rotation_matrix_vjp(const glm::dvec4& quaternion, const glm::dmat3& d_rotation);
 
-/// Real SH basis of 3D Gaussian splatting: order l, m = -l..l, with the Condon-Shortley
-/// sign (-1)^m, as homogeneous polynomials of the direction (not renormalised). Entries
-/// above `degree` are 0.
+/// Returns the real SH basis of 3D Gaussian Splatting: order l, m = -l..l, with the
+/// Condon-Shortley sign (-1)^m. The values are homogeneous polynomials of the direction,
+/// which is not renormalised. Entries above `degree` are 0.
 std::array<double, kShCoefficients> sh_basis(const glm::dvec3& direction, int degree);
-/// d basis / d direction of the same polynomials.
+/// Returns d basis / d direction of the same polynomials.
 std::array<glm::dvec3, kShCoefficients> sh_basis_gradient(const glm::dvec3& direction, int degree);
 
-/// The three channels 0.5 + basis . coefficients, before the intensity is clamped.
+/// Returns the three channels 0.5 + basis . coefficients, before the intensity is
+/// clamped.
 glm::dvec3 sh_values(const Surfel& surfel, const glm::dvec3& direction, int degree);
 
-/// What an intersection needs, in the model's own frame: 13 numbers a surfel.
+/// Data for an intersection in the model's frame: 13 numbers per surfel.
 template <typename Real>
 struct Record {
     glm::vec<3, Real> mean;
     Real sigma;
     glm::vec<3, Real> axis_u;  ///< a_u / s_u
     glm::vec<3, Real> axis_v;  ///< a_v / s_v
-    glm::vec<3, Real> normal;  ///< of a 3D Gaussian a_w / s_w
+    glm::vec<3, Real> normal;  ///< a_w / s_w for a 3D Gaussian
     Primitive primitive = Primitive::surfel;
 };
 using FloatRecord = Record<float>;
 using DoubleRecord = Record<double>;
 
-/// Computed in double; the float record is rounded at the end.
+/// Computes a record in double. The float record is rounded from it.
 DoubleRecord make_record(const Surfel& surfel);
-/// The surfel at a phase of its gait (M10): where its mean has moved to, and with the
-/// opacity it is left with.
+/// Returns the surfel at a phase of its gait (M14), with the moved mean and the reduced
+/// opacity.
 Surfel at_phase(const Surfel& surfel, double turns);
 FloatRecord make_float_record(const Surfel& surfel);
 
-/// A ray in a model's frame. The direction keeps the length it has in the world, so t is
-/// the same in both.
+/// Ray in a model's frame. The direction keeps its length from the world, so t is the
+/// same in both frames.
 template <typename Real>
 struct LocalRay {
     glm::vec<3, Real> origin;
     glm::vec<3, Real> direction;
 };
 
-/// A ray in world coordinates. The oracle treats the direction as a free vector and never
-/// renormalises it.
+/// Ray in the world. The direction is a free vector that is never renormalised.
 struct Ray {
     glm::dvec3 origin{0.0};
     glm::dvec3 direction{1.0, 0.0, 0.0};
-    double measured_m = 0.0;  ///< range that it measured; 0 = none
-    double time_s = 0.0;      ///< when it is fired, from the sweep's reference time
+    double measured_m = 0.0;  ///< measured range; 0 = none
+    double time_s = 0.0;      ///< firing time, relative to the reference time of the sweep
 };
 LocalRay<double> to_model(const Pose& world_from_model, const Ray& ray);
 
-/// A model placed for a sweep: at t it is at world_from_model, moved by `velocity` and
-/// turned by `turn_rate` (rotation vector in the world's axes, about its own origin) for
-/// clamp(t - middle_s, -half_span_s, half_span_s) seconds.
+/// Motion of a model during a sweep. At time t, the model is at world_from_model, moved
+/// by `velocity` and turned by `turn_rate` for clamp(t - middle_s, -half_span_s,
+/// half_span_s) seconds. The turn is a rotation vector in the world's axes about the
+/// model's origin.
 struct Motion {
     glm::dvec3 velocity{0.0};   ///< m/s, world
     glm::dvec3 turn_rate{0.0};  ///< rad/s
@@ -112,10 +114,9 @@ struct Motion {
         return !(half_span_s > 0.0) || (velocity == glm::dvec3(0.0) && turn_rate == glm::dvec3(0.0));
     }
 };
-/// Where such a model is at a time.
+/// Returns the pose of a moving model at a time.
 Pose pose_at(const Pose& world_from_model, const Motion& motion, double time_s);
-/// A ray in a model's frame with a motion in the axes of that frame, in float as a kernel
-/// moves it.
+/// Applies the motion of a model to a ray in the model's frame, in float like a kernel.
 LocalRay<float> follow(LocalRay<float> local, const Pose& world_from_model, const Motion& motion,
                        double time_s);
 
@@ -130,12 +131,14 @@ LocalRay<float> to_model(const FloatRows& model_from_world, const glm::vec3& ori
 template <typename Real>
 struct PlaneHit {
     Real t;
-    Real u, v, w;  ///< standard deviations from the mean along a_u, a_v, and for a 3D Gaussian a_w
-    Real alpha;    ///< sigma * G, not yet clamped to alpha_max
+    /// distance from the mean along a_u, a_v, and a_w for a 3D Gaussian, in standard
+    /// deviations
+    Real u, v, w;
+    Real alpha;  ///< sigma * G, before the clamp to alpha_max
 };
 
-/// M1 and M2: the ray and the surfel's plane. @return t not finite where they are
-/// parallel
+/// Intersects a ray with the plane of a surfel (M1, M2).
+/// @return t is not finite if the ray is parallel to the plane
 template <typename Real>
 PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
     const glm::vec<3, Real> to_mean = s.mean - ray.origin;
@@ -146,7 +149,8 @@ PlaneHit<Real> meet_surfel(const Record<Real>& s, const LocalRay<Real>& ray) {
     return {t, u, v, Real(0), s.sigma * std::exp(Real(-0.5) * (u * u + v * v))};
 }
 
-/// M9: the point of largest density, and what rounding leaves of the way to it.
+/// Returns the point of largest density along the ray (M9), with a correction for
+/// rounding errors.
 template <typename Real>
 PlaneHit<Real> meet_gaussian(const Record<Real>& s, const LocalRay<Real>& ray) {
     using Vector = glm::vec<3, Real>;
@@ -161,21 +165,23 @@ PlaneHit<Real> meet_gaussian(const Record<Real>& s, const LocalRay<Real>& ray) {
     return {t, r.x, r.y, r.z, s.sigma * std::exp(Real(-0.5) * glm::dot(r, r))};
 }
 
-/// Where and how strongly a ray meets a primitive, whatever the cuts.
+/// Returns position and strength of the intersection of a ray with a primitive, before
+/// any cuts.
 template <typename Real>
 PlaneHit<Real> meet(const Record<Real>& s, const LocalRay<Real>& ray) {
     return s.primitive == Primitive::gaussian ? meet_gaussian(s, ray) : meet_surfel(s, ray);
 }
 
-/// M1 and M2, or M9: where and how strongly a ray meets a surfel; nothing where it does
-/// not. The one formula of every provider: hit if t is finite (it is not along a surfel's
-/// plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, record finite, sigma > alpha_min
+/// Intersects a ray with a surfel (M1 and M2, or M9). Returns nothing if there is no hit.
+/// This is the only formula of all providers. It is a hit if t is finite (the ray is not
+/// parallel to the plane), t > near, sigma * exp(-r2 / 2) >= alpha_min, the record is
+/// finite, and sigma > alpha_min.
 template <typename Real>
 std::optional<PlaneHit<Real>> surfel_hit(const Record<Real>& s, const LocalRay<Real>& ray,
                                          const ImageModel& model) {
     const PlaneHit<Real> hit = meet(s, ray);
     if (!std::isfinite(hit.t) || !(hit.t > Real(model.near_m))) return std::nullopt;
-    if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;  // also where it is NaN
+    if (!(hit.alpha >= Real(model.alpha_min))) return std::nullopt;  // also true if alpha is NaN
     const auto finite = [](const glm::vec<3, Real>& x) {
         return std::isfinite(x.x) && std::isfinite(x.y) && std::isfinite(x.z);
     };

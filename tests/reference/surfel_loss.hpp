@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A term of a surfel's parameters themselves in double: leaving the box of an actor
-// (docs/method.md section 5).
+// Computes a loss term of the surfel parameters in double: the penalty for leaving the
+// box of an actor (docs/method.md section 5).
 #pragma once
 
 #include <array>
@@ -14,15 +14,15 @@ struct Box {
     double largest_scale_m = 0.0;
 };
 
-/// The parameters the terms look at, or their derivatives.
+/// Parameters that the loss term uses, or their derivatives.
 struct BoxedSurfel {
     std::array<double, 3> mean{};  ///< box frame, metres
     std::array<double, 2> log_scale{};
-    std::optional<double> log_scale_w{};  ///< of a 3D Gaussian
+    std::optional<double> log_scale_w{};  ///< third scale of a 3D Gaussian
 };
 
-/// sum_xyz max(0, |mean| / half - 1) + sum over scales max(0, scale / largest - 1); adds
-/// scale * derivative
+/// Returns sum_xyz max(0, |mean| / half - 1) + sum over scales max(0, scale / largest -
+/// 1). Adds scale * derivative to `d`.
 double box_loss(const BoxedSurfel& surfel, const Box& box, double scale, BoxedSurfel& d);
 
 }  // namespace relidar::reference

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parameter terms of the oracle against numbers by hand and central differences.
+// Tests the reference's parameter terms against values computed by hand and central
+// differences.
 #include <gtest/gtest.h>
 
 #include <random>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The oracle's pieces against closed forms: activations, the SH basis (published
-// constants, orthonormality, gradient), records, and the intersection (M1, M2) with its
-// refusals.
+// Tests the parts of the reference against closed forms: activations, SH basis (published
+// constants, orthonormality, gradient), records, and the intersection (M1, M2) with the
+// cases that it rejects.
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -13,12 +13,12 @@
 namespace relidar::reference {
 namespace {
 
-/// Facing the x axis at x = 5: a_u = y, a_v = z, normal = x. Standard deviations 0.5 and
-/// 0.25 m, opacity 0.8.
+/// Returns a surfel at x = 5 that faces the x axis: a_u = y, a_v = z, normal = x.
+/// Standard deviations 0.5 and 0.25 m, opacity 0.8.
 Surfel facing_surfel() {
     Surfel s;
     s.mean = {5, 0, 0};
-    s.rotation = {0.5, 0.5, 0.5, 0.5};  // turns x -> y -> z -> x
+    s.rotation = {0.5, 0.5, 0.5, 0.5};  // rotates x -> y -> z -> x
     s.log_scale = {std::log(0.5), std::log(0.25)};
     s.opacity_logit = std::log(4.0);
     return s;
@@ -77,7 +77,7 @@ TEST(ReferenceSh, ConstantsAreThoseOfGaussianSplatting) {
 }
 
 TEST(ReferenceSh, BasisIsOrthonormalOnTheSphere) {
-    const int n_theta = 256, n_phi = 16;  // midpoint rule: exact in phi, good to 3e-4 in cos(theta)
+    const int n_theta = 256, n_phi = 16;  // midpoint rule: exact in phi, accurate to 3e-4 in cos(theta)
     double gram[16][16] = {};
     for (int i = 0; i < n_theta; ++i)
         for (int j = 0; j < n_phi; ++j) {
@@ -124,7 +124,8 @@ TEST(ReferenceHit, HeadOnAndOffCentre) {
     EXPECT_NEAR(off->u, 1.0, 1e-14);
     EXPECT_NEAR(off->v, -2.0, 1e-14);
     EXPECT_NEAR(off->alpha, 0.8 * std::exp(-2.5), 1e-14);
-    const auto behind_the_back = double_hit(record, {{10, 0, 0}, {-1, 0, 0}}, {});  // two-sided
+    // surfels are two-sided
+    const auto behind_the_back = double_hit(record, {{10, 0, 0}, {-1, 0, 0}}, {});
     ASSERT_TRUE(behind_the_back);
     EXPECT_DOUBLE_EQ(behind_the_back->t, 5.0);
 }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract of docs/architecture.md section 6 in C++: "at most `chunk`
-// surfels strictly after a key, ascending by (t, instance, surfel), each at most once".
-// BruteForce tries every surfel; EmbreeFilter lets Embree propose candidates through the
-// proxies of M3. Both let the one canonical function of surfel.hpp decide, in float (ids
-// comparable with the GPU) or double.
+// Defines the traversal contract of docs/architecture.md section 6 in C++: "at most
+// `chunk` surfels strictly after a key, ascending by (t, instance, surfel), each at most
+// once". BruteForce tests every surfel. EmbreeFilter gets candidates from Embree through
+// the proxies of M3. Both use the canonical function of surfel.hpp, in float (ids
+// comparable with the GPU) or in double.
 #pragma once
 
 #include <cstdint>
@@ -22,26 +22,26 @@ struct Placement {
     std::uint32_t count = 0;
     Pose world_from_model;
     Motion motion = {};
-    /// of the model in its own frame, at every time: for differences; the float record
-    /// does not know it
+    /// Additional change of the model in its frame at all times, for finite differences.
+    /// The float record ignores it.
     Pose change = {};
 
-    /// when a ray is fired
+    /// Returns the pose at the firing time of a ray.
     Pose at(double time_s) const { return pose_at(world_from_model, motion, time_s) * change; }
-    /// Takes back how far it has turned then.
+    /// Returns the rotation that undoes the turn of the model at a time.
     glm::dquat unturned(double time_s) const {
         return world_from_model.rotation * glm::conjugate(pose_at(world_from_model, motion, time_s).rotation);
     }
 };
 
-/// All that can be hit. Surfel ids are indices into `surfels`, instance ids indices into
-/// `instances`.
+/// All objects that rays can hit. Surfel ids are indices into `surfels`, instance ids are
+/// indices into `instances`.
 struct World {
     std::vector<Surfel> surfels;
     std::vector<Placement> instances;
 };
 
-/// Position of a hit in the order of a ray.
+/// Sort key of a hit along a ray.
 struct HitKey {
     double t = -std::numeric_limits<double>::infinity();
     std::uint32_t instance = 0;
@@ -55,25 +55,25 @@ struct HitKey {
     }
 };
 
-/// One hit; t as the canonical function of the chosen precision gives it.
+/// A hit, with t from the canonical function in the chosen precision.
 using Hit = HitKey;
 
 class HitProvider {
 public:
     virtual ~HitProvider() = default;
-    /// Replaces `hits` by the at most `chunk` (>= 1) hits strictly after `after`, in
-    /// ascending order. Fewer than `chunk`: nothing remains.
+    /// Replaces `hits` by at most `chunk` (>= 1) hits strictly after `after`, in
+    /// ascending order. If there are fewer than `chunk`, no further hits exist.
     virtual void next_hits(const Ray& ray, const HitKey& after, int chunk, std::vector<Hit>& hits) const = 0;
 };
 
-/// All hits of a ray, fetched `chunk` at a time.
-/// @throws std::logic_error where the provider breaks the contract: too many, unsorted,
-/// or not after the key
+/// Returns all hits of a ray, fetched `chunk` at a time.
+/// @throws std::logic_error if the provider violates the contract: too many hits,
+/// unsorted, or not after the key
 std::vector<Hit> all_hits(const HitProvider& provider, const Ray& ray, int chunk);
 
 enum class Precision { float_record, double_record };
 
-/// Every surfel of every instance, one after the other.
+/// Tests every surfel of every instance.
 class BruteForce : public HitProvider {
 public:
     BruteForce(const World& world, const ImageModel& model, Precision precision);
@@ -97,9 +97,9 @@ struct ProxyMargin {
     double pad_m = 1e-4;
 };
 
-/// Embree over two triangles a surfel, one scene a model, one instance geometry a
-/// placement; float canonical. Surfels that are not finite or too transparent have no
-/// proxy. Half sizes are cut at 1e5 m.
+/// Finds hits with Embree: two triangles per surfel, one scene per model, one instance
+/// geometry per placement, and the canonical function in float. Surfels that are not
+/// finite or too transparent have no proxy. Half sizes are limited to 1e5 m.
 class EmbreeFilter : public HitProvider {
 public:
     EmbreeFilter(const World& world, const ImageModel& model, ProxyMargin margin = {});

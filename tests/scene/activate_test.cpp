@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene/activate and scene/activate_vjp alone, against the reference activations and
-// their differences, record lane by record lane, with harmonics read by each thread and
-// moved through shared memory, of actors that are rigid and that walk; kd order.
+// Tests scene/activate and scene/activate_vjp against the reference activations and their
+// differences, for each element of a record. Covers harmonics read by each thread or
+// through shared memory, rigid and walking actors, and the kd order.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -24,11 +24,11 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kOfBackground = 70;  // surfels: no whole workgroups
-constexpr double kPhase = 0.3;               // of the actor's gait, turns
+constexpr std::uint32_t kOfBackground = 70;  // number of surfels, not a multiple of the workgroup size
+constexpr double kPhase = 0.3;               // phase of the actor's gait, turns
 
-/// In both primitives, with the access to harmonics that suits a CPU and the one that
-/// suits a GPU; an actor that is rigid or walks.
+/// Runs each test for both primitives, for the harmonics access of a CPU and of a GPU,
+/// and for a rigid and a walking actor.
 class Activate : public test::DeviceTest,
                  public testing::WithParamInterface<std::tuple<Primitive, bool, bool>> {
 protected:
@@ -37,8 +37,8 @@ protected:
     ParameterSet parameters() const { return {primitive(), bends()}; }
     bool bends() const { return std::get<2>(GetParam()); }
 
-    /// More than two workgroups of 64; all have a gait where the actor walks, the
-    /// background's too, which has to rest.
+    /// Returns surfels for more than two workgroups of 64. If the actor walks, the
+    /// background surfels have a gait too, which must be ignored.
     std::vector<reference::Surfel> some_surfels() const {
         test::RandomSceneOptions options;
         options.seed = 8;
@@ -54,7 +54,7 @@ protected:
         }
         return surfels;
     }
-    /// A surfel as it is in the scene of on_device().
+    /// Returns a surfel in the state that it has in the scene of on_device().
     reference::Surfel in_scene(const reference::Surfel& s, std::size_t i) const {
         return bends() && i >= kOfBackground ? reference::at_phase(s, kPhase) : s;
     }
@@ -66,7 +66,7 @@ protected:
         model.sh_degree = sh_degree;
         return model;
     }
-    /// Two models, both placed at the origin.
+    /// Uploads two models, both placed at the origin.
     std::unique_ptr<DeviceScene> on_device(const Surfels& surfels) {
         Scene scene = make_background_scene(surfels);
         const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -75,7 +75,7 @@ protected:
         scene.instances.push_back({1, "actor"});
         auto on_device = std::make_unique<DeviceScene>(device(), scene, stages_harmonics());
         Stream stream(device());
-        // turns before do not count
+        // full turns of the phase must not matter
         on_device->place(stream, {{}, {.world_from_model = {}, .phase = kPhase + 3.0}});
         stream.finish();
         return on_device;
@@ -85,7 +85,8 @@ INSTANTIATE_TEST_SUITE_P(PrimitivesAndAccess, Activate,
                          testing::Combine(testing::Values(Primitive::surfel, Primitive::gaussian),
                                           testing::Bool(), testing::Bool()));
 
-/// The 16 floats of a record in double, as shaders/scene/shared/scene.h orders them.
+/// Returns the 16 floats of a record in double, in the order of
+/// shaders/scene/shared/scene.h.
 std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view_origin, int sh_degree) {
     const reference::DoubleRecord r = reference::make_record(s);
     const glm::dvec3 c = reference::sh_values(s, glm::normalize(s.mean - view_origin), sh_degree);
@@ -94,12 +95,12 @@ std::vector<double> record_of(const reference::Surfel& s, const glm::dvec3& view
             r.normal.x, r.normal.y,         r.normal.z, c.z};
 }
 
-/// How far a record may be off: Vulkan's limits of exp and division, the rounding of a
-/// rotation's elements, and 2e-6 of what is summed up.
+/// Returns the tolerance of each element of a record: Vulkan's error bounds of exp and
+/// division, the rounding of a rotation matrix, and 2e-6 of summed values.
 std::vector<double> record_tolerance(const reference::Surfel& s, const std::vector<double>& expected) {
-    // an element of the matrix: q / |q| by an inverse square root of 2 units and 6
-    // roundings, twice in each of two products, whose sum is at most 1; twice that and 1
-    // are added
+    // An element of the matrix uses q / |q|, an inverse square root of 2 units and 6
+    // roundings, twice in each of two products. The sum of the products is at most 1;
+    // twice the sum and 1 are added.
     constexpr double kElement =
         2.0 * 2.0 * (2.0 * test::kUnit + 6.0 * test::kRounding) + 4.0 * test::kRounding;
     const double log_scale[] = {s.log_scale.x, s.log_scale.y, s.log_scale_w.value_or(0.0)};
@@ -110,7 +111,7 @@ std::vector<double> record_tolerance(const reference::Surfel& s, const std::vect
             tolerance[k] = kElement * std::exp(-log_scale[axis]) +
                            std::abs(expected[k]) * (test::exp_error(log_scale[axis]) + test::kUnit);
     tolerance[3] = test::sigmoid_error(expected[3], s.opacity_logit) + test::kUnit;
-    // Vulkan's sine and cosine may be off by 2^-11 within half a turn
+    // Vulkan allows errors of 2^-11 in sine and cosine within half a turn.
     for (std::size_t k = 0; k < 3; ++k) tolerance[k] += std::abs(s.gait_swing[int(k)]) / 2048.0;
     tolerance[3] += s.gait_sharpness * s.gait_sharpness / 2048.0;
     return tolerance;
@@ -135,7 +136,8 @@ TEST_P(Activate, RecordsAgreeWithReference) {
     }
 }
 
-/// Kernels search the model of a surfel among ranges in order.
+/// Kernels find the model of a surfel by search, so the ranges of models must be
+/// consecutive.
 TEST_P(Activate, ModelsThatAreNoConsecutiveRangesAreRefused) {
     Scene scene = make_background_scene(test::to_surfels(some_surfels()));
     const auto n = static_cast<std::uint32_t>(scene.surfels.size());
@@ -152,7 +154,8 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
     Surfels surfels = test::to_surfels(some_surfels());
     surfels.sh[kShFloats * 5 + 17] = std::numeric_limits<float>::quiet_NaN();
     surfels.sh[kShFloats * 99 + 3] = std::numeric_limits<float>::infinity();
-    surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();  // not active
+    // this coefficient is above the active SH degree
+    surfels.sh[kShFloats * 7 + 47] = std::numeric_limits<float>::quiet_NaN();
     const std::unique_ptr<DeviceScene> placed = on_device(surfels);
     DeviceScene& scene = *placed;
     Stream stream(device());
@@ -163,7 +166,7 @@ TEST_P(Activate, HarmonicsThatAreNoNumbersMakeASurfelInvisible) {
         EXPECT_EQ(records[i].opacity == 0.0f, i == 5 || i == 99) << "surfel " << i;
 }
 
-/// Record gradients of all surfels but every third.
+/// Returns random record gradients, with zeros for every third surfel.
 std::vector<float> some_record_gradients(std::size_t n) {
     std::mt19937_64 random(3);
     std::normal_distribution<float> normal;
@@ -273,8 +276,8 @@ TEST_P(Activate, VjpLeavesUntouchedRowsWhereTheyAreNotWanted) {
     }
 }
 
-/// Marked are more surfels than have a gradient, in no order of workgroups; what is not
-/// marked is not even read.
+/// Compares the derivatives over a list of touched surfels with those over all surfels.
+/// More surfels are marked than have a gradient. Unmarked surfels must not be read.
 TEST_P(Activate, VjpOverAListIsThatOverAll) {
     const std::vector<reference::Surfel> surfels = some_surfels();
     const auto n = static_cast<std::uint32_t>(surfels.size());
@@ -301,7 +304,7 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
         return std::tuple(d_surfels.download(), touched.download(), d_view.download());
     };
     const auto [surfels_of_all, touched_of_all, view_of_all] = run(false);
-    if (placed->lists_touched())  // as if it were there: it must not be taken
+    if (placed->lists_touched())  // gradients of unmarked surfels, which must be ignored
         for (std::uint32_t i = 0; i < n; ++i)
             if (marks[i] == 0u) d_records[16 * i] = 1.0f;
     const auto [surfels_listed, touched_listed, view_listed] = run(true);
@@ -316,7 +319,8 @@ TEST_P(Activate, VjpOverAListIsThatOverAll) {
 
 class TouchedRows : public test::DeviceTest {};
 
-/// Every row with a gradient is in the list once, whatever the number of rows; none else.
+/// Checks that the list contains each row with a gradient exactly once and no other row,
+/// for several numbers of rows.
 TEST_F(TouchedRows, AreListed) {
     const Kernel<shared::ListTouchedParams> kernel(device(), "scene/list_touched");
     std::mt19937 random(3);

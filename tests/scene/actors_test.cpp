@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors (paper section 3.2, Eq. 4-5): points of a moving box in the frame of the box,
-// one model and instance each, placed where the box is at a time and absent outside its
-// labels; and rendered there, in the order of docs: a moved box costs no bottom level.
+// Tests actors (paper section 3.2, Eq. 4-5). Points of a moving box are expressed in the
+// frame of the box. Each box gets one model and one instance, which is placed by the
+// box's pose and absent outside of its labels. Also renders actors, and checks that
+// moving a box needs no new bottom-level structure.
 #include <algorithm>
 #include <cmath>
 

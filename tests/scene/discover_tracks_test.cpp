@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tracks of what moves without a label, against a synthetic street whose cars are known
-// but not told.
+// Tests the discovery of moving objects without labels. The cars of a synthetic street
+// are the ground truth; their labels are removed from the log.
 #include <algorithm>
 
 #include <gtest/gtest.h>
@@ -13,8 +13,8 @@ namespace relidar {
 namespace {
 
 struct Street {
-    Sequence log;                 ///< without its boxes
-    std::vector<BoxTrack> truth;  ///< those that move
+    Sequence log;                 ///< log without boxes
+    std::vector<BoxTrack> truth;  ///< true boxes that move
     Split split;
 };
 
@@ -28,7 +28,8 @@ Street street_without_labels() {
     return street;
 }
 
-/// The discovered track that is inside a box half-way through what both saw.
+/// Returns the discovered track that lies inside a true box in the middle of their common
+/// time.
 const BoxTrack* found_in(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
     for (const BoxTrack& track : found) {
         const double from =
@@ -51,7 +52,8 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
-        // A rigid body: the true box stands still in the frame of the discovered one.
+        // A rigid body: the true box must have a constant position in the frame of the
+        // discovered box.
         std::vector<glm::dvec3> place;
         for (std::size_t i = 0; i < track->world_from_box.time_s.size(); ++i) {
             const double t_s = track->world_from_box.time_s[i];
@@ -73,8 +75,8 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     }
 }
 
-/// Keeps the labels of a box in some frames. @return the times at which it has none any
-/// more
+/// Keeps the labels of a box in some frames only.
+/// @return times of the removed labels
 std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, std::size_t first,
                                std::size_t end) {
     const BoxTrack whole = box;
@@ -92,13 +94,14 @@ std::vector<double> cut_labels(BoxTrack& box, const std::vector<Frame>& frames, 
     return cut_s;
 }
 
-/// Labels of a camera's view end where the thing leaves it, and begin where it comes into
-/// it.
+/// Camera labels begin and end at the border of the image. The discovery must continue a
+/// labelled box before and after its labels.
 TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     for (const auto& [first, end] : {std::pair<std::size_t, std::size_t>{0, 10}, {14, 24}, {8, 16}}) {
         Street street = street_without_labels();
         street.log.boxes = street.truth;
-        const BoxTrack& truth = street.truth[1];  // oncoming: the car ahead is hidden behind itself
+        // the oncoming car, because only the rear of the other car is visible
+        const BoxTrack& truth = street.truth[1];
         const std::vector<double> cut_s = cut_labels(street.log.boxes[1], street.log.frames, first, end);
         const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
         ASSERT_EQ(found.size(), 1u) << "no second actor; labels " << first << " to " << end;
@@ -123,7 +126,7 @@ TEST(DiscoverTracks, ContinuesALabelledBoxBesideItsLabels) {
     }
 }
 
-/// Between two of its parts nothing was seen of it for 0.8 s.
+/// An object that is not visible for 0.8 s must become one track.
 TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     Street street = street_without_labels();
     const BoxTrack& truth = street.truth[0];
@@ -143,7 +146,7 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
 }
 
-/// Of the car ahead the rear alone is seen.
+/// Only the rear of the car ahead is visible. Its length must be guessed from its kind.
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = street_without_labels();
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
@@ -161,7 +164,7 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     }
 }
 
-/// Beside a LiDAR that sees little, and beside one that sees the same.
+/// Uses a second LiDAR that sees little, and one that sees the same.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
     for (const bool first_sees_all : {false, true}) {
         Street street = street_without_labels();
@@ -192,8 +195,8 @@ TEST(DiscoverTracks, LeavesLabelledAndRestingThingsAlone) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
-/// Labels of a drive end where the camera's view does: what stood then stands before and
-/// after.
+/// Objects that stand still while they are labelled must not be discovered as moving,
+/// although their labels end early.
 TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     Street street = street_without_labels();
     BoxTrack still{
@@ -206,7 +209,8 @@ TEST(DiscoverTracks, NothingMovesThatAStillLabelCovers) {
     EXPECT_TRUE(discover_tracks(street.log, street.split.train).empty());
 }
 
-/// A roof rack: returns that every scan has at the same place of its own.
+/// Simulates a roof rack: returns at the same position relative to the sensor in every
+/// scan.
 TEST(DiscoverTracks, LeavesItsOwnVehicleAlone) {
     Street street = street_without_labels();
     for (Frame& frame : street.log.frames)

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that walk (docs/method.md M10): how far they have come, strides found in exact
-// walkers and not in what is rigid, and walkers rendered at moments that were not learned
-// from, also where they walk at another speed, against the exact street.
+// Tests walking actors (docs/method.md M14): walked distance, strides of exact walkers,
+// and no stride for rigid objects. Compares rendered walkers with the exact street at
+// held-out times, also at another walking speed.
 #include <algorithm>
 #include <cmath>
 #include <set>
@@ -37,8 +37,8 @@ TEST(WalkedWay, IsTheWayAndNotTheJitterOfLabels) {
     EXPECT_EQ(WalkedWay(PoseTrack{{0.0}, {Pose{}}}).at(3.0), 0.0);
 }
 
-/// Three walkers with legs and arms that swing once in 1.2527 m (4 legs of 0.72 m, 0.45
-/// rad), and a cyclist who is rigid.
+/// Makes three walkers whose legs and arms swing once in 1.2527 m (legs of 0.72 m, 0.45
+/// rad), and a rigid cyclist.
 class Walkers : public test::DeviceTest {
 protected:
     static SyntheticOptions options() {
@@ -66,8 +66,8 @@ protected:
     static const Model& model_of(const Scene& scene, const std::string& track) {
         return *std::ranges::find(scene.models, track, &Model::name);
     }
-    /// Rays of a frame that meet a walker in the exact street: how far the rendered
-    /// surface is from where they do, metres.
+    /// Returns the errors of the rendered surface in metres, for all rays of a frame that
+    /// hit a walker in the exact street.
     std::vector<double> errors(const Scene& scene, const Sequence& at, const Frame& frame, const Scan& exact,
                                const std::string& track) {
         const BoxTrack& box = *find_box(at, track);
@@ -84,7 +84,7 @@ protected:
             truth.push_back(double(exact.range_m[i]));
         }
         Renderer renderer(device(), scene, {}, {.n_rays = static_cast<std::uint32_t>(rays.size())});
-        // at another phase first
+        // moves the scene to another phase first
         renderer.move(place_instances(scene, log, moment_of(log.frames[0])), glm::vec3(0.0f));
         renderer.move(place_instances(scene, at, moment_of(frame)),
                       glm::vec3(world_from_sensor.at(frame.time_s).translation));
@@ -137,8 +137,8 @@ TEST_F(Walkers, LieWhereTheyAreAtMomentsThatWereHeldOut) {
     EXPECT_LT(share_within(stiff, 0.3), share_within(bent, 0.3)) << "rays that miss or meet the other leg";
 }
 
-/// Who walks his way at half the speed sets his feet where he did: his phase goes by
-/// distance, and the exact street does the same.
+/// A person who walks at half the speed makes the same steps at the same positions,
+/// because the phase depends on distance. The exact street does the same.
 TEST_F(Walkers, StepByDistance) {
     const std::string walker = "0";
     Sequence slow = log;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Initialisation of the background from a synthetic street: surfels lie on surfaces, face
-// along them, come from training frames only, leave moving boxes out; unlabelled movers
-// are removed by what other frames see through.
+// Tests the initialisation of the background with a synthetic street. Surfels must lie on
+// surfaces with the right normals, use training frames only, and exclude moving boxes.
+// Moving objects without labels must be removed by visibility.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -50,8 +50,8 @@ TEST(Initialise, GroundSurfelsLieOnTheGroundAndFaceUp) {
     }
 }
 
-/// Flat ground of one albedo, seen from 2 m above it: intensity = 0.4 (0.3 + 0.7 cos),
-/// which degree 1 holds exactly.
+/// Flat ground of one albedo, seen from a height of 2 m. The intensity is 0.4 (0.3 + 0.7
+/// cos), which SH degree 1 represents exactly.
 TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     Sequence ground;
     for (int b = 0; b < 64; ++b) ground.lidars[0].sensor.beams.push_back({.elevation_rad = -0.5 - 0.01 * b});
@@ -80,8 +80,8 @@ TEST(Initialise, IntensityFallsWithIncidenceFromTheStart) {
     EXPECT_LT(worst[worst.size() * 95 / 100], 0.02f) << "normals of a few rays are not quite upright";
 }
 
-/// Mean of |n . d| over surfels of a scan whose ranges are given, d from the sensor to
-/// the surfel.
+/// Returns the mean of |n . d| over the surfels of a scan with given ranges, where d is
+/// the direction from the sensor to the surfel.
 double mean_facing(const std::function<float(const glm::vec3& direction)>& range_m, double flatness) {
     Sequence sequence;
     for (int b = 0; b < 48; ++b)
@@ -128,14 +128,14 @@ std::size_t count_in_moving_boxes(const Sequence& street, const Surfels& surfels
     return n;
 }
 
-/// Nothing moves, so nothing may be taken for what has moved on: neither by a head that
-/// spins nor by LiDARs that have no beams.
+/// In a static street, no surfel may be removed as moved, neither for a spinning LiDAR
+/// nor for LiDARs without beams.
 TEST(Initialise, AStreetThatStandsStillStays) {
     const std::string rig =
         test::write_rig(std::filesystem::path(testing::TempDir()) / "relidar_initialise_rig");
     const Sequence street = make_synthetic_street({.n_frames = 6, .moving_cars = false, .rig = rig});
     const std::size_t n_lidars = street.lidars.size();
-    for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {  // each of them alone, then all together
+    for (std::size_t lidar = 0; lidar <= n_lidars; ++lidar) {  // each LiDAR alone, then all together
         std::vector<int> train;
         for (std::size_t i = 0; i < street.frames.size(); ++i)
             if (lidar == n_lidars || street.frames[i].lidar == int(lidar)) train.push_back(int(i));
@@ -147,8 +147,8 @@ TEST(Initialise, AStreetThatStandsStillStays) {
     }
 }
 
-/// The lower beams of a VLP-32C lie up to 9 degrees apart. The ground between two of them
-/// is nearer than where the upper one meets it.
+/// The lower beams of a VLP-32C are up to 9 degrees apart. The ground between two of them
+/// is nearer than the return of the upper beam, and must not count as seen through.
 TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_uneven_beams.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
@@ -165,7 +165,7 @@ TEST(Initialise, UnevenBeamsDoNotSeeThroughTheGround) {
 
 TEST(Initialise, MovingBoxesAreLeftOutAndUnlabelledMoversRemoved) {
     SyntheticOptions longer = small_street();
-    longer.n_frames = 20;  // what a car hid must be seen again
+    longer.n_frames = 20;  // long enough to see the places that a car hid
     const Sequence street = make_synthetic_street(longer);
     const std::vector<int> train = split_frames(street, 10).train;
     InitialiseOptions options;

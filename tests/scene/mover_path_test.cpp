@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Paths of movers against motion that is known: smooth where it is, and heading where it
-// goes.
+// Tests the smoothed paths and headings of moving objects against known motion.
 #include <algorithm>
 #include <cmath>
 
@@ -41,7 +40,7 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
     std::vector<glm::dvec3> truth, places;
     Random random(5);
     for (const double t : times) {
-        // a bend of 8 m radius at 4 m/s
+        // a curve of 8 m radius at 4 m/s
         truth.push_back({8.0 * std::sin(0.5 * t), 8.0 - 8.0 * std::cos(0.5 * t), 0.0});
         places.push_back(truth.back() + 0.05 * glm::dvec3(random.normal(), random.normal(), 0.0));
     }
@@ -61,7 +60,8 @@ TEST(MoverPath, TakesNoiseOutAndLeavesOutliersAside) {
         EXPECT_LT(std::abs(std::remainder(yaw[k] - 0.5 * times[k], 2.0 * kPi)), 3.0 * kPi / 180.0) << k;
 }
 
-/// It comes, brakes, stands for three seconds, places trembling by 3 cm, and drives on.
+/// An object brakes, stands for three seconds with position noise of 3 cm, and drives on.
+/// Its heading must stay constant.
 TEST(MoverPath, StandsWithTheHeadingItCameWith) {
     std::vector<double> times;
     std::vector<glm::dvec3> places, smooth;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// How many of the movers that are discovered are ones, and how many of those there are,
-// are discovered: against synthetic streets whose actors are known but not told, with
-// parked cars, some of them behind a fence, people, and a cyclist.
+// Measures precision and recall of discovered moving objects. The synthetic streets
+// contain cars, parked cars (some behind a fence), people and a cyclist. Their labels are
+// removed from the log.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -19,14 +19,18 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kSeenReturns = 12;  // of a thing in a frame that sees it
-constexpr std::size_t kSeenFrames = 10;   // that see what is to be discovered
-constexpr double kFarthest_m = 40.0;      // discover_tracks() looks no farther
-constexpr double kInside_m = 0.3;         // of a true box, where the centre of a discovered one belongs
-constexpr double kLarger_m = 0.8;         // than the true box a discovered one may be
-constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // of poses that are off
+// minimum number of returns for an object to count as seen in a frame
+constexpr std::size_t kSeenReturns = 12;
+// minimum number of frames with enough returns for an object that should be discovered
+constexpr std::size_t kSeenFrames = 10;
+constexpr double kFarthest_m = 40.0;  // discover_tracks() ignores objects farther away
+// margin around a true box, in which the centre of a discovered box must lie
+constexpr double kInside_m = 0.3;
+constexpr double kLarger_m = 0.8;  // maximum excess of a discovered box over the size of the true box
+constexpr double kWalk_m = 0.03, kWalkedOff_m = 1.0;  // drift of inaccurate poses
 
-/// [things] Training frames in which each has enough returns.
+/// Returns [things] the number of training frames in which each object has enough
+/// returns.
 std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<int>& train,
                                          const std::vector<BoxTrack>& things) {
     std::vector<std::size_t> n_frames(things.size(), 0);
@@ -44,8 +48,8 @@ std::vector<std::size_t> frames_that_see(const Sequence& log, const std::vector<
     return n_frames;
 }
 
-/// Whether a discovered track is this thing: its centre in the true box most of the time,
-/// and not larger than it.
+/// Returns true if a discovered track matches an object: its centre is in the true box
+/// most of the time, and it is not larger.
 bool is_of(const BoxTrack& found, const BoxTrack& truth) {
     std::size_t inside = 0;
     for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i) {
@@ -56,8 +60,8 @@ bool is_of(const BoxTrack& found, const BoxTrack& truth) {
            found.size_m.x < truth.size_m.x + kLarger_m && found.size_m.y < truth.size_m.y + kLarger_m;
 }
 
-/// How far a thing strays from its mean place in the frame of what was discovered of it:
-/// 0 where both move alike.
+/// Returns how far an object deviates from its mean position in the frame of its
+/// discovered box. The result is 0 if both move alike.
 double strays_m(const BoxTrack& found, const BoxTrack& thing) {
     std::vector<glm::dvec3> places;
     for (std::size_t i = 0; i < found.world_from_box.time_s.size(); ++i)
@@ -71,8 +75,8 @@ double strays_m(const BoxTrack& found, const BoxTrack& thing) {
     return farthest;
 }
 
-/// How much more or less than the thing what was discovered of it turns from one of its
-/// frames to the next, degrees a tenth of a second.
+/// Adds the differences between the turn of an object and the turn of its discovered box
+/// from frame to frame, in degrees per tenth of a second.
 void add_wobble(const BoxTrack& found, const BoxTrack& thing, std::vector<double>& wobble_deg) {
     const PoseTrack& track = found.world_from_box;
     const auto turned = [&](std::size_t i) {
@@ -92,7 +96,7 @@ double quantile(std::vector<double> values, double share) {
 
 struct Score {
     std::size_t found = 0, right = 0, present = 0, recalled = 0;
-    std::vector<double> strayed_m, wobble_deg;  // of those that are right
+    std::vector<double> strayed_m, wobble_deg;  // errors of the correct detections
     double precision() const { return double(right) / double(std::max<std::size_t>(found, 1)); }
     double recall() const { return double(recalled) / double(std::max<std::size_t>(present, 1)); }
     void expect_good() const {
@@ -106,8 +110,8 @@ struct Score {
     }
 };
 
-/// Adds the movers of one street. What is discovered twice at a time counts as wrong the
-/// second time.
+/// Adds the moving objects of one street. A second detection of the same object counts as
+/// wrong.
 void add_street(const SyntheticOptions& options, Score& score) {
     Sequence log = make_synthetic_street(options);
     const std::vector<BoxTrack> truth = std::exchange(log.boxes, {});
@@ -172,9 +176,8 @@ TEST(MoverScores, PrecisionAndRecallOnStreetsWithPeopleAndParkedCars) {
     EXPECT_LT(quantile(score.wobble_deg, 0.9), 0.3);
 }
 
-/// A short window whose poses walk off by 3 cm a frame: what stands is then seen from
-/// changing sides, at places that move. Of what is discovered nothing may be a parked
-/// car.
+/// Uses a short log whose poses drift by 3 cm per frame, so that parked cars are seen
+/// from changing sides at changing positions. No parked car may be discovered as moving.
 TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
     for (std::uint64_t seed = 1; seed <= 4; ++seed) {
         Sequence log = make_synthetic_street({.seed = seed,
@@ -209,8 +212,8 @@ TEST(MoverScores, NoParkedCarMovesWhereSidesAndPosesChange) {
     }
 }
 
-/// Its lower beams lie up to 9 degrees apart: between two of them is ground that the
-/// upper one only seems to see through.
+/// The lower beams of this LiDAR are up to 9 degrees apart. The upper beam only seems to
+/// see through the ground between two of them.
 TEST(MoverScores, UnevenBeams) {
     const std::filesystem::path rig = std::filesystem::path(testing::TempDir()) / "relidar_mover_scores.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classes as datasets spell them.
+// Tests the kinds of objects for the class names of several datasets.
 #include <relidar/scene/scene.hpp>
 
 #include <gtest/gtest.h>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels from points as scan lines lay them: discs of a surface reach across the gaps
-// between lines, lie in the surface although a line says nothing of it, and stay round
-// where points are even, where lines are of different surfaces, or too far apart to
-// belong together.
+// Tests surfels made from the points of scan lines. Discs must reach across the gaps
+// between lines and lie in the surface, although a single line does not determine it.
+// Discs must stay round if points are evenly spaced, or if lines belong to different
+// surfaces or are too far apart.
 #include "scene/point_surfels.hpp"
 
 #include <cmath>
@@ -15,7 +15,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kSpacing = 0.1;  // of points on a line, metres
+constexpr double kSpacing = 0.1;  // spacing of the points on a line, metres
 
 InitialiseOptions standard_options() {
     InitialiseOptions options;
@@ -25,8 +25,8 @@ InitialiseOptions standard_options() {
     return options;
 }
 
-/// Lines along y at these x, of 41 points each, as high as `height` says; with 1 mm of
-/// noise, seen from the side and above.
+/// Returns the points of lines along y at some x, with 41 points each, heights from
+/// `height`, and noise of 1 mm. The lines are seen from the side and above.
 std::vector<Sample> lines_at(const std::vector<double>& places, const std::function<double(double)>& height) {
     Random random(1);
     std::vector<Sample> samples;
@@ -45,8 +45,8 @@ std::vector<double> places(int n, double apart) {
     return x;
 }
 
-/// The surfel nearest to a place: standard deviations along x and y, of the spacing on a
-/// line, and how it lies.
+/// Surfel nearest to a position: standard deviations along x and y in units of the point
+/// spacing, and the normal.
 struct Disc {
     double along_x = 0.0, along_y = 0.0;
     glm::dvec3 normal;
@@ -85,7 +85,7 @@ TEST(PointSurfels, AreRoundByThemselves) {
     for (const glm::vec2& scale : surfels.log_scale) EXPECT_EQ(scale.x, scale.y);
 }
 
-/// One point a cell, anywhere in the inner half of it, as points that were averaged by
+/// Uses one random point in the inner half of each cell, like points averaged over
 /// voxels.
 TEST(PointSurfels, AreRoundWherePointsAreEven) {
     Random random(2);
@@ -102,8 +102,8 @@ TEST(PointSurfels, AreRoundWherePointsAreEven) {
     EXPECT_LT(stretched / double(samples.size()), 0.02);
 }
 
-/// Lines 1.5 m apart: 24 neighbours are all of one of them, and only more of them say
-/// that the ground is level.
+/// Lines 1.5 m apart: the 24 nearest neighbours belong to one line. Only a wider search
+/// shows that the ground is level.
 TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
     InitialiseOptions options = standard_options();
     options.max_gap_m = 2.0;
@@ -117,14 +117,15 @@ TEST(PointSurfels, OneLineAsksFartherForItsSurface) {
 }
 
 TEST(PointSurfels, DoNotReachToAnotherSurface) {
-    // the next line to the right lies 0.5 m higher
+    // the next line to the right is 0.5 m higher
     const auto steps = [](double x) { return x > 0.1 ? 0.5 : 0.0; };
     const std::vector<Sample> samples = lines_at({-0.6, -0.5, -0.4, -0.3, -0.2, -0.1, 0.0, 0.5, 0.6}, steps);
     const Disc disc = disc_at(surfels_from_points(samples, standard_options(), 0.0), {});
     EXPECT_LT(disc.along_x, 1.6);
 }
 
-/// Above the uppermost line no ray has looked: nothing would cut back what reaches there.
+/// No ray observed the space above the uppermost line, so nothing would correct a disc
+/// that extends into it.
 TEST(PointSurfels, DoNotReachBeyondTheLastLine) {
     const std::vector<Sample> samples = lines_at({-1.5, -1.0, -0.5, 0.0}, [](double) { return 0.0; });
     const Surfels surfels = surfels_from_points(samples, standard_options(), 0.0);

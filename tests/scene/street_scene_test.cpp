@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The benchmark street and its rays against numbers printed by
-// ../shared/bench/scene_gen.py: street(n, refine=...) and rays(kind) with numpy 1.24.2,
-// float32 results shown with 9 digits, sums taken in float64. Means, rotations and SH are
-// equal bit for bit there; scale and opacity pass through a logarithm here, which leaves
-// about 2e-7.
+// Tests the benchmark street and its rays against numbers printed by
+// ../shared/bench/scene_gen.py with numpy 1.24.2: street(n, refine=...) and rays(kind).
+// The float32 values have 9 digits, the sums are in float64. Means, rotations and SH are
+// equal bit for bit. Scale and opacity use a logarithm here, which causes errors of about
+// 2e-7.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -24,7 +24,7 @@ struct StreetSurfel {
     float sh_first[3], sh_last[3];  // coefficients 0 and 15 of the channels
 };
 
-/// Sums over the whole scene.
+/// Sums over the full scene.
 struct Sums {
     double mean_abs, rotation_abs, scale, opacity, sh_abs;
     double sh_weighted;  // sum of (entry + 1) * value over the [3,16] entries of each surfel

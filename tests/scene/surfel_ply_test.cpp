@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels as PLY: the bytes come back equal, the layout is the one of 3D Gaussian
-// splatting, files edited elsewhere are read, and files that lie are refused in one line.
+// Tests surfels as PLY: written values are read back unchanged, the layout is that of 3D
+// Gaussian Splatting, files edited by other tools can be read, and invalid files are
+// rejected with a one-line error.
 #include <relidar/scene/surfel_ply.hpp>
 
 #include <cmath>
@@ -19,10 +20,10 @@ namespace {
 
 using SurfelPly = TemporaryFolder;
 
-// 3 + 3 + 3 + 45 + 1 + 3 + 4 of the splatting layout, then 16 + 16 + 1
+// 3 + 3 + 3 + 45 + 1 + 3 + 4 properties of the splatting layout, then 16 + 16 + 1
 constexpr std::size_t kProperties = 95;
 
-/// Three models, one of them empty, values of every size and both zeros.
+/// Returns three models, one of them empty, with values of all magnitudes and both zeros.
 Scene some_scene() {
     std::mt19937 random(11);
     std::normal_distribution<float> normal;
@@ -67,9 +68,9 @@ void expect_equal(const Scene& a, const Scene& b) {
     EXPECT_EQ(a.sensor_drop.probability, b.sensor_drop.probability);
 }
 
-/// A written file, cut into header and records.
+/// Header and records of a written file.
 struct Parts {
-    std::string header;  ///< with its last line
+    std::string header;  ///< including its last line
     std::string data;
 
     explicit Parts(const std::string& file) {
@@ -97,7 +98,7 @@ TEST_F(SurfelPly, ComesBackBitEqual) {
     EXPECT_EQ(files().size(), 2u);
 }
 
-/// As splatting stores them: three scales.
+/// 3D Gaussians must be stored with three scales, like in 3D Gaussian Splatting.
 TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     Scene scene = some_scene();
     scene.surfels.primitive = Primitive::gaussian;
@@ -152,8 +153,8 @@ TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
     }
 }
 
-/// Another tool cropped the scene, mixed its order, dropped the normals and added a
-/// property of its own.
+/// Simulates another tool that cropped the scene, changed the order, removed the normals
+/// and added a property.
 TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const Scene scene = some_scene();
     write_surfel_ply(folder / "a.ply", scene);
@@ -161,7 +162,7 @@ TEST_F(SurfelPly, ReadsWhatAnotherToolEdited) {
     const std::size_t order[] = {6, 0, 5, 2};
     std::string data;
     for (const std::size_t row : order) {
-        data += "\x01\x02";  // an uchar and a char in front
+        data += "\x01\x02";  // an uchar and a char before the floats
         data += file.data.substr(row * kProperties * 4, 3 * 4) +
                 file.data.substr((row * kProperties + 6) * 4, (kProperties - 6) * 4);
     }

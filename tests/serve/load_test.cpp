@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Many clients at once, clients that leave, deadlines, a full queue, more scenes than
-// fit: nothing is lost, nothing stays behind.
+// Tests the service under load: many simultaneous clients, clients that disconnect,
+// deadlines, a full queue, and more scenes than fit into memory. No request may be lost,
+// and no memory may leak.
 #include <atomic>
 #include <chrono>
 #include <fstream>
@@ -26,8 +27,8 @@ double resident_mib() {
 
 class Load : public ServiceTest {
 protected:
-    /// Calls by 8 clients, each with a connection of its own. @return how many were
-    /// answered with this image
+    /// Sends calls from 8 clients, each with a separate connection.
+    /// @return number of calls that were answered with this image
     int answered(int calls, const v1::RenderLidarRequest& request, const std::string& range_m) {
         std::atomic<int> next = 0, good = 0;
         std::vector<std::jthread> clients;
@@ -52,7 +53,7 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
     request.mutable_sensor()->set_name("VLP-16:128x10");
     const v1::LidarScan truth = ScanClient(address()).render(request);
     const double answer_mib = double(truth.ByteSizeLong()) / (1024.0 * 1024.0);
-    // threads, arenas and caches are there afterwards
+    // afterwards, threads, arenas and caches exist
     EXPECT_EQ(answered(200, request, truth.image().range_m()), 200);
     const double before_mib = resident_mib();
     EXPECT_EQ(answered(1000, request, truth.image().range_m()), 1000);
@@ -61,7 +62,8 @@ TEST_F(Load, ThousandCallsOfEightClientsAreAllAnsweredAndMemoryStays) {
         << " MiB a call";
 }
 
-/// A rig of many large sensors: holds a place in the queue until it is told to leave.
+/// Client that renders a rig of many large sensors and occupies a slot of the queue until
+/// it leaves.
 class Occupant {
 public:
     explicit Occupant(v1::RenderService::Stub& stub) {
@@ -97,7 +99,7 @@ grpc::Status call(v1::RenderService::Stub& stub,
 }
 
 TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
-    start(1);  // two places
+    start(1);  // two slots
     const auto calls = stub();
     Occupant one(*calls), two(*calls);
     const grpc::Status status = call(*calls);
@@ -107,7 +109,7 @@ TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
     EXPECT_EQ(one.leave().error_code(), Code::CANCELLED);
     EXPECT_EQ(two.leave().error_code(), Code::CANCELLED);
     grpc::Status after = call(*calls);
-    // until the server has noticed
+    // waits until the server has noticed
     for (int tries = 0; tries < 200 && after.error_code() == Code::RESOURCE_EXHAUSTED; ++tries) {
         std::this_thread::sleep_for(std::chrono::milliseconds(50));
         after = call(*calls);
@@ -122,7 +124,7 @@ TEST_F(Load, DeadlinesAndLeavingClientsAreTheirOwn) {
     EXPECT_EQ(call(*calls, std::chrono::milliseconds(1)).error_code(), Code::DEADLINE_EXCEEDED);
     EXPECT_EQ(call(*calls, std::chrono::milliseconds(-1000)).error_code(), Code::DEADLINE_EXCEEDED)
         << "over before it began";
-    for (int i = 0; i < 20; ++i) {  // in the middle of everything
+    for (int i = 0; i < 20; ++i) {  // cancels while a call is being processed
         grpc::ClientContext context;
         v1::LidarScan scan;
         std::jthread leaves([&] {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Requests that make no sense: one status of one line each, and the server answers the
-// next one.
+// Tests invalid requests: each must be rejected with a one-line status, and the server
+// must answer the next request.
 #include <functional>
 #include <limits>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The line in front of the render thread: order, places, those who leave.
+// Tests the queue of the render thread: order, slots, and requests that are cancelled.
 #include <atomic>
 #include <cctype>
 #include <functional>
@@ -20,7 +20,7 @@ namespace {
 
 const auto kWanted = [] { return true; };
 
-/// Work that holds the render thread until it is let go.
+/// Work that blocks the render thread until the object is destroyed.
 class Blocker {
 public:
     explicit Blocker(RenderQueue& queue)
@@ -72,14 +72,16 @@ TEST(RenderQueue, DoesAllWorkOnOneThread) {
     EXPECT_EQ(elsewhere, 0);
 }
 
-/// What a queue does, in order, of work that waits for it: a small letter where work of
-/// two parts begins, a comma where another goes with it, a capital where it ends. @param
-/// line  names and kinds, 0 of work in one part @param fails  at its beginning
+/// Returns what a queue does with waiting work, in order. A lower-case letter marks the
+/// begin of work in two parts, a comma follows if other work begins together with it, and
+/// a capital letter marks its end.
+/// @param line names and kinds; kind 0 is work in one part
+/// @param fails name of the work whose begin fails
 std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
                      char fails = ' ') {
     RenderQueue queue(8);
     queue.begin_together(together);
-    std::string parts;  // of the queue's thread alone
+    std::string parts;  // accessed only by the queue's thread
     std::vector<std::jthread> clients;
     std::optional<Blocker> blocker(std::in_place, queue);
     std::atomic<int> n_in_line = 0;
@@ -94,7 +96,7 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
                 place.run(work, is_wanted);
             } catch (const std::runtime_error&) {}
         });
-        // asked whether it is wanted: it is in the line
+        // the queue has asked whether the work is cancelled, so the work is in the queue
         while (n_in_line == before) std::this_thread::yield();
     };
     for (const auto& [name, kind] : line) {
@@ -111,8 +113,8 @@ std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std:
     return parts;
 }
 
-/// The second is begun before the first is finished, and everything is in order; work of
-/// another kind, or of one part, waits.
+/// The second work of a kind must begin before the first one ends, and the order must be
+/// kept. Work of another kind, or in one part, must wait.
 TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
 }
@@ -147,10 +149,10 @@ TEST(RenderQueue, WorkWhoseClientHasLeftIsNeverBegun) {
         std::jthread client(
             [&] { end = queue.enter()->run([&] { ran = true; }, [&] { return wanted.load(); }); });
         wanted = false;
-        client.join();  // while the thread is busy: who leaves does not wait for others
+        client.join();  // joins while the thread is busy: a cancelled request must not wait for others
         EXPECT_EQ(end, WorkEnd::unwanted);
     }
-    queue.enter()->run([] {}, kWanted);  // whatever was in the line has had its turn
+    queue.enter()->run([] {}, kWanted);  // afterwards, all earlier work has been processed
     EXPECT_FALSE(ran);
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Several runs within a memory budget: which go, that they come back the same, and what
-// is said of one that never fits.
+// Tests several runs within a memory budget: which ones are released, that they are
+// identical when they are loaded again, and the error for a run that never fits.
 #include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
@@ -38,7 +38,7 @@ protected:
         });
         return range_m;
     }
-    /// Device memory of one of them, after a scan.
+    /// Returns the device memory of one run after a scan.
     std::uint64_t size_of_one() {
         const std::uint64_t before = device().allocated_bytes();
         SceneSet one(device(), {sources[0]}, std::uint64_t(1) << 40, no_assets);
@@ -49,11 +49,11 @@ protected:
 
 TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
     const std::uint64_t one = size_of_one(), around = device().allocated_bytes();
-    const std::uint64_t budget = around + 5 * one / 2;  // two of three
+    const std::uint64_t budget = around + 5 * one / 2;  // two of three runs fit
     SceneSet scenes(device(), sources, budget, no_assets);
     const std::vector<float> truth = ranges(scenes, 0);
     ASSERT_FALSE(truth.empty());
-    ranges(scenes, 1), ranges(scenes, 2);  // each has grown to what a scan needs
+    ranges(scenes, 1), ranges(scenes, 2);  // afterwards, each has allocated the memory for a scan
     std::size_t last = 2;
     for (const std::size_t scene : {1u, 0u, 2u, 0u, 1u, 2u}) {
         EXPECT_EQ(ranges(scenes, scene), truth) << scene;
@@ -65,7 +65,8 @@ TEST_F(Scenes, ThoseUsedLongestAgoMakeRoomAndComeBackTheSame) {
     }
 }
 
-/// What an earlier renderer was asked for is not taken from a later one.
+/// A scan that was submitted to an earlier renderer must not be collected from a later
+/// one.
 TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     SceneSet scenes(device(), sources, std::uint64_t(1) << 40, no_assets);
     const auto nothing = [](ScanRenderer&) {};
@@ -79,7 +80,7 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     EXPECT_NO_THROW(scenes.use_again(0, second, nothing));
 }
 
-/// Copies of a scene, for scans side by side, count as what it holds.
+/// Copies of a scene for parallel scans must count towards its memory.
 TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
     const Forced forced(device(), {.side_by_side = 4});
     const std::uint64_t around = device().allocated_bytes();

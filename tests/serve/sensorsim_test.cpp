@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// SensorsimService in front of the wall and the plate of small_service.hpp: where their
-// points have to lie follows from the poses alone.
+// Tests SensorsimService with the wall and the plate of small_service.hpp. The expected
+// positions of their points follow from the poses alone.
 #include <functional>
 
 #include <gmock/gmock.h>
@@ -32,8 +32,8 @@ void set_pair(wire::PosePair& message, const Pose& start, const Pose& end) {
     set_pose(*message.mutable_end(), end);
 }
 
-/// One and a half metres ahead and a quarter of a radian to the left in 0.1 s, looking
-/// down the x axis first. World of the wire.
+/// Poses in the world of the protocol: the sensor first looks along x, then moves 1.5 m
+/// ahead and turns a quarter radian to the left in 0.1 s.
 const Pose kStart{{1, 0, 0, 0}, {-1.5, 0.0, 0.0}};
 const Pose kEnd{rotation_of(0.25, 0.0, 0.0), {0.0, 0.5, 0.0}};
 
@@ -72,7 +72,8 @@ protected:
         wire::LidarRenderReturn answer;
         return calls->render_lidar(&context, request, &answer);
     }
-    /// x of each point in the world of the wire, by a sensor that stands at `end`.
+    /// Returns x of each point in the world of the protocol, for a sensor that stands at
+    /// `end`.
     static std::vector<double> world_x(const wire::LidarRenderReturn& scan, const Pose& end) {
         std::vector<double> x_m;
         for (const glm::vec3& point : values<glm::vec3>(scan.xyz_buffer()))
@@ -97,9 +98,9 @@ TEST_F(Sensorsim, PointsLieOnTheWallSeenFromTheEndOfTheSpin) {
     EXPECT_THAT(scan.intensities(), testing::Each(testing::AllOf(testing::Ge(0.0f), testing::Le(1.0f))));
 }
 
-/// How far off its beam a point on the wall is, radians, if that fired it: the head turns
-/// with the clock, from looking back at the start of the frame to looking back at its
-/// end, and the sensor has gone so far as its azimuth says.
+/// Returns the angle in radians between a beam and a point on the wall, assuming that the
+/// beam fired it. The head turns at constant speed and looks back at the start and at the
+/// end of the frame. The position of the sensor follows from the azimuth.
 double off_beam(const Beam& beam, const glm::dvec3& on_wall, double way_m) {
     double at_x_m = 0.5 * way_m, elevation = 0.0;
     for (int round = 0; round < 8; ++round) {
@@ -121,7 +122,7 @@ TEST_F(Sensorsim, SweepFillsTheFrameFromItsStartToItsEnd) {
         const auto points = values<glm::vec3>(render(request).xyz_buffer());
         ASSERT_GT(points.size(), 1000u);
         double worst = 0.0;
-        for (std::size_t i = 0; i < points.size(); i += 7) {  // no divisor of the number of beams
+        for (std::size_t i = 0; i < points.size(); i += 7) {  // 7 does not divide the number of beams
             const glm::dvec3 on_wall = glm::dvec3(points[i]) + glm::dvec3(kWay_m, 0.0, 0.0);
             double least = kPi;
             for (const Beam& beam : beams) least = std::min(least, off_beam(beam, on_wall, kWay_m));

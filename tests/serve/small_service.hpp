@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A service in the test's own process, of a run so small that a scan takes milliseconds:
-// a wall 10 m ahead of the log's sensor, and an actor, "car", a plate 4 m ahead.
+// Starts a service in the test process with a small run that renders in milliseconds. The
+// run has a wall 10 m ahead of the log's sensor and an actor "car", a plate 4 m ahead.
 #pragma once
 
 #include <cmath>
@@ -21,7 +21,8 @@
 
 namespace relidar::serve {
 
-inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);  // of relidar's world
+// origin of relidar's world in the dataset
+inline const glm::dvec3 kDatasetOrigin_m(455000.0, 5428000.0, 113.0);
 
 inline Pose at_x(double x_m) { return {{1, 0, 0, 0}, kDatasetOrigin_m + glm::dvec3(x_m, 0.0, 0.0)}; }
 
@@ -50,21 +51,22 @@ inline Run small_run(const std::filesystem::path& folder) {
     log.world_offset_m = kDatasetOrigin_m;
     log.boxes = {{"car", "Car", {1, 1, 1}, {{0.0, 1.0}, {car, car}}}};
     run.split = {{0, 1, 2}, {}};
-    // a quarter of a turn ahead, to the wall and around it
+    // a quarter turn ahead, to the wall and around it
     for (double y_m = -20.0; y_m <= 20.0; y_m += 0.5)
         for (double z_m = -2.0; z_m <= 2.0; z_m += 0.5)
             run.coverage.add(glm::dvec3(0.0), glm::dvec3(20.0, y_m, z_m));
     return run;
 }
 
-/// Saves runs and serves them.
+/// Fixture that saves runs and serves them.
 class ServiceTest : public test::DeviceTest {
 protected:
-    std::filesystem::path folder;         ///< of the runs
-    std::vector<std::string> assets;      ///< folders of them
-    std::optional<std::string> channels;  ///< of all scans
-    Weather weather;                      ///< of scans whose request has none
-    std::optional<PoseOrder> sensorsim;   ///< of that service, where it is offered too
+    std::filesystem::path folder;         ///< folder of the runs
+    std::vector<std::string> assets;      ///< folders of the assets
+    std::optional<std::string> channels;  ///< channels of all scans
+    Weather weather;                      ///< weather of scans whose request specifies none
+    /// order of poses in SensorsimService, if that service is offered too
+    std::optional<PoseOrder> sensorsim;
     std::optional<ScanServer> server;
 
     void SetUp() override {
@@ -112,7 +114,7 @@ inline void add_pose(google::protobuf::RepeatedPtrField<v1::TimedPose>& poses, d
     q.set_w(pose.rotation.w), q.set_x(pose.rotation.x), q.set_y(pose.rotation.y), q.set_z(pose.rotation.z);
 }
 
-/// Everything of a scan by the log's sensor, standing still.
+/// Returns a request for all outputs of a scan by the log's sensor, standing still.
 inline v1::RenderLidarRequest standing() {
     v1::RenderLidarRequest request;
     add_pose(*request.mutable_path(), 0.5, at_x(0.0));
@@ -122,7 +124,7 @@ inline v1::RenderLidarRequest standing() {
     return request;
 }
 
-/// So many rays straight ahead: with many of them, a sensor that takes its time.
+/// Returns a sensor with n rays straight ahead. A large n makes a slow sensor.
 inline v1::SensorSpec rays_ahead(std::size_t n) {
     v1::SensorSpec spec;
     const glm::vec3 ahead(1.0f, 0.0f, 0.0f);

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# relidar_write_shared_layouts(<file> <headers...>): a C++ table of every member of every struct of both languages, with its
-# offset on the host. Read from the headers' text, so that a new member is compared without anyone listing it.
+# relidar_write_shared_layouts(<file> <headers...>) writes a C++ table of the members of all structs shared by C++ and GLSL,
+# with their offsets on the host. It reads the text of the headers, so that new members are included automatically.
 function(relidar_write_shared_layouts out)
     set(includes "")
     set(rows "")

@@ -2,6 +2,7 @@
 #include "rules.hpp"
 
 #include <algorithm>
+#include <map>
 #include <set>
 #include <sstream>
 
@@ -15,7 +16,7 @@ constexpr std::size_t kCommentColumns = 90;
 
 const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/relidar/main.cpp"};
 
-/// Longest allowed length of a file, or 0 where there is no limit.
+/// Returns the maximum number of lines of a file, or 0 if there is no limit.
 int line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 180;
     if (path.starts_with("include/relidar/")) return 400;
@@ -25,7 +26,7 @@ int line_limit(const std::string& path) {
     return 0;
 }
 
-/// Characters of a line in UTF-8.
+/// Returns the number of UTF-8 characters in a line.
 std::size_t columns_of(const std::string& line) {
     return static_cast<std::size_t>(std::count_if(
         line.begin(), line.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xc0) != 0x80; }));
@@ -75,6 +76,20 @@ Violations check_budgets(const SourceTree& tree) {
                                      " arguments, at most " + std::to_string(kArguments) + ", then a struct");
             }
         }
+    }
+    return violations;
+}
+
+Violations check_file_names(const SourceTree& tree) {
+    Violations violations;
+    std::map<std::string, std::string> rooms;  // of the first file of each name
+    for (const auto& [path, file] : tree) {
+        if (!path.starts_with("src/") || !has_extension(path, {".cpp", ".hpp"})) continue;
+        const std::string room = path.substr(4, path.find('/', 4) - 4);
+        const std::string name = path.substr(path.rfind('/') + 1);
+        const auto [first, is_new] = rooms.try_emplace(name, room);
+        if (!is_new && first->second != room)
+            violations.push_back(path + ":1: the room " + first->second + " has a file of this name, too");
     }
     return violations;
 }

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// What documents name exists: links and anchors, files and folders, headers, kernels,
-// settings, commands and their options. Only code is looked at (`spans` and fenced
-// blocks), except for links and names of documents. A name in capitals (RUN, FILE.csv) or
-// with <...> in it is a placeholder; other placeholders stand in kPlaceholders.
+// Checks that everything named in documents exists: links and anchors, files and folders,
+// headers, kernels, settings, commands and their options. Only code is checked (`spans`
+// and fenced blocks), except for links and names of documents. A name in capitals (RUN,
+// FILE.csv) or with <...> is a placeholder; other placeholders are listed in
+// kPlaceholders.
 #include <algorithm>
 #include <functional>
 #include <regex>
@@ -18,32 +19,32 @@ namespace fs = std::filesystem;
 
 using Names = std::set<std::string>;
 
-/// Names that stand for others, or for what is made elsewhere.
+/// Names that are placeholders, or that are created elsewhere.
 const Names kPlaceholders = {
     "relidar/room/name.hpp",
     "src/room",
     "RELIDAR_UPPER",  // any header, any room, any macro
     "kernel_params.hpp",
-    "relidarTargets.cmake",  // made by the build
+    "relidarTargets.cmake",  // created by the build
     "scores.md",             // written by `relidar eval --table`
 };
 
 const Names kSourceExtensions = {".cpp",   ".hpp", ".h",  ".glsl", ".comp", ".rgen", ".md",
                                  ".cmake", ".sh",  ".py", ".js",   ".css",  ".proto"};
 
-/// Endings that make `word.ending` a file that the program writes or reads, where a
-/// section of the settings has the word's name.
+/// Extensions of files that the program reads or writes. `word.extension` is such a file
+/// even if `word` is a section of the settings.
 const Names kFileEndings = {"json", "toml", "csv", "npz", "safetensors", "jsonl", "html",
                             "png",  "exr",  "ply", "pcd", "log",         "txt",   "svg"};
 
-/// A `span` or a line of a fenced block; lines that end in a backslash are joined.
+/// A `span` or a line of a fenced block. Lines that end with a backslash are joined.
 struct Code {
     std::string text;
     std::size_t line = 0;    ///< counted from 1
-    bool is_command = true;  ///< false in blocks of another language than the shell's
+    bool is_command = true;  ///< false in blocks whose language is not the shell
 };
 
-/// A document taken apart.
+/// Code, prose and anchors of a document.
 struct Document {
     std::string path;
     std::vector<Code> code;
@@ -62,7 +63,7 @@ std::string anchor_of(const std::string& heading) {
     return anchor;
 }
 
-/// Reads the block whose opening fence is line `i`; returns the line of its closing
+/// Reads the block whose opening fence is line `i`. Returns the line of its closing
 /// fence.
 std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Document& document) {
     const std::string language = lines[i].substr(3);
@@ -78,7 +79,7 @@ std::size_t read_block(const std::vector<std::string>& lines, std::size_t i, Doc
     return i;
 }
 
-/// Reads a paragraph, lines [begin, end): a span may go on in the next line.
+/// Reads a paragraph, lines [begin, end). A span can continue in the next line.
 void read_paragraph(const std::vector<std::string>& lines, std::size_t begin, std::size_t end,
                     Document& document) {
     Code span;
@@ -112,7 +113,7 @@ Document read_document(const SourceFile& file) {
         }
         if (lines[i].starts_with("#"))
             document.anchors.insert(anchor_of(lines[i].substr(lines[i].find_first_not_of("# "))));
-        // a heading, a row of a table and an item of a list close their spans themselves
+        // spans end with a heading, a table row or a list item
         std::size_t end = i + 1;
         while (end < lines.size() && !lines[end].empty() && !lines[end].starts_with("```") &&
                !lines[end].starts_with("#"))
@@ -128,15 +129,15 @@ struct Program {
     Names commands, options;
 };
 
-/// What there is to name.
+/// Names that exist in the source tree.
 struct Known {
     const SourceTree& tree;
     Names folders, top_folders, settings, sections;
     std::map<std::string, Program> programs;  ///< by name
 };
 
-/// First groups of all matches in the sources of a folder, joined by a dot where there
-/// are two.
+/// Returns the first groups of all matches in the sources of a folder. If there are two
+/// groups, joins them with a dot.
 Names matches_in(const SourceTree& tree, const std::string& prefix, const std::regex& pattern) {
     Names found;
     for (auto it = tree.lower_bound(prefix); it != tree.end() && it->first.starts_with(prefix); ++it) {
@@ -169,7 +170,7 @@ Known names_of(const SourceTree& tree) {
         program.options = matches_in(tree, sources, option);
         program.options.insert("--help");
     }
-    // those that both have
+    // options of both programs
     known.programs["relidar-dev"].options.merge(matches_in(tree, "tools/relidar/options.cpp", option));
     return known;
 }
@@ -181,7 +182,7 @@ bool is_placeholder(const std::string& name) {
            (std::regex_search(name, kPattern) && file != "README.md" && file != "LICENSE");
 }
 
-/// `a.{hpp,cpp}` as a.hpp and a.cpp.
+/// Expands `a.{hpp,cpp}` to a.hpp and a.cpp.
 std::vector<std::string> without_braces(const std::string& name) {
     const std::size_t open = name.find('{'), close = name.find('}', open);
     if (open == std::string::npos || close == std::string::npos) return {name};
@@ -194,7 +195,7 @@ std::vector<std::string> without_braces(const std::string& name) {
     return names;
 }
 
-/// A name with * in it as an expression for the end of a path.
+/// Converts a name with * to a regular expression for the end of a path.
 std::regex pattern_of(const std::string& name) {
     std::string pattern = "(^|.*/)";
     for (const char c : name) {
@@ -204,8 +205,8 @@ std::regex pattern_of(const std::string& name) {
     return std::regex(pattern + "$");
 }
 
-/// Whether a file or folder has this path, or where `anywhere` is set a path that ends
-/// so.
+/// Returns true if a file or folder has this path. If `anywhere` is set, the name can
+/// also be the end of a path.
 bool has_path(const Known& known, const std::string& name, bool anywhere) {
     if (known.tree.contains(name) || known.folders.contains(name)) return true;
     if (name.find('*') == std::string::npos && !anywhere) return false;
@@ -226,14 +227,14 @@ bool occurs(const Known& known, const std::string& prefix, const std::string& wo
     return false;
 }
 
-/// A kernel, a part of a stage, or one of the names under which times are told
-/// (`accel/build`).
+/// Returns true if a name is a kernel, a part of a stage, or a name under which times are
+/// reported (`accel/build`).
 bool is_kernel(const Known& known, const std::string& name) {
     return has_path(known, "shaders/" + name + ".comp", false) || has_path(known, "src/" + name, false) ||
            occurs(known, "src/", name) || occurs(known, "tools/", name);
 }
 
-/// Files, folders, headers and kernels.
+/// Checks files, folders, headers and kernels.
 void check_paths(const Known& known, const Document& document, const Code& code,
                  const std::function<void(std::string)>& wrong) {
     static const std::regex kPath(R"([\w.*{},<>$~/+-]+)");
@@ -274,7 +275,8 @@ void check_settings(const Known& known, const Code& code, const std::function<vo
     }
 }
 
-/// Words of one command, without what is assigned before it and without a comment.
+/// Returns the words of one command, without variable assignments before it and without a
+/// comment.
 std::vector<std::string> words_of(const std::string& command) {
     std::vector<std::string> words;
     std::istringstream in(command);
@@ -286,13 +288,13 @@ std::vector<std::string> words_of(const std::string& command) {
     return words;
 }
 
-/// `--name` of a word, or nothing.
+/// Returns the `--name` part of a word, or nothing.
 std::string option_of(const std::string& word) {
     std::smatch match;
     return std::regex_search(word, match, std::regex("^--[a-z][a-z0-9-]*")) ? match.str() : "";
 }
 
-/// Reports options among the words that neither the program has nor `has_option` knows.
+/// Reports options that the program does not have and `has_option` does not accept.
 void check_options(const Program& program, const std::vector<std::string>& words,
                    const std::function<bool(const std::string&)>& has_option,
                    const std::function<void(std::string)>& wrong) {
@@ -305,19 +307,18 @@ void check_options(const Program& program, const std::vector<std::string>& words
     }
 }
 
-/// Path of the script or benchmark of ours that a command begins with, whether it exists
-/// or not; empty for other programs.
+/// Returns the path of the relidar script or benchmark that a command calls, even if it
+/// does not exist. Returns an empty string for other programs.
 std::string script_of(const std::string& word) {
     const std::string program = fs::path(word).filename().string();
     if (program.starts_with("relidar_bench_")) return "tools/bench/" + program.substr(14) + ".cpp";
-    // relidar/: the folder that tools/dev/bundle packs
+    // relidar/ is the folder that tools/dev/bundle packs
     for (const std::string prefix : {"./", "relidar/", ""})
         if (word.starts_with(prefix + "tools/")) return word.substr(prefix.size());
     return "";
 }
 
-/// One command: of relidar, of a script or program of ours; other programs are not looked
-/// at.
+/// Checks one command of relidar or of a relidar script. Other programs are ignored.
 void check_command(const Known& known, const std::vector<std::string>& words,
                    const std::function<void(std::string)>& wrong) {
     if (words.empty()) return;
@@ -331,7 +332,7 @@ void check_command(const Known& known, const std::vector<std::string>& words,
             relidar, words,
             [&](const std::string& option) { return contains_word(file->second.text, option); }, wrong);
     }
-    if (words[0].starts_with("--"))  // an option by itself may be anybody's of ours
+    if (words[0].starts_with("--"))  // an option without a command can belong to any relidar program
         return check_options(
             relidar, words, [&](const std::string& option) { return occurs(known, "tools/", option); },
             wrong);
@@ -360,7 +361,7 @@ void check_commands(const Known& known, const Code& code, const std::function<vo
         check_command(known, words_of(*command), wrong);
 }
 
-/// Environment variables and options of CMake.
+/// Checks environment variables and CMake options.
 void check_variables(const Known& known, const Code& code, const std::function<void(std::string)>& wrong) {
     static const std::regex kVariable(R"(\bRELIDAR_[A-Z0-9_]*[A-Z0-9]\b(?!\*))");
     for (std::sregex_iterator match(code.text.begin(), code.text.end(), kVariable), end; match != end;
@@ -388,7 +389,7 @@ void check_links(const Known& known, const std::map<std::string, Document>& docu
     }
 }
 
-/// Documents are named outside of code, too.
+/// Returns the documents named in a line, including names outside of code.
 Code documents_named_in(const Code& line) {
     static const std::regex kTarget(R"(\]\([^)]*\))"), kDocument(R"([\w/.-]+\.md\b)");
     const std::string text = std::regex_replace(line.text, kTarget, "]");
@@ -398,7 +399,7 @@ Code documents_named_in(const Code& line) {
     return names;
 }
 
-/// Documents that comments of sources and scripts name.
+/// Checks the documents named in comments of sources and scripts.
 void check_comments(const Known& known, const SourceFile& file, Violations& violations) {
     static const std::regex kComment(R"(^\s*(//|#))");
     for (std::size_t i = 0; i < file.lines.size(); ++i) {
@@ -425,7 +426,7 @@ Violations check_documents(const SourceTree& tree) {
     if (known.settings.empty() || known.programs.at("relidar").commands.empty())
         violations.push_back("src/run/config:1: settings or commands were not found");
     for (const auto& [path, document] : documents) {
-        if (path == "docs/changelog.md") continue;  // names what is gone
+        if (path == "docs/changelog.md") continue;  // skipped because it names things that were removed
         const auto reporter = [&](const Code& code) {
             return [&violations, where = path + ":" + std::to_string(code.line) + ": "](
                        const std::string& what) { violations.push_back(where + what); };

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// What exchange_test.cpp must find, and must not: threads of a workgroup hand values on
-// through a buffer.
+// Test shader for exchange_test.cpp. Threads of a workgroup exchange values through a
+// buffer: coherently if COHERENT is defined, otherwise incorrectly.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../shaders/base/kernel.glsl"
 #include "relidar/base/lang.h"
 struct ExchangeParams {
-    Uints keys;    // in place
-    Uints source;  // read alone
-    Uints result;  // written alone
+    Uints keys;    // read and written
+    Uints source;  // read only
+    Uints result;  // written only
 };
 RELIDAR_PARAMS(ExchangeParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// No kernel exchanges values between its threads by accesses that a card may answer from
-// a subgroup's own cache.
+// Tests that no kernel exchanges values between its threads through accesses that a GPU
+// may answer from the cache of a subgroup.
 #include "spirv_exchange.hpp"
 
 #include <gmock/gmock.h>
@@ -21,15 +21,15 @@ TEST(Exchange, AccessesThatACacheMayAnswerAreFound) {
 }
 TEST(Exchange, CoherentOnesAreRight) { EXPECT_THAT(incoherent_exchanges(exchange_coherent), IsEmpty()); }
 
-/// Kernels with barriers for something else, in which each thread updates its own
-/// elements; forward/sort_hits loads all before its barriers, and stores behind them.
+/// Kernels that have barriers for other reasons. Each thread updates only its elements.
+/// forward/sort_hits loads everything before its barriers and stores after them.
 struct OwnElements {
     const char* kernel;
     std::vector<std::string> members;
 };
 const OwnElements kOwnElements[] = {{"diff/accel/bvh_wide_scan", {"tiles"}},
                                     {"diff/forward/sort_hits", {"lists.hits"}},
-                                    {"diff/loss/geometry_loss", {"upstream"}},
+                                    {"diff/loss/likelihood_loss", {"upstream"}},
                                     {"diff/loss/surfel_loss", {"d_surfels.mean"}},
                                     {"diff/network/conv", {"to.values"}}};
 

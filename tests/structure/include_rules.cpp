@@ -11,17 +11,17 @@ namespace {
 
 using Names = std::set<std::string>;
 
-/// The rooms of src/, include/relidar/ and shaders/. A room includes only itself and the
+/// Rooms of src/, include/relidar/ and shaders/. A room includes only itself and the
 /// rooms before it.
 const std::vector<std::string> kRooms = {"base", "gpu",      "log",   "scene", "diff",
                                          "run",  "simulate", "score", "train"};
 
-/// Folders whose private headers other rooms include directly. Everything else is reached
-/// through the public headers.
+/// Folders whose private headers other rooms include directly. All other headers must be
+/// public.
 const std::vector<std::string> kOpenFolders = {"src/base/", "src/gpu/", "src/diff/traversal/"};
 
-/// Headers of other libraries, and the folders that may include them. Headers that are
-/// not listed are open to all.
+/// Headers of other libraries and the folders that may include them. Headers that are not
+/// listed can be included everywhere.
 const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries = {
     {"volk", {"src/gpu/"}},
     {"vulkan/", {"src/gpu/"}},
@@ -38,17 +38,19 @@ const std::vector<std::pair<std::string, std::vector<std::string>>> kLibraries =
     {"toml++/", {"src/log/", "src/run/"}},
     {"nlohmann/", {"src/base/", "src/log/", "src/run/", "src/simulate/"}},
     {"nanoflann.hpp", {"src/base/", "src/scene/", "src/score/"}},
+    {"tbb/", {"src/base/"}},
+    {"oneapi/tbb", {"src/base/"}},
     {"Eigen/", {"src/base/", "src/log/", "src/scene/", "src/score/"}},
 };
 
 const std::string kPublic = "include/relidar/", kUmbrella = kPublic + "relidar.hpp",
                   kReaders = "src/log/readers/";
 
-/// Public headers for people who build their own trainer. <relidar/relidar.hpp> does not
+/// Public headers for users who write their own trainer. <relidar/relidar.hpp> does not
 /// include them.
 const Names kTrainerHeaders = {"gpu/stream.hpp", "log/sensor_pattern.hpp", "scene/device_scene.hpp",
                                "run/stage_options.hpp", "run/checkpoint.hpp"};
-/// Headers of diff/ that hold options and are part of <relidar/relidar.hpp>.
+/// Headers of diff/ that contain options and are a part of <relidar/relidar.hpp>.
 const Names kOptionHeaders = {"diff/densify_options.hpp", "diff/loss_options.hpp", "diff/loss_terms.h",
                               "diff/network.hpp"};
 
@@ -56,14 +58,15 @@ bool is_library(const std::string& path) {
     return path.starts_with("src/") || path.starts_with("shaders/") || path.starts_with(kPublic);
 }
 
-/// Index of a file's room in kRooms, or the number of rooms if it has none.
+/// Returns the index of a file's room in kRooms, or the number of rooms if the file is in
+/// none.
 std::size_t room_of(const std::string& path) {
     const std::string name = folder(path, path.starts_with(kPublic) ? 2 : 1);
     return std::size_t(std::ranges::find(kRooms, name) - kRooms.begin());
 }
 
-/// Reader of a file below src/log/readers/, or nothing for the registry, which includes
-/// all of them.
+/// Returns the reader of a file below src/log/readers/, or an empty string for the
+/// registry, which includes all readers.
 std::string reader_of(const std::string& path) {
     return path.starts_with(kReaders) && path.find('/', kReaders.size()) != std::string::npos
                ? folder(path, 3)
@@ -74,8 +77,8 @@ bool starts_with_any(const std::string& text, const std::vector<std::string>& pr
     return std::ranges::any_of(prefixes, [&](const std::string& prefix) { return text.starts_with(prefix); });
 }
 
-/// Says what is wrong with an include between two files of the library, or returns
-/// nothing.
+/// Returns the reason why an include between two files of the library is not allowed, or
+/// an empty string.
 std::string judge_library(const std::string& from, const std::string& to) {
     const std::size_t from_room = room_of(from), to_room = room_of(to);
     if (from == kUmbrella) return "";
@@ -98,14 +101,14 @@ std::string judge_library(const std::string& from, const std::string& to) {
     return "";
 }
 
-/// Says what is wrong with an include, or returns nothing.
+/// Returns the reason why an include is not allowed, or an empty string.
 std::string judge(const std::string& from, const std::string& to) {
     const bool is_public = to.starts_with(kPublic);
     if (is_library(from))
         return is_library(to) ? judge_library(from, to) : "the library includes nothing of " + folder(to, 0);
     const std::string top = folder(from, 0), part = folder(from, 1),
                       to_part = folder(to, 0) + "/" + folder(to, 1);
-    // one scene for all benchmarks
+    // the scene that all benchmarks share
     const bool is_benchmark_street = to == "src/scene/benchmark_street.hpp";
     if (top == "tools") {
         const bool is_command =
@@ -128,12 +131,13 @@ std::string judge(const std::string& from, const std::string& to) {
     return "";
 }
 
-/// Longest include path from a file, found depth first.
+/// Longest include path from a file, found by depth-first search.
 class Chains {
 public:
     explicit Chains(const SourceTree& tree) : tree_(tree) {}
 
-    /// Files on the longest path that starts here, this one first. Records cycles.
+    /// Returns the files on the longest path that starts at a file, this file first.
+    /// Records cycles.
     const std::vector<std::string>& longest_from(const std::string& path) {
         if (const auto known = longest_.find(path); known != longest_.end()) return known->second;
         open_.push_back(path);
@@ -226,7 +230,8 @@ Violations check_umbrella(const SourceTree& tree) {
 }
 
 Violations check_include_chains(const SourceTree& tree) {
-    // tests stand on top: the oracle, then a generator of scenes
+    // Tests may have longer chains, because they also include the reference and the scene
+    // generator.
     constexpr std::size_t kLongest = 8, kLongestOfTests = 10;
     Violations violations;
     Chains chains(tree);

@@ -29,7 +29,7 @@ Violations check_kernels(const SourceTree& tree) {
     const auto readme = tree.find("shaders/README.md");
     for (const auto& [path, file] : tree) {
         if (folder(path, 0) != "shaders" || !has_extension(path, {".comp"})) continue;
-        // shaders/ and .comp
+        // without "shaders/" and ".comp"
         const std::string name = path.substr(8, path.size() - 8 - 5), word = stem(path);
         const std::string place = name.substr(0, name.rfind('/'));
         if (!any_file(tree, "src/" + place + "/", {".cpp"}, word))
@@ -52,7 +52,8 @@ Violations check_bare_pointers(const SourceTree& tree) {
         if (!has_extension(path, {".h"}) ||
             !(path.starts_with("shaders/") || path.starts_with("include/relidar/")))
             continue;
-        std::map<std::string, std::string> first_of;  // kind -> the struct's first pointer of it
+        // type of pointer -> first pointer of this type in the struct
+        std::map<std::string, std::string> first_of;
         std::string owner;
         for (std::size_t i = 0; i < file.lines.size(); ++i) {
             std::smatch match;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each rule of rules.hpp finds what it is there to find: small trees with one planted
-// violation each.
+// Tests that each rule of rules.hpp finds its violations, with small trees that contain
+// one violation each.
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -179,6 +179,14 @@ TEST(Rules, BudgetsAreCounted) {
     EXPECT_EQ(check_budgets(tree).size(), 5u);
 }
 
+TEST(Rules, FileNameInTwoRoomsIsFound) {
+    const SourceTree tree = make_tree({{"src/gpu/describe.cpp", ""},
+                                       {"src/log/readers/describe.cpp", ""},
+                                       {"src/log/describe.hpp", ""},
+                                       {"tests/gpu/describe.cpp", ""}});
+    EXPECT_THAT(check_file_names(tree), ElementsAre(HasSubstr("src/log/readers/describe.cpp:1")));
+}
+
 TEST(Rules, VulkanNameIsFound) {
     const SourceTree tree =
         make_tree({{"src/forward/a.cpp", "// VkBuffer\nVkBuffer b;\n"}, {"src/gpu/a.cpp", "VkBuffer b;\n"}});
@@ -211,7 +219,7 @@ TEST(Rules, ReadmeCallingNothingIsFound) {
     EXPECT_THAT(check_readme({}), ElementsAre(HasSubstr("missing")));
 }
 
-/// What is wrong in a document of a small checkout.
+/// Returns the violations in a document of a small checkout.
 Violations wrong_in(const std::string& document) {
     return check_documents(
         make_tree({{"docs/a.md", document},

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host and shaders see the same bytes: every struct that they share, in every kernel that
-// uses it. And no kernel needs what not every device has.
+// Tests that host and shaders use the same layout for every shared struct, in every
+// kernel that uses it. Also tests that no kernel needs features that not every device
+// has.
 #include <algorithm>
 #include <cstddef>
 #include <map>
@@ -36,7 +37,7 @@ TEST(SharedLayout, KernelsSeeWhatTheHostWrites) {
         const std::map<std::string, StructLayout> seen = read_spirv_layouts(kernel.words);
         for (const auto& [type, layout] : seen) {
             const auto ours = host.find(type);
-            if (ours == host.end()) continue;  // a block of the shader's own
+            if (ours == host.end()) continue;  // a private block of the shader
             EXPECT_EQ(layout, ours->second) << type << " in " << kernel.name;
             unseen.erase(type);
         }
@@ -51,10 +52,10 @@ TEST(Kernels, HaveNo64BitIntegers) {
             << kernel.name << ": see RELIDAR_POINTER in relidar/base/lang.h";
 }
 
-/// What a module does with addresses.
+/// Uses of addresses in a module.
 struct Addresses {
-    int n_compared = 0;   ///< with a constant
-    int n_in_arrays = 0;  ///< types of arrays whose entries hold addresses
+    int n_compared = 0;   ///< comparisons with a constant
+    int n_in_arrays = 0;  ///< array types whose elements contain addresses
 };
 
 class AddressReader {
@@ -81,9 +82,9 @@ private:
         not_equal = 171,
         storage = 5349
     };
-    std::set<std::uint32_t> addresses_, entries_;  ///< types of addresses and of entries of arrays
+    std::set<std::uint32_t> addresses_, entries_;  ///< types of addresses and of array elements
     std::map<std::uint32_t, std::vector<std::uint32_t>> members_;
-    /// values_ are addresses, bits_ the same as vectors
+    /// values_ are addresses; bits_ are the same addresses as vectors
     std::set<std::uint32_t> constants_, values_, bits_;
     Addresses found_;
 
@@ -108,9 +109,10 @@ private:
     }
 };
 
-/// Newer lavapipe reads through an address even in a branch that no lane takes. So no
-/// address that a kernel reads through is 0: the stream replaces those of the parameters,
-/// arrays hold none, and kernels do not look for 0.
+/// Newer versions of lavapipe read through an address even in a branch that no lane
+/// takes. Therefore no address that a kernel reads through may be 0. The stream replaces
+/// null addresses in the parameters, arrays contain no addresses, and kernels do not
+/// compare addresses with 0.
 TEST(Kernels, GetNoAddressZero) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const Addresses found = AddressReader(kernel.words).found();
@@ -121,8 +123,8 @@ TEST(Kernels, GetNoAddressZero) {
     }
 }
 
-/// Offsets of addresses, against those of the host's struct: a whole kernel's parameters
-/// are known by hand.
+/// Compares the offsets of addresses with those of the host's struct, for the parameters
+/// of one kernel by hand.
 TEST(Kernels, AddressesOfParametersAreFound) {
     const auto addresses = [](std::string_view name) {
         for (const EmbeddedKernel& kernel : embedded_kernels())

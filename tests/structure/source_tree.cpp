@@ -18,8 +18,8 @@ const std::set<std::string> kSkippedFolders = {".git",    "build", "demo", "runs
 
 bool is_skipped(const fs::path& root, const fs::directory_entry& entry) {
     const std::string name = entry.path().filename().string();
-    // tools/demo is a script, demo/ the folder it writes; tests/data and the like hold no
-    // sources.
+    // tools/demo is a script, and demo/ is the folder that it writes. Folders like
+    // tests/data contain no sources.
     return entry.is_directory() && (kSkippedFolders.contains(name) ||
                                     (entry.path().parent_path() == root && name.starts_with("cmake-build")));
 }
@@ -31,8 +31,8 @@ std::string read_text(const fs::path& path) {
     return std::move(text).str();
 }
 
-/// Position after a raw string literal whose R stands at `begin`, or begin if none starts
-/// there.
+/// Returns the position after a raw string literal whose R is at `begin`, or `begin` if
+/// no raw string starts there.
 std::size_t end_of_raw_string(const std::string& text, std::size_t begin) {
     if (text.compare(begin, 2, "R\"") != 0) return begin;
     if (begin > 0 && (std::isalnum(static_cast<unsigned char>(text[begin - 1])) || text[begin - 1] == '_'))
@@ -44,7 +44,7 @@ std::size_t end_of_raw_string(const std::string& text, std::size_t begin) {
     return close == std::string::npos ? text.size() : close + closing.size();
 }
 
-/// Position after a quoted literal that starts at `begin`.
+/// Returns the position after a quoted literal that starts at `begin`.
 std::size_t end_of_quoted(const std::string& text, std::size_t begin) {
     const char quote = text[begin];
     std::size_t i = begin + 1;
@@ -57,7 +57,8 @@ bool is_digit_separator(const std::string& text, std::size_t i) {
            i + 1 < text.size() && std::isxdigit(static_cast<unsigned char>(text[i + 1]));
 }
 
-/// Position after the comment or literal that starts at i, or i if none does.
+/// Returns the position after the comment or literal that starts at i, or i if none
+/// starts there.
 std::size_t end_of_blank(const std::string& text, std::size_t i) {
     if (text.compare(i, 2, "//") == 0) return std::min(text.find('\n', i), text.size());
     if (text.compare(i, 2, "/*") == 0) {
@@ -80,7 +81,7 @@ std::string collapse_spaces(const std::string& text) {
     return out;
 }
 
-/// Number of parameters in the parenthesised list that opens at `open`.
+/// Returns the number of parameters in the parenthesised list that opens at `open`.
 int count_arguments(const std::string& header, std::size_t open) {
     int depth = 0, commas = 0;
     bool any = false;
@@ -95,7 +96,7 @@ int count_arguments(const std::string& header, std::size_t open) {
     return any ? commas + 1 : 0;
 }
 
-/// Reads scopes and functions out of code without comments and literals.
+/// Finds scopes and functions in code without comments and literals.
 class Reader {
 public:
     explicit Reader(const std::string& code) : code_(code) {}

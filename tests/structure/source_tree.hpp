@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The source tree as text, for the checks of rules.hpp: files, their includes, their
-// functions. A line-and-brace reader for code in our own format (.clang-format), not a
-// parser of C++.
+// Reads the source tree as text for the checks of rules.hpp: files, their includes and
+// their functions. It reads lines and braces of code in our format (.clang-format). It is
+// not a C++ parser.
 #pragma once
 
 #include <cstddef>
@@ -12,12 +12,14 @@
 
 namespace relidar::structure {
 
-/// One file, read whole.
+/// One file with its full text.
 struct SourceFile {
     std::string path;  ///< relative to the root, with forward slashes
     std::string text;
-    std::string code;  ///< text with comments and the contents of literals blanked; same length, same lines
-    std::vector<std::string> lines;  ///< of text, without line ends
+    /// text with comments and the contents of literals replaced by blanks; same length,
+    /// same lines
+    std::string code;
+    std::vector<std::string> lines;  ///< lines of the text, without line ends
 };
 
 /// An #include line whose target is a file of the project.
@@ -29,41 +31,43 @@ struct Include {
 /// A declaration or definition at namespace or class scope that has a parameter list.
 struct Function {
     std::string name;
-    std::string scope;   ///< name of the class it stands in; empty at namespace scope
-    std::string header;  ///< everything before the body or the semicolon, white space collapsed
+    std::string scope;   ///< name of the enclosing class; empty at namespace scope
+    std::string header;  ///< text before the body or the semicolon, with white space collapsed
     int first_line = 0;  ///< counted from 1
-    int last_line = 0;   ///< of the closing brace or semicolon
+    int last_line = 0;   ///< line of the closing brace or semicolon
     int n_arguments = 0;
     bool has_body = false;
 
     int n_lines() const { return last_line - first_line + 1; }
 };
 
-/// All sources, scripts and documentation of a checkout, by path. Build and output
-/// folders are left out.
+/// All sources, scripts and documents of a checkout, by path. Build and output folders
+/// are omitted.
 using SourceTree = std::map<std::string, SourceFile>;
 
-/// Reads a checkout. @throws std::runtime_error where root is no folder
+/// Reads a checkout.
+/// @throws std::runtime_error if root is not a folder
 SourceTree read_tree(const std::filesystem::path& root);
 
 /// Makes a file of the tree from its text.
 SourceFile make_file(const std::string& path, const std::string& text);
 
-/// Text with comments and the contents of string and character literals (raw ones too)
-/// replaced by spaces.
+/// Returns the text with comments and the contents of string and character literals (also
+/// raw ones) replaced by spaces.
 std::string blank_comments_and_literals(const std::string& text);
 
-/// Includes of a file that resolve within the project: <relidar/...>, or quoted ones
-/// relative to the file, src/, shaders/, include/, tests/ or the root.
+/// Returns the includes of a file that refer to files of the project: <relidar/...>, or
+/// quoted ones relative to the file, src/, shaders/, include/, tests/ or the root.
 std::vector<Include> includes_of(const SourceTree& tree, const SourceFile& file);
 
-/// Functions of a C++ or GLSL file in the order of their ends.
+/// Returns the functions of a C++ or GLSL file in the order of their ends.
 std::vector<Function> functions_of(const SourceFile& file);
 
-/// Whether a word stands in the text, not as part of a longer identifier.
+/// Returns true if the text contains a word that is not a part of a longer identifier.
 bool contains_word(const std::string& text, const std::string& word);
 
-/// Path pieces: folder(path, 0) is the first folder. Empty past the last folder.
+/// Returns a folder of a path: folder(path, 0) is the first one. Returns an empty string
+/// after the last folder.
 std::string folder(const std::string& path, std::size_t depth);
 std::string stem(const std::string& path);
 bool has_extension(const std::string& path, const std::vector<std::string>& extensions);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays through which threads of one launch exchange values. On cards whose compute
-// units have caches of their own, what one subgroup stores in a buffer another sees only
-// by coherent accesses on both sides, whatever barriers stand between. This reads a
-// compiled kernel and names the members of its parameters that it loads and stores, has a
-// barrier for, and does not access coherently.
+// Finds arrays through which the threads of one launch exchange values. On some GPUs,
+// each compute unit has a separate cache. There, a value that one subgroup stores is
+// visible to another only if both accesses are coherent, even with barriers. The
+// functions read a compiled kernel and return the parameter members that it loads and
+// stores, with a barrier in the kernel but without coherent accesses.
 #pragma once
 
 #include <cstdint>
@@ -19,25 +19,26 @@ namespace relidar::structure {
 
 namespace spirv_detail {
 
-/// What is known of the result of an instruction: the member of the parameters it comes
-/// from, and whether it is reached coherently.
+/// Origin of an instruction's result: the parameter member, and whether the access is
+/// coherent.
 struct Origin {
-    std::string member;     ///< "keys", "wide.order"; empty: none
-    bool in_array = false;  ///< the array itself, not the pointer to it
+    std::string member;     ///< "keys", "wide.order"; empty if there is none
+    bool in_array = false;  ///< true for the array itself, false for the pointer to it
     bool coherent = false;
-    /// the pointer to the block of parameters, or its place in the push constants
+    /// true for the pointer to the parameter block, or its place in the push constants
     bool parameters = false;
 };
 
 struct Accesses {
     bool loaded = false;
     bool stored = false;
-    bool coherent = true;  ///< all of them
+    bool coherent = true;  ///< true if all accesses are coherent
 };
 
 class ExchangeReader {
 public:
-    /// @return members loaded and stored with a barrier in the kernel, not all coherently
+    /// @return members that are loaded and stored in a kernel with a barrier, and not
+    /// always coherently
     std::vector<std::string> read(std::span<const std::uint32_t> words) {
         for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16) {
             if (words[at] >> 16 == 0) throw std::runtime_error("reading SPIR-V: an instruction of no words");
@@ -93,7 +94,7 @@ private:
             std::uint32_t type = pointers_[type_of_[o[2]]].second;
             for (std::size_t k = 3; k < o.size(); ++k) {
                 const std::uint32_t index = constants_[o[k]];
-                // the first is `value`
+                // the first member is `value`
                 if (k > 3) from.member += (from.member.empty() ? "" : ".") + member_names_[type][index];
                 type = struct_members_[type].size() > index ? struct_members_[type][index] : 0;
             }
@@ -144,7 +145,7 @@ private:
                 origins_[o[1]].in_array = false;
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;
-            case Bitcast:  // a pointer to a pointer of another type, through uvec2
+            case Bitcast:  // conversion of a pointer to another type, through uvec2
                 origins_[o[1]] = origins_[o[2]];
                 origins_[o[1]].coherent = points_to_coherent(o[0]);
                 break;
@@ -163,8 +164,8 @@ private:
 
 }  // namespace spirv_detail
 
-/// Members of the parameters through which a kernel exchanges values between its threads
-/// without coherent accesses.
+/// Returns the parameter members through which a kernel exchanges values between its
+/// threads without coherent accesses.
 inline std::vector<std::string> incoherent_exchanges(std::span<const std::uint32_t> words) {
     return spirv_detail::ExchangeReader().read(words);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Offsets of struct members as a compiled shader sees them, to be compared with offsetof
-// on the host, and the capabilities it needs. Reads OpCapability, OpName, OpMemberName,
-// OpMemberDecorate Offset and OpTypeStruct of a SPIR-V module; nothing else.
+// Reads the member offsets of structs in a compiled shader, for comparison with offsetof
+// on the host, and the required capabilities. Uses only OpCapability, OpName,
+// OpMemberName, OpMemberDecorate Offset and OpTypeStruct of a SPIR-V module.
 #pragma once
 
 #include <cstddef>
@@ -45,7 +45,7 @@ void for_each_instruction(std::span<const std::uint32_t> words, Read read) {
     }
 }
 
-/// A literal string: little-endian bytes in words, ended by a zero byte.
+/// Returns a literal string: little-endian bytes in words, terminated by a zero byte.
 inline std::string read_string(std::span<const std::uint32_t> words) {
     std::string text;
     for (const std::uint32_t word : words) {
@@ -58,7 +58,7 @@ inline std::string read_string(std::span<const std::uint32_t> words) {
     throw std::runtime_error("reading SPIR-V: a name has no end");
 }
 
-/// What a module says about one struct type.
+/// Declaration of one struct type in a module.
 struct Struct {
     std::string name;
     std::size_t n_members = 0;
@@ -90,12 +90,12 @@ inline void read_instruction(std::uint32_t opcode, std::span<const std::uint32_t
 
 }  // namespace spirv_detail
 
-/// Layouts of the structs with offsets in a module, by the name they have in the source.
-/// glslang emits a second, undecorated copy of a struct that is used as a local: those
-/// are left out.
+/// Returns the layouts of the structs with offsets in a module, by their names in the
+/// source. glslang emits a second, undecorated copy of a struct that is used as a local
+/// variable; these copies are omitted.
 /// @param words [n] the module, host byte order
-/// @throws std::runtime_error where it is no SPIR-V, is cut, or lays one struct out in
-/// two ways
+/// @throws std::runtime_error if the module is not SPIR-V, is truncated, or contains two
+/// layouts of one struct
 inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const std::uint32_t> words) {
     using namespace spirv_detail;
     std::map<std::uint32_t, Struct> structs;
@@ -119,7 +119,8 @@ inline std::map<std::string, StructLayout> read_spirv_layouts(std::span<const st
 
 constexpr std::uint32_t kCapabilityInt64 = 11;
 
-/// Capabilities a module declares, by their numbers in the SPIR-V specification.
+/// Returns the capabilities that a module declares, as numbers of the SPIR-V
+/// specification.
 inline std::set<std::uint32_t> read_spirv_capabilities(std::span<const std::uint32_t> words) {
     std::set<std::uint32_t> capabilities;
     spirv_detail::for_each_instruction(words,

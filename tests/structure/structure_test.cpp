@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The rules of rules.hpp hold for this checkout.
+// Tests that this checkout satisfies the rules of rules.hpp.
 #include <gtest/gtest.h>
 
 #include "rules.hpp"
@@ -25,6 +25,7 @@ TEST(Structure, KernelsHaveBindingTestAndRow) { expect_none(check_kernels(checko
 TEST(Structure, PointersSayWhatTheyHold) { expect_none(check_bare_pointers(checkout())); }
 TEST(Structure, PrimitivesAreAskedByTheirRow) { expect_none(check_primitive_questions(checkout())); }
 TEST(Structure, BudgetsAreKept) { expect_none(check_budgets(checkout())); }
+TEST(Structure, FileNamesTellRoomsApart) { expect_none(check_file_names(checkout())); }
 TEST(Structure, VulkanStaysInGpuAndAccel) { expect_none(check_vulkan_names(checkout())); }
 TEST(Structure, FacesAreCommented) { expect_none(check_face_comments(checkout())); }
 TEST(Structure, LicenceIsNamed) { expect_none(check_licence_lines(checkout())); }

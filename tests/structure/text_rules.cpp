@@ -23,8 +23,8 @@ bool is_comment(const std::string& line) {
     return begin != std::string::npos && line.compare(begin, 2, "//") == 0;
 }
 
-/// Needs no sentence: operators, constructors, accessors without arguments, members
-/// defined on their own line, deleted ones.
+/// Returns true if a function needs no comment: operators, constructors, accessors
+/// without arguments, members defined in one line, and deleted functions.
 bool explains_itself(const Function& function) {
     if (function.name.starts_with("operator") || function.name.starts_with("~") ||
         function.header.ends_with("= delete") || function.header.ends_with("= default")) {
@@ -43,7 +43,7 @@ bool has_trailing_comment(const SourceFile& file, const Function& function) {
 }
 
 void check_face(const SourceFile& file, Violations& violations) {
-    // a run of declarations without an empty line shares the comment above it
+    // consecutive declarations without an empty line share the comment above them
     std::set<int> ends_of_explained;
     for (const Function& function : functions_of(file)) {
         const bool below_comment = function.first_line > 1 &&
@@ -58,7 +58,7 @@ void check_face(const SourceFile& file, Violations& violations) {
     }
 }
 
-/// First word of a command line, and of `bash word`, the word after it.
+/// Returns the first word of a command line. For `bash word`, returns the second word.
 std::string called_script(const std::string& command) {
     std::istringstream in(command);
     std::string word;

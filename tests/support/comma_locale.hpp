@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// While it lives, the program's locale writes 1234.5 as "1.234,5": C++ streams always,
-// printf and strtod where the machine has such a locale installed. What relidar writes
-// and reads must not notice.
+// Sets a locale that writes 1234.5 as "1.234,5" while the object exists. It applies to
+// C++ streams, and to printf and strtod if such a locale is installed. Files that relidar
+// reads and writes must not depend on the locale.
 #pragma once
 
 #include <clocale>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The test process's device, opened once.
+// Opens the device of the test process once.
 #include "device.hpp"
 
 #include <cstdlib>
@@ -23,9 +23,9 @@ Traversal wanted_traversal() {
     return Traversal::automatic;
 }
 
-/// Opened by the first test that asks, closed after the last one, while main() still
-/// runs: when a program exits, its static objects may go after those of the validation
-/// layer, which then no longer knows the device.
+/// Holds the device of the process. The first test that needs the device opens it. It is
+/// closed after the last test while main() still runs. Otherwise the static objects of
+/// the validation layer could be destroyed before the device.
 class ProcessDevice : public testing::Environment {
 public:
     Device* find() {

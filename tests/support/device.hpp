@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// One device a test process, with validation as the environment says, opened for the
-// traversal that RELIDAR_TEST_TRAVERSAL names (ray_query or software; ctest runs the
-// suites that trace once with each), else the one a user would get. No device is a skip
-// for a user and a failure where RELIDAR_REQUIRE_GPU=1 (CI). Any validation message fails
-// the test in which it appears.
+// Provides one device per test process. RELIDAR_TEST_TRAVERSAL selects the traversal
+// (ray_query or software); ctest runs the suites that trace rays once with each. Without
+// the variable, the default traversal is used. If there is no device, tests are skipped,
+// or fail if RELIDAR_REQUIRE_GPU=1 (CI). A validation message fails the test in which it
+// appears.
 #pragma once
 
 #include <gtest/gtest.h>
@@ -12,10 +12,10 @@
 
 namespace relidar::test {
 
-/// The device of this process, or null where there is none.
+/// Returns the device of this process, or null if there is none.
 Device* find_device();
 
-/// Fixture of every test that runs kernels.
+/// Fixture of all tests that run kernels.
 class DeviceTest : public ::testing::Test {
 protected:
     void SetUp() override;

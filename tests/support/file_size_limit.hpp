@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A disk that is full, for a test that has none.
+// Simulates a full disk.
 #pragma once
 
 #include <csignal>
@@ -8,7 +8,8 @@
 
 namespace relidar::test {
 
-/// Lets no file grow beyond a size, which fails writes as a full disk does.
+/// Limits the size of files while the object exists. Writes beyond the limit fail like on
+/// a full disk.
 class FileSizeLimit {
 public:
     explicit FileSizeLimit(rlim_t n_bytes) : handler_(std::signal(SIGXFSZ, SIG_IGN)) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structs that kernels fill as the numbers they hold, one behind the other: to compare
-// them, lane by lane.
+// Converts structs that kernels fill to arrays of floats, so that tests can compare them
+// element by element.
 #pragma once
 
 #include <cstring>

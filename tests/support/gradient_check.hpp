@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients against central differences, row by row: a row is one parameter of one surfel
-// (mean [3], rotation [4], ...). The error of a row is |difference - analytic| over the
-// row's norm; a table reports the worst row of each group and how many rows were not
-// zero. Links (i) and (ii) of the gradient chain in docs/architecture.md section 9 use
-// the same table.
+// Compares gradients with central differences, row by row. A row is one parameter of one
+// surfel (mean [3], rotation [4], ...). The error of a row is |difference - analytic|
+// divided by the row's norm. The table reports the worst row of each group and the number
+// of nonzero rows. Both links of the gradient chain in docs/architecture.md section 9 use
+// it.
 #pragma once
 
 #include <algorithm>
@@ -18,12 +18,12 @@
 
 namespace relidar::test {
 
-/// Rows of one parameter group and what was found.
+/// Expected and actual gradients of one parameter group.
 struct GradientGroup {
     std::vector<std::vector<double>> expected;  ///< [rows][components]
     std::vector<std::vector<double>> actual;
 
-    /// Euclidean norm of a row.
+    /// Returns the Euclidean norm of a row.
     static double norm(const std::vector<double>& row) {
         double sum = 0.0;
         for (double x : row) sum += x * x;
@@ -38,8 +38,8 @@ struct GradientGroup {
         return std::size_t(
             std::count_if(expected.begin(), expected.end(), [](const auto& row) { return norm(row) > 0.0; }));
     }
-    /// Rows with an expected gradient (above the small-row bound) for which nothing was
-    /// accumulated.
+    /// Counts the rows whose expected gradient is above the small-row bound, but whose
+    /// actual gradient is zero.
     std::size_t missing_rows() const {
         const double bound = kSmallRow * largest_row();
         std::size_t missing = 0;
@@ -47,8 +47,8 @@ struct GradientGroup {
             missing += norm(expected[i]) > bound && norm(actual[i]) == 0.0;
         return missing;
     }
-    /// Worst |actual - expected| / max(|expected|, small-row bound); infinite where a
-    /// value is not finite.
+    /// Returns the largest |actual - expected| / max(|expected|, small-row bound), or
+    /// infinity if a value is not finite.
     double worst_error() const {
         const double bound = kSmallRow * largest_row();
         double worst = 0.0;
@@ -63,7 +63,7 @@ struct GradientGroup {
     }
 };
 
-/// Named groups of rows, with a table at the end.
+/// Groups of rows by name, printed as a table at the end.
 class GradientTable {
 public:
     void add_row(const std::string& group, std::vector<double> expected, std::vector<double> actual) {
@@ -89,11 +89,11 @@ private:
     std::map<std::string, GradientGroup> groups_;
 };
 
-/// d(sum of terms)/d(component) by central differences; the terms are differenced one by
-/// one before they are summed, which keeps the cancellation error that of one term.
-/// @param set    set(k, offset) gives component k of the parameter its present value plus
-/// offset; called with h, -h, 0
-/// @param terms  the loss, as a list of terms, at the parameters as they are set
+/// Computes d(sum of terms)/d(component) by central differences. Each term is differenced
+/// before the sum, so that the cancellation error is that of a single term.
+/// @param set set(k, offset) adds the offset to the original value of component k; called
+/// with h, -h, 0
+/// @param terms computes the loss as a list of terms at the current parameters
 inline std::vector<double> central_differences(int components, const std::function<void(int, double)>& set,
                                                const std::function<std::vector<double>()>& terms,
                                                double h = kDifferenceStep) {
@@ -111,7 +111,7 @@ inline std::vector<double> central_differences(int components, const std::functi
     return result;
 }
 
-/// The same for a parameter that lies in memory as consecutive doubles.
+/// Computes central differences for a parameter that is stored as consecutive doubles.
 inline std::vector<double> central_differences(double* parameter, int components,
                                                const std::function<std::vector<double>()>& terms,
                                                double h = kDifferenceStep) {

@@ -21,13 +21,14 @@ struct Box {
 
 using Indices = std::vector<std::uint32_t>;
 
-/// One tree: appends nodes, and primitives in leaf order. Children of a node lie
-/// together.
+/// Builds one tree. Appends nodes, and primitives in the order of the leaves. The
+/// children of a node are contiguous.
 class Builder {
 public:
     Builder(const std::vector<Box>& boxes, std::vector<shared::BvhNode>& nodes, Indices& order)
         : boxes_(boxes), nodes_(nodes), order_(order) {}
 
+    /// Builds the tree of some primitives.
     /// @return index of the root
     std::uint32_t build(Indices primitives) {
         const auto root = static_cast<std::uint32_t>(nodes_.size());
@@ -103,7 +104,8 @@ private:
             if (part.size() > RELIDAR_BVH_LEAF_SIZE) fill(child++, part);
     }
 
-    /// Quantises the children's boxes along an axis, outward in exact arithmetic.
+    /// Quantises the boxes of the children along one axis, rounded outward in exact
+    /// arithmetic.
     void set_axis(shared::BvhNode& node, int axis, const std::vector<Indices>& parts,
                   const Box& whole) const {
         shared::uint* const low = axis == 0 ? node.low_x : axis == 1 ? node.low_y : node.low_z;
@@ -128,7 +130,7 @@ private:
     }
 };
 
-/// Boxes of all surfels, in their models' frames.
+/// Returns the boxes of all surfels in the frames of their models.
 std::vector<Box> surfel_boxes(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     const std::vector<Constant> constants{

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A two-level tree in the layout of shared/bvh.h, built on the host by recursive object
-// median: tests of the traversal alone, which must not depend on the device's builder.
-// Boxes are the device's own (diff/accel/proxies).
+// Builds a two-level tree in the layout of shared/bvh.h on the host, by recursive object
+// median. It lets tests check the traversal without the device's tree builder. The boxes
+// come from the device (diff/accel/proxies).
 #pragma once
 
 #include <memory>
@@ -13,7 +13,7 @@ namespace relidar::test {
 
 class HostBvh {
 public:
-    /// The scene must be activated. Blocks.
+    /// Builds the tree of an activated scene. Waits for the device.
     HostBvh(Device& device, const DeviceScene& scene);
     shared::BvhPointers pointers() const;
 

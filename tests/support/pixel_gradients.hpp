@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random gradients of what rays render.
+// Makes random gradients of rendered values.
 #pragma once
 
 #include <cstdint>
@@ -11,25 +11,25 @@
 namespace relidar::test {
 
 /// Which outputs of a ray have a gradient.
-enum class Outputs { image, normal, distortion, likelihood, all };
+enum class Outputs { image, likelihood, all };
 
-/// Rounded to float, so that a kernel can be given exactly the same.
+/// Returns gradients rounded to float, so that a kernel can be given exactly the same.
 inline std::vector<reference::PixelGradient> random_upstream(std::size_t n, std::uint64_t seed,
                                                              Outputs outputs = Outputs::image) {
     std::mt19937_64 random(seed);
     std::normal_distribution<float> normal;
-    const auto draw = [&](float scale, bool wanted) { return wanted ? scale * normal(random) : 0.0f; };
-    const bool image = outputs == Outputs::image || outputs == Outputs::all;
     std::vector<reference::PixelGradient> gradients(n);
-    for (reference::PixelGradient& g : gradients) {
-        g.depth = draw(0.3f, image);
-        for (double* x : {&g.weight, &g.intensity, &g.hit_logit, &g.drop_logit}) *x = draw(1.0f, image);
-        for (int k = 0; k < 3; ++k)
-            g.normal[k] = draw(1.0f, outputs == Outputs::normal || outputs == Outputs::all);
-        g.distortion = draw(1.0f, outputs == Outputs::distortion || outputs == Outputs::all);
-    }
-    for (reference::PixelGradient& g : gradients)
-        g.likelihood = draw(1.0f, outputs == Outputs::likelihood || outputs == Outputs::all);
+#define RELIDAR_DRAW(name, built, value, input, slope, meaning) g.name = normal(random);
+    if (outputs != Outputs::likelihood)
+        for (reference::PixelGradient& g : gradients) {
+            RELIDAR_IMAGE_VALUES(RELIDAR_DRAW)
+            g.depth = 0.3f * float(g.depth);  // metres
+        }
+    if (outputs != Outputs::image)
+        for (reference::PixelGradient& g : gradients) {
+            RELIDAR_LOSS_VALUES(RELIDAR_DRAW)
+        }
+#undef RELIDAR_DRAW
     return gradients;
 }
 

@@ -5,7 +5,7 @@ namespace relidar::test {
 
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements) {
     SceneAndPoses result;
-    std::vector<reference::Placement> ranges;  // of the models
+    std::vector<reference::Placement> ranges;  // surfel ranges of the models
     for (const reference::Placement& p : placements) {
         std::uint32_t model = 0;
         while (model < ranges.size() && (ranges[model].first != p.first || ranges[model].count != p.count))

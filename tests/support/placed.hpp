@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Between the oracle's worlds and the library's scenes: one model a range of surfels that
-// some instance places.
+// Converts the worlds of the reference renderer to scenes of the library, with one model
+// per surfel range.
 #pragma once
 
 #include <relidar/diff/traversal.hpp>
@@ -9,21 +9,21 @@
 
 namespace relidar::test {
 
-/// The scene and poses of a world, every distinct range of surfels a model. Models of a
-/// scene lie one behind the other, so ranges that overlap become copies; a surfel that no
-/// range holds is left out.
+/// Scene and poses of a world. Each distinct range of surfels becomes a model. The models
+/// of a scene are contiguous, so overlapping ranges become copies. Surfels outside all
+/// ranges are omitted.
 struct SceneAndPoses {
     Scene scene;
     std::vector<InstancePose> world_from_instance;
-    /// [n] the world's number of each surfel of the scene, ascending within a model
+    /// [n] index in the world of each surfel of the scene, ascending within a model
     std::vector<std::uint32_t> original;
 };
 SceneAndPoses to_scene(const Surfels& surfels, const std::vector<reference::Placement>& placements);
 
 WorldRays to_world_rays(const std::vector<reference::Ray>& rays);
 
-/// What they measured; rays without a range are unknown ones, of another range, and
-/// dropped ones in turn.
+/// Returns the measured targets of rays. Rays without a range become unknown targets,
+/// targets with another range, and dropped targets, in turn.
 std::vector<shared::DeviceTarget> to_targets(const std::vector<reference::Ray>& rays);
 
 }  // namespace relidar::test

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Random scenes with margins: surfels are drawn in a corridor in front of the sensor,
-// facing it within 50 degrees; rays are drawn into it and kept where all margins hold
-// (the discontinuities of M1, M2, M4 and of the intensity clamp).
+// Makes random scenes with margins. Surfels are placed in a corridor in front of the
+// sensor and face it within 50 degrees. Random rays into the corridor are kept if all
+// margins hold at the discontinuities of M1, M2, M4 and of the intensity clamp.
 #include "random_scene.hpp"
 
 #include <cmath>
@@ -24,8 +24,8 @@ glm::dvec3 unit_vector(Random& random) {
     return glm::normalize(glm::dvec3(normal(random), normal(random), normal(random)));
 }
 
-/// Quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x or +x, the
-/// in-plane angle and the length arbitrary.
+/// Returns a random quaternion (w, x, y, z) whose third axis lies within `cone_rad` of -x
+/// or +x. The in-plane angle and the length are random.
 glm::dvec4 facing_rotation(Random& random, double cone_rad) {
     const double angle = uniform(random, 0.0, 2.0 * kPi), tilt = uniform(random, 0.0, cone_rad),
                  side = uniform(random, 0.0, 1.0);
@@ -53,8 +53,8 @@ reference::Surfel random_surfel(Random& random, const glm::dvec3& low, const glm
     return s;
 }
 
-/// Every surfel of an instance the ray's line could matter to: not cut or clamped by a
-/// hair, not grazing, not at the near plane.
+/// Returns true if a surfel keeps all margins for a ray: not close to the alpha cut or
+/// clamp, not grazing, not at the near plane.
 bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray,
                       const reference::LocalRay<double>& local, const reference::Settings& settings,
                       const Margins& m) {
@@ -66,12 +66,13 @@ bool surfel_is_smooth(const reference::Surfel& surfel, const reference::Ray& ray
                  log_alpha = std::log(r.sigma) - 0.5 * (met.u * met.u + met.v * met.v + met.w * met.w);
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_min))) < m.log_alpha) return false;
     if (std::abs(log_alpha - std::log(double(settings.image.alpha_max))) < m.log_clamp) return false;
-    // skipped: the rest cannot matter
+    // the ray skips this surfel, so its other margins do not matter
     if (log_alpha < std::log(double(settings.image.alpha_min))) return true;
     return std::abs(facing) >= m.facing && std::abs(t - double(settings.image.near_m)) >= m.near_m;
 }
 
-/// Order, stop and intensity clamp along the sorted hits.
+/// Returns true if the margins of order, stop and intensity clamp hold along the sorted
+/// hits.
 bool hits_are_smooth(const reference::World& world, const reference::Settings& settings,
                      const reference::Ray& ray, const Margins& m) {
     const reference::BruteForce brute(world, settings.image, reference::Precision::double_record);
@@ -90,8 +91,8 @@ bool hits_are_smooth(const reference::World& world, const reference::Settings& s
     return true;
 }
 
-/// Surfels, placements and view origin, all rounded to float where the library stores
-/// floats.
+/// Returns random surfels, placements and a view origin, rounded to float where the
+/// library stores floats.
 RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     RandomScene scene;
     std::vector<reference::Surfel> surfels;
@@ -122,8 +123,8 @@ RandomScene random_surfels(Random& random, const RandomSceneOptions& options) {
     return scene;
 }
 
-/// Draws rays into the corridor and keeps those with margins, until there are enough or
-/// too many were drawn.
+/// Adds random rays that keep the margins, until there are enough rays or the number of
+/// attempts is exhausted.
 void add_rays(Random& random, const RandomSceneOptions& options, const reference::Settings& settings,
               const Margins& margins, RandomScene& scene) {
     for (int attempt = 0; attempt < 200 * options.rays && int(scene.rays.size()) < options.rays; ++attempt) {
@@ -137,7 +138,7 @@ void add_rays(Random& random, const RandomSceneOptions& options, const reference
     }
 }
 
-/// Ranges about what the rays render.
+/// Adds measured ranges near the rendered ranges of the rays.
 void add_measured_ranges(const RandomSceneOptions& options, const reference::Settings& settings,
                          RandomScene& scene) {
     Random random(options.seed + 1000);
@@ -166,7 +167,8 @@ bool keeps_margins(const reference::World& world, const reference::Settings& set
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins) {
     Random random(options.seed);
-    // one unlucky surfel (say, an intensity near 0) can spoil every ray
+    // several attempts, because one surfel (say, with an intensity near 0) can reject
+    // every ray
     for (int attempt = 0; attempt < 50; ++attempt) {
         RandomScene scene = random_surfels(random, options);
         reference::Settings viewed = settings;

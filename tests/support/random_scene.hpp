@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Seeded random scenes for tests of values and gradients. Every discontinuity of the
-// image (alpha cut and clamp, near plane, order swap at equal t, T_min stop, intensity
-// clamp, grazing surfels) is kept away from every ray by a margin, so that central
+// Makes seeded random scenes for tests of values and gradients. A margin keeps every ray
+// away from each discontinuity of the image: alpha cut and clamp, near plane, order of
+// equal t, T_min stop, intensity clamp, and grazing surfels. Therefore central
 // differences and single precision see the same smooth function as the double reference
 // (docs/architecture.md section 9).
 #pragma once
@@ -16,26 +16,31 @@ namespace relidar::test {
 struct RandomSceneOptions {
     std::uint64_t seed = 1;
     int background_surfels = 40;
-    int actor_surfels = 12;   ///< one model ...
-    int actor_instances = 2;  ///< ... placed this often, each with its own pose, overlapping the background
-    /// of the background: at 3, 5, ... m, 4 m wide, opacity 0.997, so that alpha clamps
+    int actor_surfels = 12;  ///< surfels of the actor's model
+    /// number of instances of the actor, each with a different pose, overlapping the
+    /// background
+    int actor_instances = 2;
+    /// Background surfels at 3, 5, ... m, 4 m wide, with opacity 0.997, so that alpha is
+    /// clamped.
     int wide_surfels = 0;
     int rays = 24;
     double opacity_low = 0.05, opacity_high = 0.6;
     Primitive primitive = Primitive::surfel;
-    bool moving = false;     ///< actors drive and turn during a sweep, and rays are fired at their own times
-    double turn_rate = 3.0;  ///< rad/s, of actors that move
+    /// if true, actors move and turn during a sweep, and each ray has a firing time
+    bool moving = false;
+    double turn_rate = 3.0;  ///< rad/s, of moving actors
 };
 
-/// What must hold between every ray and every surfel, and along every ray.
+/// Minimum distances to the discontinuities for each ray and surfel.
 struct Margins {
-    double log_alpha = 0.02;     ///< |ln(sigma G / alpha_min)| at least this
-    double log_clamp = 1e-3;     ///< |ln(sigma G / alpha_max)|: at most ln(1 / 0.99) = 0.01 where clamped
-    double facing = 0.2;         ///< |n . d| of every plane a ray crosses within reach of the surfel
-    double separation_m = 2e-3;  ///< between the t of consecutive hits
-    double log_stop = 0.02;      ///< |ln(T / T_min)| after each hit
-    double intensity = 5e-3;     ///< |intensity before the clamp|
-    double near_m = 0.05;        ///< |t - near|
+    double log_alpha = 0.02;  ///< minimum |ln(sigma G / alpha_min)|
+    /// minimum |ln(sigma G / alpha_max)|; at most ln(1 / 0.99) = 0.01 if clamped
+    double log_clamp = 1e-3;
+    double facing = 0.2;  ///< minimum |n . d| of planes that a ray crosses within the reach of the surfel
+    double separation_m = 2e-3;  ///< minimum difference between the t of consecutive hits
+    double log_stop = 0.02;      ///< minimum |ln(T / T_min)| after each hit
+    double intensity = 5e-3;     ///< minimum |intensity| before the clamp
+    double near_m = 0.05;        ///< minimum |t - near|
 };
 
 struct RandomScene {
@@ -44,14 +49,14 @@ struct RandomScene {
     glm::dvec3 view_origin{0.0};
 };
 
-/// Rounded to float, so that a kernel can be given exactly the same scene. A quarter of
-/// the surfels are anisotropic by 4. Rays have measured ranges about where they meet
-/// something, 0.3 m off; every seventh has none.
-/// @throws std::runtime_error where too few rays keep the margins
+/// Makes a random scene, rounded to float, so that a kernel can receive exactly the same
+/// scene. A quarter of the surfels have a scale ratio of 4. Measured ranges differ from
+/// the rendered ones by about 0.3 m; every seventh ray has none.
+/// @throws std::runtime_error if too few rays keep the margins
 RandomScene make_random_scene(const RandomSceneOptions& options, const reference::Settings& settings,
                               const Margins& margins = {});
 
-/// Whether a ray keeps all margins in a world.
+/// Returns true if a ray keeps all margins in a world.
 bool keeps_margins(const reference::World& world, const reference::Settings& settings,
                    const reference::Ray& ray, const Margins& margins);
 

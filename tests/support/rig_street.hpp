@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street driven through with four LiDARs that have little in common: one
-// that spins, a window that mirrors sweep, a rosette, and one of wide beams with two
-// returns.
+// Simulates a drive through the synthetic street with four different LiDARs: a spinning
+// one, a window scanned by mirrors, a rosette, and one with wide beams and two returns.
 #pragma once
 
 #include <filesystem>
@@ -14,7 +13,8 @@ namespace relidar::test {
 
 inline constexpr int kSpinning = 0, kWindow = 1, kRosette = 2, kTwoReturns = 3;
 
-/// Writes the rig's files. @return rig.json
+/// Writes the files of the sensor rig.
+/// @return path of rig.json
 inline std::string write_rig(const std::filesystem::path& folder) {
     std::filesystem::create_directories(folder);
     std::ofstream beams(folder / "top.csv");

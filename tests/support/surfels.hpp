@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Between the library's arrays (float, structure of arrays) and the oracle's surfels and
-// records (double, one struct each), so that a test gives the very same numbers to a
-// kernel and to the reference.
+// Converts between the arrays of the library (float, structure of arrays) and the surfels
+// and records of the reference (double, one struct each). A test can thus pass the same
+// numbers to a kernel and to the reference.
 #pragma once
 
 #include <vector>
@@ -13,18 +13,19 @@
 
 namespace relidar::test {
 
-/// Oracle surfels holding exactly the float values of `surfels`.
+/// Returns reference surfels with exactly the float values of `surfels`.
 std::vector<reference::Surfel> to_reference(const Surfels& surfels);
-/// Rounds to the library's arrays.
+/// Rounds reference surfels to the arrays of the library.
 Surfels to_surfels(const std::vector<reference::Surfel>& surfels);
-/// Records of section 2 in the model's frame: computed in double, then rounded.
+/// Returns the records of section 2 in the model's frame, computed in double and then
+/// rounded.
 std::vector<reference::FloatRecord> to_records(const Surfels& surfels);
-/// The same rays in double.
+/// Returns the same rays in double.
 std::vector<reference::Ray> to_reference(const WorldRays& rays);
-/// Rays of a table as they are, sensor frame = world.
+/// Returns the rays of a table unchanged, with the sensor frame as the world frame.
 WorldRays to_world_rays(const RayTable& table);
 
-/// Surfels `order[i]` of a set, without needing the library.
+/// Returns the surfels `order[i]` of a set, without using the library.
 Surfels take(const Surfels& surfels, const std::vector<std::uint32_t>& order);
 
 }  // namespace relidar::test

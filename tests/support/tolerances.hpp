@@ -1,38 +1,41 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tolerances of the suite in one place, each with its reason (docs/architecture.md
-// section 9).
+// Defines the tolerances of all tests, each with its reason (docs/architecture.md section
+// 9).
 #pragma once
 
 namespace relidar::test {
 
-/// Central differences of the double reference: truncation h^2 f'''/6 and cancellation
-/// eps L / h balance near h = 1e-5 for lengths (surfels of some 0.2 m), lower for angles,
-/// which move surfels 10 m away ten times as far, and higher for logits and SH
-/// coefficients, in which the image is nearly linear.
+/// Step sizes of central differences of the double reference. For lengths (surfels of
+/// about 0.2 m), the truncation error h^2 f'''/6 and the cancellation error eps L / h
+/// balance near h = 1e-5. Angles move surfels at 10 m ten times as far, so their step is
+/// smaller. Logits and SH coefficients change the image almost linearly, so their step is
+/// larger.
 inline constexpr double kDifferenceStep = 1e-5;
 inline constexpr double kAngleStep = 1e-6;
 inline constexpr double kLogitStep = 1e-4;
-/// Reference backward against these differences, relative to the row's norm.
+/// Tolerance of the reference's backward pass against these differences, relative to the
+/// row's norm.
 inline constexpr double kReferenceGradient = 1e-6;
-/// Rows smaller than this share of the largest row of their group are compared against
-/// that share: below it the differences hold no digits (cancellation is absolute, about
-/// 1e-10).
+/// Rows smaller than this share of the largest row in their group are compared relative
+/// to that share. Smaller differences have no significant digits, because the
+/// cancellation error is absolute (about 1e-10).
 inline constexpr double kSmallRow = 3e-3;
-/// Kernel against double reference backward, relative to the row's norm: single precision
-/// with some tens of hits a ray.
+/// Tolerance of a kernel against the reference's backward pass, relative to the row's
+/// norm. A ray has some tens of hits in single precision.
 inline constexpr double kKernelGradient = 1e-4;
-/// What Vulkan lets single precision be off, relative to the result: by one rounding, by
-/// exp (3 + 2 |x| units in the last place), by a division (2.5 of them).
+/// Errors that Vulkan allows in single precision, relative to the result: one rounding,
+/// exp (3 + 2 |x| units in the last place), and a division (2.5 units).
 inline constexpr double kRounding = 0x1p-24, kUnit = 0x1p-23, kDivision = 2.5 * kUnit;
 inline double exp_error(double x) { return (3.0 + 2.0 * (x < 0.0 ? -x : x)) * kUnit; }
-/// Of 1 / (1 + exp(-x)), absolutely.
+/// Returns the absolute error bound of 1 / (1 + exp(-x)).
 inline double sigmoid_error(double sigmoid, double x) {
     return sigmoid * ((1.0 - sigmoid) * exp_error(x) + kRounding + kDivision);
 }
-/// Kernel values against the double reference, normalised mean squared error.
+/// Tolerance of kernel values against the double reference: normalised mean squared
+/// error.
 inline constexpr double kKernelNmse = 1e-7;
-/// The released implementation (float, GPU) against a double renderer: 2.4e-4 m was
-/// measured on 256 rays, 7e-4 m here on a ray of 68 m.
+/// Tolerance of the published implementation (float, GPU) against a double renderer. The
+/// largest measured difference is 7e-4 m, on a ray of 68 m.
 inline constexpr double kPeerDepth_m = 1e-3;
 inline constexpr double kPeerChannel = 2e-5;
 

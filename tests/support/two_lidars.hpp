@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street driven through with two LiDARs that sweep together: its own, and
-// one that hangs 1.2 m behind and to the left, turned and tilted.
+// Simulates a drive through the synthetic street with two LiDARs that sweep
+// simultaneously: the default one, and one that is mounted 1.2 m behind and to the left,
+// turned and tilted.
 #pragma once
 
 #include <relidar/log/clouds.hpp>
@@ -16,7 +17,7 @@ inline Sequence two_lidar_street(const SyntheticOptions& options) {
                one.lidars[0].sensor,
                {glm::angleAxis(1.3, glm::dvec3(0, 0, 1)) * glm::angleAxis(0.1, glm::dvec3(1, 0, 0)),
                 {-1.2, 0.5, -0.2}}};
-    rear.sensor.beams.resize(rear.sensor.beams.size() / 2);  // its beams look at the upper half
+    rear.sensor.beams.resize(rear.sensor.beams.size() / 2);  // keeps only the beams of the upper half
     street.lidars.push_back(rear);
     street.frames.clear();
     const RayTable rays = make_rays(rear.sensor);

@@ -97,7 +97,7 @@ def check(name, columns, clockwise=True, lost=(), turns=range(N)):
         # of one firing by height: the same points
         same = np.lexsort((points[:, 2], np.rint((times + 1e-9 * zero_ns(head)) * 1e9 / (TURN // COLUMNS))))
         expect(np.abs(points[same] - wanted.reshape(-1, 3)[order]).max() < 1e-4, f"{name}, turn {turn}: points")
-    expect(abs(head["lidars"][0]["sensor"]["period_s"] - 0.1) < 1e-3, f"{name}: a turn of {head['lidars'][0]['sensor']['period_s']} s")
+    expect(abs(head["lidars"][0]["sensor"]["spinning"]["period_s"] - 0.1) < 1e-3, f"{name}: a turn of {head['lidars'][0]['sensor']['spinning']['period_s']} s")
     print(f"{name}: {len(scans)} turns as measured")
 
 

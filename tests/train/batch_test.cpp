@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batches (train/gather_columns): groups of columns, or a window of whole columns, with
-// their rays and targets, wrapping around; every n-th ray where there is no image order;
-// targets with the rays; refused where structural similarity has no image.
+// Tests batches (train/gather_columns): groups of columns, or a window of full columns,
+// with their rays and targets, wrapping around; every n-th ray if the rays have no image
+// order. Structural similarity without an image must be rejected.
 #include "train/frames/batch.hpp"
 
 #include <set>
@@ -19,7 +19,7 @@ namespace {
 
 class Batch : public test::DeviceTest {};
 
-/// A frame whose rays and targets say where they are.
+/// Returns a frame whose rays and targets contain their indices.
 std::vector<FrameData> numbered_frame(Device& device, std::uint32_t rows, std::uint32_t columns, bool image) {
     std::vector<DeviceRay> rays;
     std::vector<DeviceTarget> targets;
@@ -72,13 +72,13 @@ TEST_F(Batch, WindowsOfColumnsAreImages) {
     EXPECT_GT(*firsts.rbegin(), 39) << "some windows wrap around";
 }
 
-/// 53 columns are no multiple of anything: batches are images all the same, and every
-/// column is drawn as often as any other.
+/// Batches of a width without divisors (53 columns) must still be images, and each column
+/// must be drawn equally often.
 TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
     constexpr std::uint32_t kRows = 3, kColumns = 53, kStride = 5, kTaken = kColumns / kStride;
     constexpr int kTrials = 2000;
     const std::vector<FrameData> frames = numbered_frame(device(), kRows, kColumns, true);
-    BatchSampler sampler(device(), config_for("rays", 30), frames);  // every 5th
+    BatchSampler sampler(device(), config_for("rays", 30), frames);  // every 5th column
     Stream stream(device());
     Random random(7);
     std::vector<int> drawn(kColumns, 0);
@@ -93,7 +93,7 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
         const std::vector<DeviceTarget> targets = batch.targets.targets->download();
         for (std::uint32_t k = 0; k < kRows * kTaken; ++k) {
             ASSERT_EQ(rays[k].origin.y, float(k / kTaken));
-            // fours of neighbours, the last one cut
+            // groups of four neighbouring columns; the last group is shorter
             const std::uint32_t group = k % kTaken / 4, within = k % kTaken % 4;
             ASSERT_EQ(std::uint32_t(rays[k].origin.z),
                       (std::uint32_t(rays[0].origin.z) + group * 4 * kStride + within) % kColumns);
@@ -108,7 +108,7 @@ TEST_F(Batch, GroupsOfColumnsAreAnImageAndNoColumnIsPreferred) {
 TEST_F(Batch, BatchesOfAFrameShareItsRaysOut) {
     for (const bool image : {true, false}) {
         const std::vector<FrameData> frames = numbered_frame(device(), 3, 60, image);
-        BatchSampler sampler(device(), config_for("rays", 36), frames);  // every 5th
+        BatchSampler sampler(device(), config_for("rays", 36), frames);  // every 5th ray
         Stream stream(device());
         std::vector<int> taken(180, 0);
         for (std::uint32_t k = 0; k < 5; ++k) {
@@ -155,7 +155,7 @@ TEST_F(Batch, EveryNthRayOfAListIsNoImageAndTheWholeFrameIs) {
     }
 }
 
-/// What rays measured goes with them, where the forward pass looks for it.
+/// The measured ranges must be stored with the rays, where the forward pass reads them.
 TEST_F(Batch, RaysBringTheirTargets) {
     const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
                                  cloud = numbered_frame(device(), 1, 50, false);
@@ -178,25 +178,22 @@ TEST_F(Batch, RaysBringTheirTargets) {
     }
 }
 
-TEST_F(Batch, SimilarityAndNormalsSeeWindows) {
+TEST_F(Batch, SimilaritySeesWindows) {
     const std::vector<FrameData> image = numbered_frame(device(), 4, 50, true),
                                  cloud = numbered_frame(device(), 1, 50, false);
-    for (const std::string setting : {"loss.intensity_ssim", "loss.normal"}) {
-        Config config = config_for("rays", 40);
-        set_key(config, setting, "0.15");
-        BatchSampler sampler(device(), config, image);
-        Stream stream(device());
-        Random random(3);
-        const SampledBatch batch = sampler.sample(stream, image[0], random);
-        stream.finish();
-        EXPECT_EQ(batch.targets.image.columns, 10u) << setting;
-        EXPECT_EQ(batch.window.stride, 1u) << setting;
-        EXPECT_EQ(
-            error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
-            "setting " + setting + ": found a sensor without image order, expected rows and columns, or 0");
-    }
     Config config = config_for("rays", 40);
-    config.loss.distortion = 0.15f;  // a ray's own
+    config.loss.intensity_ssim = 0.15f;
+    BatchSampler sampler(device(), config, image);
+    Stream stream(device());
+    Random random(3);
+    const SampledBatch batch = sampler.sample(stream, image[0], random);
+    stream.finish();
+    EXPECT_EQ(batch.targets.image.columns, 10u);
+    EXPECT_EQ(batch.window.stride, 1u);
+    EXPECT_EQ(
+        error_message<UsageError>([&] { BatchSampler(device(), config, cloud); }),
+        "setting loss.intensity_ssim: found a sensor without image order, expected rows and columns, or 0");
+    config.loss.intensity_ssim = 0.0f, config.loss.likelihood = 0.15f;  // of single rays
     BatchSampler(device(), config, cloud);
 }
 

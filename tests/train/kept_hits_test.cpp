@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training keeps as many hits of a ray as almost all rays have, and what is kept changes
-// nothing of what is learnt.
+// Tests that training stores as many hits per ray as almost all rays have, and that the
+// number of stored hits does not change the result.
 #include <algorithm>
 
 #include <relidar/log/dataset.hpp>
@@ -40,7 +40,8 @@ protected:
         return {loop.download(), loop.kept_hits()};
     }
 
-    /// Share of all rays that have more than n hits in a scene, rendered on its own.
+    /// Returns the share of all rays that have more than n hits in a scene, rendered
+    /// separately.
     std::vector<double> share_beyond(const Scene& scene, const std::vector<std::uint32_t>& counts) {
         Renderer renderer(device(), scene, config.image, {.accel = {}, .trace = trace_options(config)});
         std::vector<double> shares(counts.size(), 0.0);
@@ -73,7 +74,7 @@ TEST_F(KeptHits, GrowUntilNoRayHasMore) {
     ASSERT_GT(trained.kept_hits, 2u);
     const std::vector<double> shares =
         share_beyond(trained.scene, {trained.kept_hits, trained.kept_hits / 2});
-    // none of what was seen while it trained
+    // at the end of training, no ray exceeded the limit
     EXPECT_LE(shares[0], 0.002) << trained.kept_hits << " are kept";
     EXPECT_GT(shares[1], 0.0) << "half of " << trained.kept_hits << " would have done";
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A street whose sensor measures in steps of 1/64 with noise: what is learnt from
-// training frames scatters as they do. (Held-out frames lie farther from a scene that is
-// not trained: it is made of the training frames' own points, noise and all.)
+// Tests the learned scatter of intensities on a street whose sensor measures noisy values
+// in steps of 1/64. Scatter learned from training frames must match the scatter of those
+// frames. Held-out frames differ more, because the untrained scene consists of the
+// training frames' noisy points.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -21,7 +22,8 @@ class LearnScatter : public test::DeviceTest {};
 
 constexpr float kStep = 1.0f / 64.0f;
 
-/// Noise of a standard deviation of 0.05; a scene of its points, not trained.
+/// Returns a run with intensity noise of standard deviation 0.05 and an untrained scene
+/// of its points.
 Run grainy_run() {
     Run run;
     run.sequence =
@@ -59,7 +61,7 @@ TEST_F(LearnScatter, TrainingFramesScatterAlike) {
                 << "the likeliest scan has the log's steps";
             if (sample.image.drop_prob[i] > 0.5f) continue;
             ASSERT_EQ(value, std::round(value / kStep) * kStep);
-            // of the same rays, so that surfaces do not differ
+            // the same rays for both, so that the surfaces are the same
             if (!(frame.scan.range_m[i] > 0.0f)) continue;
             real += std::pow(double(frame.scan.intensity[i] - rendered), 2);
             drawn += std::pow(double(value - rendered), 2);

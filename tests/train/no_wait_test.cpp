@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// An iteration is recorded and submitted, nothing else: the host neither waits until the
-// device has nothing left to do nor allocates device memory, and what it must know of an
-// iteration it still learns, a bounded number of iterations later.
+// Tests that an iteration only records and submits work. The host must not wait for an
+// idle device or allocate device memory. It must still receive the results of an
+// iteration a bounded number of iterations later.
 #include <algorithm>
 #include <limits>
 
@@ -43,9 +43,11 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         const auto iterate = [&](int from, int to) {
             for (int step = from; step <= to; ++step) loop.iterate(step, step % 7 == 0 && step < 75);
         };
-        iterate(1, 12);  // every frame was seen: arrays have their sizes
+        // after these iterations, every frame was used and all arrays have their final
+        // sizes
+        iterate(1, 12);
         const std::uint64_t buffers = d.n_buffers, waits = d.n_full_waits;
-        iterate(13, 150);  // over lines of the log, a report that is full, and looks at the tree
+        iterate(13, 150);  // includes log lines, a full report, and checks of the tree
         EXPECT_EQ(d.n_full_waits, waits);
         EXPECT_EQ(d.n_buffers, buffers);
         EXPECT_EQ(loop.take_lines().size(), 10u);

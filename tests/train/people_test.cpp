@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// People as actors: on held-out frames they return about as often as they did, and what
-// is masked instead is told.
+// Tests people as actors. On held-out frames, they must have about as many returns as in
+// the log. Masked objects must be reported.
 #include <cstdio>
 #include <map>
 #include <utility>
@@ -16,8 +16,8 @@ namespace {
 
 class People : public test::DeviceTest {};
 
-/// Points in a box, grown by a margin that labels and surfels need. @param range_m,
-/// returned [rays] of the frame
+/// Counts the points in a box, enlarged by the margin of labels and surfels.
+/// @param range_m, returned [rays] of the frame
 template <class Returned>
 int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
                const std::vector<float>& range_m, const Returned& returned) {
@@ -31,14 +31,14 @@ int returns_in(const Sequence& street, const Frame& frame, const BoxTrack& box,
     return n;
 }
 
-/// The pavement is no person: without the lowest part of the box.
+/// Removes the lowest part of a box, which contains pavement.
 BoxTrack above_ground(BoxTrack box) {
     for (Pose& pose : box.world_from_box.pose) pose.translation.z += 0.15;
     return box;
 }
 
-/// By the surface that is met (median range): the mean of the light puts up to a quarter
-/// of so slim a thing's points behind it.
+/// Uses the median range, because the mean range moves up to a quarter of the points of
+/// such a narrow object behind it.
 TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     const Sequence street = make_synthetic_street({.seed = 3,
                                                    .n_frames = 20,
@@ -55,7 +55,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     const TrainResult result =
         train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ScanRenderer renderer(device(), result.scene, config, street);
-    std::map<std::string, std::pair<int, int>> counts;  // real, simulated
+    std::map<std::string, std::pair<int, int>> counts;  // number of real and simulated returns
     for (const int position : split.test) {
         const Frame& frame = street.frames[std::size_t(position)];
         const RenderedScan scan = renderer.render({frame.scan.rays, std::nullopt}, frame.time_s);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Held-out scans placed on a trained street, whose exact poses are known.
+// Tests the alignment of held-out scans with a trained street whose exact poses are
+// known.
 #include <gtest/gtest.h>
 
 #include <relidar/log/dataset.hpp>
@@ -13,7 +14,7 @@ namespace {
 
 class PlaceHeldOut : public test::DeviceTest {};
 
-/// Trained with exact poses.
+/// Returns a run trained with exact poses.
 Run trained_run(Device& device) {
     Run run;
     run.sequence =
@@ -29,7 +30,7 @@ Run trained_run(Device& device) {
     return run;
 }
 
-/// One training for all tests; then the poses of the held-out frames are made wrong.
+/// Returns a run whose held-out frames have wrong poses. All tests share one training.
 Run off_run(Device& device, const Twist& off) {
     static const Run trained = trained_run(device);
     Run run = trained;

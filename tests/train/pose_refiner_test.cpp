@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pose refinement: moved rays (train/move_rays) against world_ray of the corrected track,
-// gradients of the poses (train/knot_gradients) against central differences through it,
-// Adam on a track, and the synthetic street with poses that are wrong by 5 cm and 0.3
-// degrees.
+// Tests pose refinement: moved rays (train/move_rays) against world_ray of the corrected
+// track, gradients of the poses (train/knot_gradients) against central differences, Adam
+// on a track, and the synthetic street with pose errors of 5 cm and 0.3 degrees.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -38,7 +37,7 @@ Sequence street_of(int n_frames, int rows, int columns, bool moving_cars = false
     return make_synthetic_street(options);
 }
 
-/// A twist whose translation and rotation vector have these standard deviations in total.
+/// Returns a random twist with these standard deviations of translation and rotation.
 Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     std::normal_distribution<double> normal(0.0, 1.0 / std::sqrt(3.0));
     Twist twist;
@@ -46,8 +45,7 @@ Twist random_twist(std::mt19937_64& random, double sigma_m, double sigma_rad) {
     return twist;
 }
 
-/// A correction of every pose, as training would leave it: each pose is stepped once
-/// towards minus its sign.
+/// Returns a correction of all poses as after some training steps.
 TrackCorrection random_correction(const PoseTrack& track, std::mt19937_64& random) {
     TrackCorrection correction(track);
     for (int i = 0; i < 3; ++i) {
@@ -165,8 +163,8 @@ TEST_F(Poses, GradientsAreThoseOfDifferences) {
     }
 }
 
-/// A quadratic bowl around known corrections, seen through interpolation at two times a
-/// frame.
+/// Minimises a quadratic function around known corrections, evaluated by interpolation at
+/// two times per frame.
 TEST(TrackCorrectionOf, AQuadraticBowl) {
     PoseTrack track;
     std::mt19937_64 random(3);
@@ -209,7 +207,7 @@ Config refining(const std::string& what, int iterations) {
     return config;
 }
 
-/// Poses of one training, before and after.
+/// Returns the pose errors before and after one training.
 std::pair<PoseError, PoseError> errors_of_training(Device& device, const Config& config, const char* what) {
     Sequence street = street_of(11, 32, 256);
     const PoseTrack exact = street.world_from_vehicle;
@@ -235,7 +233,7 @@ TEST_F(Poses, OfTheSensorComeNearerByGradients) {
     EXPECT_LT(after.median_deg, 0.6 * before.median_deg);
 }
 
-/// 5 cm and 0.3 degrees of noise end within 1 cm and 0.05 degrees.
+/// Noise of 5 cm and 0.3 degrees must be reduced to 1 cm and 0.05 degrees.
 TEST_F(Poses, OfTheSensorComeBack) {
     const PoseError after =
         errors_of_training(device(), refining("sensor", 40), "registration and gradients").second;
@@ -243,7 +241,7 @@ TEST_F(Poses, OfTheSensorComeBack) {
     EXPECT_LT(after.median_deg, 0.05);
 }
 
-/// Of every scan the rays that end near a box: the others say nothing about it and cost
+/// Keeps only the rays that end near a box. Other rays do not affect the box and take
 /// most of the time.
 void keep_rays_near_boxes(Sequence& street, double margin_m) {
     for (Frame& frame : street.frames) {
@@ -267,7 +265,7 @@ void keep_rays_near_boxes(Sequence& street, double margin_m) {
     }
 }
 
-/// Labels of the cars that are wrong by 10 cm come nearer.
+/// Car labels with errors of 10 cm must become more accurate.
 TEST_F(Poses, OfTheActorsComeBack) {
     SyntheticOptions options;
     options.n_frames = 7, options.rows = 32, options.columns = 512;
@@ -278,7 +276,7 @@ TEST_F(Poses, OfTheActorsComeBack) {
     Config config = refining("actors", 160);
     config.train.pose_rate_m = 1e-3;
     config.init.actor_min_points = 20;
-    config.init.scale_factor = 0.8;  // few points on a car: no holes between them
+    config.init.scale_factor = 0.8;  // larger surfels without holes, because a car has few points
     const TrainResult result =
         train(device(), street, split_frames(street, 0), config, [](const TrainProgress&) { return true; });
     ASSERT_TRUE(result.poses);
@@ -312,8 +310,8 @@ TEST_F(Poses, AreKeptWhereNoneIsRefined) {
     EXPECT_NE(notes[0].find("no actor"), std::string::npos) << notes[0];
 }
 
-/// Nothing tells where a single sweep was: a pose that follows its own scene takes it
-/// away from those of the other sweeps.
+/// The pose of a single sweep cannot be determined. If it followed its scene, it would
+/// move away from the scenes of other sweeps.
 TEST_F(Poses, OfASingleSweepStays) {
     const Sequence street = street_of(4, 8, 64, true);
     std::vector<std::string> notes;

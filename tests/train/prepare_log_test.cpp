@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log that several processes prepare together, here threads: all end with what one
-// process finds, to the bit.
+// Tests that several processes (here: threads) prepare a log together with the same
+// result as one process, bit by bit.
 #include <cmath>
 #include <condition_variable>
 #include <map>
@@ -18,7 +18,7 @@
 namespace relidar {
 namespace {
 
-/// Threads in the place of processes.
+/// Process group that uses threads instead of processes.
 class GroupOfThreads {
 public:
     explicit GroupOfThreads(int size) : size_(size), turns_of_(std::size_t(size)) {}
@@ -26,7 +26,8 @@ public:
     ProcessGroup of(int rank) {
         return {rank, size_, [this, rank](const std::string& own) { return gather(std::size_t(rank), own); }};
     }
-    /// [size] bytes that each has given, of parts that all of them share
+    /// Returns [size] the number of bytes that each rank contributed to parts with
+    /// contributions of all ranks.
     std::vector<std::size_t> shared_bytes() const {
         std::vector<std::size_t> bytes(std::size_t(size_), 0);
         for (const auto& [turn, part] : parts_)
@@ -37,10 +38,10 @@ public:
 
 private:
     int size_;
-    std::vector<std::size_t> turns_of_;  // ranks: turns that each has had
+    std::vector<std::size_t> turns_of_;  // [ranks] number of exchanges of each rank
     std::mutex mutex_;
     std::condition_variable all_here_;
-    std::map<std::size_t, std::vector<std::string>> parts_;  // [rank] by turn
+    std::map<std::size_t, std::vector<std::string>> parts_;  // [rank] by exchange
     std::map<std::size_t, int> n_here_;
 
     std::string gather(std::size_t rank, const std::string& own) {
@@ -58,8 +59,8 @@ private:
     }
 };
 
-/// Long enough for two stretches. Its poses drift, its movers have no label, its beams
-/// are off.
+/// Returns a log that is long enough for two sections. Its poses drift, its moving
+/// objects have no labels, and its beams have offsets.
 Sequence street(int n_frames = 400) {
     Sequence street =
         make_synthetic_street({.n_frames = n_frames, .rows = 32, .columns = 128, .range_noise_m = 0.01});
@@ -151,7 +152,7 @@ TEST(PrepareLog, WarnsOfPosesThatDoNotFitTheScans) {
         return at == std::string::npos ? std::string() : told.substr(at);
     };
     EXPECT_EQ(warning_of(good), "");
-    Sequence bad = good;  // each second pose is a metre too far ahead
+    Sequence bad = good;  // every second pose is one metre too far ahead
     for (std::size_t k = 0; k < bad.world_from_vehicle.pose.size(); k += 2)
         bad.world_from_vehicle.pose[k].translation.x += 1.0;
     const std::string warning = warning_of(bad);

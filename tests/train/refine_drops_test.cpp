@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The last stage of training on a street whose sensor is weak downwards: what no surfel
-// can know, as the vehicle drives past, the network knows on held-out frames.
+// Tests the ray-drop network, the last stage of training, on a street whose sensor is
+// weak downwards. Surfels cannot represent this effect while the vehicle drives past. The
+// network must predict it on held-out frames.
 #include <cmath>
 #include <filesystem>
 #include <string>
@@ -28,11 +29,12 @@ namespace {
 constexpr float kReach_m = 9.0f;
 
 bool is_weak(const glm::vec3& direction) { return direction.z < 0.0f; }
-/// Not where the weak beams begin, which few steps leave soft.
+/// Returns true for directions well inside the weak beams. The border stays blurred after
+/// few training steps.
 bool is_well_inside(const glm::vec3& direction) { return direction.z < -0.02f; }
 
-/// Nothing comes back from beyond 9 m of the rays that look down; what lies there returns
-/// when it is nearer. The sensor does it, not the scene.
+/// Returns a street in which rays that point down have no returns beyond 9 m. The same
+/// surfaces return when they are nearer, so this is a property of the sensor.
 Sequence weak_street() {
     Sequence street = make_synthetic_street(
         {.seed = 5, .n_frames = 16, .rows = 32, .columns = 512, .range_noise_m = 0.01, .speed_mps = 10.0});
@@ -51,20 +53,20 @@ Run trained(Device& device, Sequence street) {
     run.config.train.iterations = 80;
     run.config.train.rays_per_iteration = 8192;
     run.config.train.refine_poses = "none";
-    // the network is tested: in so few steps it learns less beside discs that face the
-    // sensor
+    // Discs that face the sensor would reduce what the network learns in so few steps.
     run.config.init.flatness = 1.0;
-    // neither the table of what the sensor never sees nor harmonics, which know from
-    // where a surface is seen, are to know a part of it
+    // Without the sensor-drop table and higher harmonics, only the network can learn the
+    // effect.
     run.config.train.sensor_drop = false;
     run.config.image.sh_degree = 0;
     run.scene =
         train(device, run.sequence, run.split, run.config, [](const TrainProgress&) { return true; }).scene;
-    run.config.init.flatness = make_preset("quick").init.flatness;  // other constants cannot be saved
+    // a run with a different flatness cannot be saved
+    run.config.init.flatness = make_preset("quick").init.flatness;
     return run;
 }
 
-/// Trained once for all tests.
+/// Returns a run that is trained once for all tests.
 const Run& weak_run(Device& device) {
     static const Run run = [&] {
         Run made = trained(device, weak_street());
@@ -75,8 +77,8 @@ const Run& weak_run(Device& device) {
     return run;
 }
 
-/// Share of the pixels whose drop is right on held-out frames: those of well weak beams
-/// that meet a surface near its reach or beyond, and all others.
+/// Returns the shares of correctly predicted drops on held-out frames: for weak beams
+/// that hit a surface near or beyond their reach, and for all other pixels.
 std::pair<double, double> accuracies(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     double n[2] = {0.0, 0.0}, right[2] = {0.0, 0.0};
@@ -99,7 +101,7 @@ protected:
     void TearDown() override {
         if (!folder_.empty()) std::filesystem::remove_all(folder_);
     }
-    /// Goes away with the test.
+    /// Returns a temporary folder that is removed with the test.
     const std::filesystem::path& folder() {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-refine-XXXXXX").string();
         if (folder_.empty() && ::mkdtemp(pattern.data())) folder_ = pattern;
@@ -122,7 +124,8 @@ TEST_F(RefineDrops, NetworkKnowsWhatTheSensorDoesOnHeldOutFrames) {
     EXPECT_EQ(accuracies(device(), run).first, weak_before) << "not asked for";
 }
 
-/// Share of a sensor's rays whose drop is as the street has it, exactly.
+/// Returns the share of a sensor's rays whose predicted drop equals that of the exact
+/// street.
 double exact_accuracy(ScanRenderer& renderer, const SyntheticOptions& options, const Run& run,
                       const SensorChoice& sensor) {
     double n = 0.0, right = 0.0;
@@ -172,7 +175,7 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
     EXPECT_EQ(refined.image.range_m, plain.image.range_m);
 }
 
-/// Trains until so many steps are done, with checkpoints in a folder.
+/// Trains until `step` steps are done, with checkpoints in a folder.
 void train_until(Device& device, const Run& run, int step, const std::filesystem::path& folder,
                  const Checkpoint* start = nullptr) {
     int done = 0;
@@ -192,8 +195,8 @@ Checkpoint newest(const std::filesystem::path& folder) {
     return std::move(*found);
 }
 
-/// Two epochs and one step, the rest of two more, and all four at once; what was saved
-/// and read again goes on, too.
+/// Compares a training that was interrupted twice with an uninterrupted one of four
+/// epochs, bit by bit. A network that was saved and read again must continue too.
 TEST_F(RefineDrops, GoesOnFromACheckpointWithTheSameBits) {
     relidar::Run run = weak_run(device());
     run.config.refine.epochs = 4;
@@ -260,7 +263,8 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     EXPECT_THROW(refine_drops(device(), run, {.start = &of_surfels}), DataError);
 }
 
-/// A file where the folder should be: training goes on without checkpoints, and says so.
+/// A file at the path of the checkpoint folder makes saving fail. Training must continue
+/// without checkpoints and report it.
 TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
     relidar::Run run = weak_run(device());
     run.config.refine.epochs = 1;

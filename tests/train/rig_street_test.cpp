@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Four LiDARs of a rig train one scene; held-out sweeps of each against the street
-// itself, cast along the same rays.
+// Tests the training of one scene from the four LiDARs of a rig. Compares held-out sweeps
+// of each LiDAR with the exact street along the same rays.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
@@ -18,7 +18,8 @@ namespace {
 class RigStreet : public test::DeviceTest {};
 
 struct Score {
-    std::vector<double> errors_m;  ///< of rays that return in truth and rendering
+    /// errors of rays that return both in the exact street and in the rendering
+    std::vector<double> errors_m;
     std::size_t rays = 0, drops_right = 0, seconds = 0, found = 0, reported = 0, invented = 0;
 
     double median_m() {
@@ -83,7 +84,8 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
         drop_outside(truth, street.lidar_of(frame).sensor.range_limits());
         add(scores[std::size_t(frame.lidar)], scan, truth);
     }
-    // wanted are 90 % found, 5 % invented; docs/results.md says how far it is from that
+    // The goal is 90 % found and 5 % invented second returns; docs/results.md describes
+    // the difference to this goal.
     const Score& wide = scores[test::kTwoReturns];
     EXPECT_GT(wide.seconds, 200u);
     EXPECT_GT(double(wide.found), 0.45 * double(wide.seconds));
@@ -99,9 +101,10 @@ TEST_F(RigStreet, EachSensorsHeldOutSweepsAreNearTheTruth) {
     }
 }
 
-/// Share of the rays of a sensor that the street returns from the ground, 5 to 25 m away,
-/// and an untrained scene does not, seen from the first held-out frame. @param street  a
-/// prepared log
+/// Returns the share of missed ground rays of a sensor: rays that hit the ground 5 to 25
+/// m away in the exact street, but not in an untrained scene. Uses the first held-out
+/// frame.
+/// @param street a prepared log
 double missed_ground(Device& device, const Sequence& street, const Split& split,
                      const SyntheticOptions& options, double max_gap_m) {
     Config config = rig_config(0);
@@ -124,15 +127,16 @@ double missed_ground(Device& device, const Sequence& street, const Split& split,
     return missed / ground;
 }
 
-/// A log of 32 uneven beams for a sensor of 64: the road between their rings is road,
-/// too.
+/// Renders a sensor with 64 beams from a log with 32 uneven beams. The road between the
+/// rings of the log must have no holes.
 TEST_F(RigStreet, ADenserSensorSeesNoHolesBetweenTheRingsOfTheLog) {
     const std::filesystem::path rig =
         std::filesystem::path(testing::TempDir()) / "relidar_sparse_street.json";
     std::ofstream(rig) << R"({"sensors": [{"name": "top", "sensor": "vlp-32c"}]})";
     const SyntheticOptions options{.n_frames = 11, .rig = rig.string()};
     Sequence log = make_synthetic_street(options);
-    const Split split = split_frames(log, int(log.frames.size()) / 2);  // held out: the middle and the last
+    // holds out the middle frame and the last one
+    const Split split = split_frames(log, int(log.frames.size()) / 2);
     prepare_log(log, split, rig_config(0), {});
     const double with = missed_ground(device(), log, split, options, 2.0),
                  without = missed_ground(device(), log, split, options, 0.0);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a sensor never sees, from few sweeps and from many: a blind sector of its own
-// vehicle, and rays that are dropped now and then.
+// Tests the estimation of rays that a sensor never sees, from few and many sweeps: a
+// sector hidden by the recording vehicle, and rays that are dropped occasionally.
 #include "train/drops/sensor_drop.hpp"
 
 #include <cmath>
@@ -11,10 +11,11 @@
 namespace relidar {
 namespace {
 
-constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // of beam 1
+constexpr int kColumns = 360, kBlindFrom = 99, kBlindTo = 189;  // columns of beam 1
 
-/// Sweeps of four beams, every `step`-th column: the second is blind in a sector, the
-/// third drops each seventh ray, and the fourth six of each 24, as windows do.
+/// Returns sweeps of four beams with every `step`-th column. The second beam is blind in
+/// a sector. The third drops every seventh ray. The fourth drops six of 24 rays, like
+/// rays that hit windows.
 Sequence log_of(int n_frames, int step = 1) {
     Sequence log;
     log.lidars[0].sensor.columns = kColumns;
@@ -83,7 +84,7 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
     struct Log {
         int n_frames, step;
     };
-    // the last as a coarse LiDAR beside a fine one
+    // the last case is a coarse LiDAR next to a fine one
     for (const auto& [n_frames, step] : {Log{1, 1}, Log{2, 1}, Log{40, 1}, Log{3, 4}}) {
         const Sequence log = log_of(n_frames, step);
         std::vector<int> positions(std::size_t(n_frames), 0);
@@ -93,10 +94,10 @@ TEST(SensorDrop, OnlyABlindSectorIsBlindInOneSweep) {
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             const int beam = frame.scan.rays.channel[ray],
                       column = int(ray % std::size_t(kColumns / step)) * step;
-            // what was never seen in 40 sweeps is blind
+            // rays without a return in 40 sweeps count as blind
             const bool is_window = beam == 3 && column % 24 < 6 && n_frames == 40;
             const bool in_sector = beam == 1 && column >= kBlindFrom && column < kBlindTo;
-            // too few rays to end with a bin
+            // too few rays to fill the last bin
             if (step > 1 && beam == 1 && kBlindTo - column < 3 * step && column < kBlindTo) continue;
             EXPECT_EQ(is_blind(observed, log, frame, ray), in_sector || is_window)
                 << n_frames << " sweeps, beam " << beam << ", column " << column;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stripes of an image: their rays are those of their pixels, and the frames together see
-// all of it.
+// Tests the division of an image into stripes: the rays are those of the pixels, and the
+// frames together cover the full image.
 #include "train/drops/stripes.hpp"
 
 #include <numeric>

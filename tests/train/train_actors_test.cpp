@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that learn on before a background they have not been trained with: they close
-// up, and nothing else changes.
+// Tests the training of actors in front of a background with which they were not trained.
+// The actors must become opaque, and nothing else may change.
 #include <algorithm>
 #include <cmath>
 #include <filesystem>
@@ -22,8 +22,8 @@ namespace {
 
 class TrainActors : public test::DeviceTest {
 protected:
-    /// A street in two blocks, one of what lies before x = 0 and one of what lies behind.
-    /// Its cars are thin: rays shine through.
+    /// Makes a street in two blocks, one with x < 0 and one with x >= 0. Its cars are
+    /// thin, so that rays pass through.
     void SetUp() override {
         DeviceTest::SetUp();
         if (IsSkipped() || HasFatalFailure()) return;
@@ -40,7 +40,8 @@ protected:
         run.config = make_preset("quick");
         run.config.init.voxel_m = 0.3;
         run.config.init.actor_min_points = 10;
-        run.config.init.scale_factor = 0.8;  // no holes between the points of a car
+        // large enough that there are no holes between the points of a car
+        run.config.init.scale_factor = 0.8;
         run.config.train.deterministic = true;
         run.config.blocks.actor_epochs = 4;
         Scene whole = initialise_scene(run.sequence, run.split.train, run.config.init);
@@ -70,7 +71,8 @@ protected:
         return block;
     }
 
-    /// Median error of the mean range where the held-out frame's rays return from a car.
+    /// Returns the median error of the mean range for the rays of the held-out frame that
+    /// return from a car.
     double error_on_cars() {
         const Frame& frame = run.sequence.frames[std::size_t(run.split.test[0])];
         ScanRenderer renderer(device(), run.scene, run.config, run.sequence);
@@ -131,8 +133,8 @@ TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
         same(&Surfels::sh);
 }
 
-/// What lies along the rays is all of the background that takes part: surfels high above
-/// the street leave every bit.
+/// Only background near the rays may affect training. Surfels high above the street must
+/// not change a bit.
 TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     relidar::Run other = run;
     Surfels far = read_block(run.scene.blocks[0]).slice(0, 100);
@@ -141,7 +143,7 @@ TEST_F(TrainActors, WhatNoRayNearThemMeetsMakesNoDifference) {
     SceneBlock block{folder / "above.safetensors", 100, {-100, -100, -100}, {100, 100, 100}};
     save_model(block.file, above);
     other.scene.blocks.push_back(block);
-    // means learn in proportion to the extent, which is that of all blocks
+    // excludes the rate of means, because it depends on the extent of all blocks
     for (relidar::Run* each : {&run, &other})
         each->config.train.mean_rate = each->config.train.mean_rate_final = 0.0;
     EXPECT_TRUE(train_actors(device(), run));

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training on a small synthetic street: the loss falls, held-out frames get better than
-// the initialisation, interruption keeps the scene so far, moving boxes are masked, a log
-// that cannot train is refused.
+// Tests training on a small synthetic street: the loss decreases, held-out frames improve
+// over the initialisation, an interruption keeps the current scene, moving boxes are
+// masked, and an unsuitable log is rejected.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -72,8 +72,8 @@ TEST_P(TrainEither, LearnsTheStreet) {
               0.9 * held_out_error(device(), untrained.scene, config, street, split));
 }
 
-/// The first step of Adam is the rate itself, whatever the gradient: 4 x the diagonal of
-/// a car's box, not the extent of the street.
+/// The first step of Adam equals the rate for any gradient. The rate must be scaled with
+/// 4 x the diagonal of a car's box and not with the extent of the street.
 TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);
@@ -94,7 +94,8 @@ TEST_F(Train, MeansLearnAtTheExtentOfTheirOwnModel) {
             for (int axis = 0; axis < 3; ++axis)
                 farthest_m = std::max(farthest_m, std::abs(double(after.surfels.mean[i][axis]) -
                                                            double(before.surfels.mean[i][axis])));
-        const double rate_m = config.train.mean_rate_final * extent_m;  // the last of one step
+        // rate of the last step, which is the only one
+        const double rate_m = config.train.mean_rate_final * extent_m;
         EXPECT_NEAR(farthest_m, rate_m, 0.02 * rate_m + 4e-6) << model.name;
     }
 }
@@ -126,8 +127,8 @@ TEST_P(TrainEither, SurfelsGrowToSoManyTimesTheirFirstSizeAtMost) {
     EXPECT_GT(at_the_bound, last.size() / 100);
 }
 
-/// One drop logit starts at the same ray-drop probability as two and learns; hit logits
-/// stay 0, through training and in the saved scene.
+/// A single drop logit must start at the same ray-drop probability as two logits, and
+/// learn. Hit logits must stay 0, during training and in the saved scene.
 TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     const Sequence street = make_synthetic_street(small_street());
     const Split split = split_frames(street, 10);
@@ -164,8 +165,8 @@ TEST_F(Train, SingleDropLogitStartsAsTwoAndLeavesHitLogits) {
     EXPECT_LT(drop_term(result.log.back()), 0.8 * drop_term(result.log.front()));
 }
 
-/// Two runs with actors end in the same bits; without room for the hits it says so
-/// instead of drifting apart.
+/// Two runs with actors must end with the same bits. Without space for the hits, training
+/// must report an error instead of becoming nondeterministic.
 TEST_F(Train, DeterministicTrainingRepeatsItself) {
     SyntheticOptions options = small_street();
     options.n_frames = 5;
@@ -178,7 +179,6 @@ TEST_F(Train, DeterministicTrainingRepeatsItself) {
         config.train.iterations = 20;
         config.train.deterministic = true;
         config.loss.likelihood = 0.01f;
-        config.loss.distortion = config.loss.normal = direction == ShDirection::surfel ? 0.05f : 0.0f;
         const auto run = [&] {
             return train(device(), street, split, config, [](const TrainProgress&) { return true; });
         };
@@ -205,8 +205,8 @@ TEST_F(Train, StopsWhenAskedAndKeepsTheScene) {
     for (const glm::vec3& p : result.scene.surfels.mean) ASSERT_TRUE(std::isfinite(p.x + p.y + p.z));
 }
 
-/// The same training with the moving cars as actors and masked out: in their pixels the
-/// actors must be far better.
+/// Trains with the moving cars as actors and with masked cars. On the pixels of the cars,
+/// actors must be much better.
 TEST_F(Train, ActorsBeatMasking) {
     SyntheticOptions options = small_street();
     options.rows = 32, options.columns = 512;
@@ -219,7 +219,8 @@ TEST_F(Train, ActorsBeatMasking) {
         config.init.actor_classes = classes;
         config.init.actor_min_points = 20;
         config.train.rays_per_iteration = 8192;
-        config.init.scale_factor = 0.8;  // a few hundred points a car: at 0.4 there are holes between them
+        // a car has a few hundred points; a factor of 0.4 would leave holes between them
+        config.init.scale_factor = 0.8;
         const TrainResult result =
             train(device(), street, split, config, [](const TrainProgress&) { return true; });
         EXPECT_EQ(result.scene.models.size(), classes.empty() ? 1u : 3u);
@@ -264,8 +265,8 @@ TEST(Targets, RaysOfMovingBoxesAreUnknown) {
     EXPECT_LE(double(masked_rest), 0.05 * double(rest));
 }
 
-/// A moving car is known where it is an actor, and masked as long as its labels say where
-/// it is.
+/// The rays on a moving car have targets if the car is an actor. Otherwise they are
+/// masked while its labels exist.
 TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     Sequence street = make_synthetic_street(small_street());
     const std::vector<BoxTrack> whole = street.boxes;
@@ -297,8 +298,8 @@ TEST(Targets, RaysOnMovingCarsAreUnknownUnlessTheyAreActors) {
     EXPECT_EQ(masked_share(n_labels + 1, false), 0.0) << "nobody knows where it is";
 }
 
-/// The sensor never sees anything to its left and below, as if a vehicle's body stood
-/// there; the ground under it is seen from elsewhere.
+/// Returns true for rays to the left and below, which a vehicle body hides. The ground
+/// there is visible from other positions.
 bool is_hidden(const RayTable& rays, std::size_t i) {
     const glm::vec3& d = rays.direction[i];
     return d.z < -0.1f && std::abs(std::atan2(d.y, d.x) - 1.5f) < 0.3f;
@@ -312,7 +313,7 @@ TEST_F(Train, SensorDropIsLearntApartFromTheScene) {
             if (is_hidden(frame.scan.rays, i)) frame.scan.range_m[i] = frame.scan.intensity[i] = 0.0f;
     Config config = small_config();
     config.train.sensor_drop = true;
-    config.init.scale_factor = 0.8;  // sparse points, no holes
+    config.init.scale_factor = 0.8;  // large surfels, because the points are sparse
     const TrainResult result =
         train(device(), street, split, config, [](const TrainProgress&) { return true; });
     ASSERT_FALSE(result.scene.sensor_drop.empty());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training frames that stay on the device and frames that come in their turn: the same
-// rays and targets, whatever comes when; the same training, bit by bit; and memory that
-// does not grow with the log.
+// Tests training frames that stay on the device against frames that are uploaded when
+// needed. Rays, targets and the training must be equal bit by bit, and memory must not
+// grow with the log.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -23,8 +23,8 @@ namespace {
 
 constexpr std::uint64_t kAll = ~0ull;
 
-/// Cell of the KITTI-360 grid by its printed definition: 66 rows from +2.0 to -24.9
-/// degrees, 1030 columns from azimuth +180 down, centred.
+/// Returns the cell of the KITTI-360 grid from its published definition: 66 rows from
+/// +2.0 to -24.9 degrees, 1030 columns from azimuth +180 downwards, centred.
 int cell_of(const glm::vec3& p) {
     const double degrees = 180.0 / kPi,
                  elevation = degrees * std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
@@ -48,7 +48,7 @@ TEST(OnGrid, NearestReturnsOfCells) {
     const Frame binned = on_grid(log, log.frames[0], kitti360_grid());
     ASSERT_EQ(binned.scan.range_m.size(), 66u * 1030u);
     EXPECT_EQ(binned.scan.rays.rows, 66);
-    int elsewhere = 0;  // on the edge of two cells, single and double precision may differ
+    int elsewhere = 0;  // single and double precision may differ on the border of two cells
     for (std::size_t cell = 0; cell < binned.scan.range_m.size(); ++cell) {
         const glm::vec3& d = binned.scan.rays.direction[cell];
         EXPECT_EQ(cell_of(10.0f * d), int(cell));
@@ -86,11 +86,11 @@ protected:
     }
 };
 
-/// Against the same arrays made on the host, in a random order that repeats frames, with
-/// the right, the wrong and no frame expected.
+/// Compares frames with the same arrays made on the host. Uses a random order with
+/// repetitions, and correct, wrong and missing predictions of the next frame.
 TEST_F(FramesInTurn, AreThoseOfTheLog) {
     Sequence log = street(5);
-    // a shorter one
+    // a smaller scan
     log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
     for (const auto& [stay_bytes, n_staying] :
          {std::pair(std::uint64_t(0), 0u), {2 * bytes_of_frame(log), 2u}, {kAll, 5u}}) {
@@ -156,8 +156,8 @@ TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
     EXPECT_EQ(message, "preparing frame 1 of " + log.name + ": it has no rays, expected at least one");
 }
 
-/// With everything that looks at a frame twice: refined poses and the sensor's own drops
-/// after the last step.
+/// Includes the features that read a frame twice: refined poses, and sensor drops after
+/// the last step.
 TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
     const Sequence log =
         make_synthetic_street({.n_frames = 8, .rows = 16, .columns = 256, .moving_cars = true});
@@ -201,8 +201,8 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
     }
 }
 
-/// Cells in the place of the rays that were fired; what speaks of those is refused in one
-/// line.
+/// Uses the cells of a grid instead of the fired rays. Settings that need fired rays must
+/// be rejected with a one-line error.
 TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const Sequence log = street(2);
     TrainingFrames frames(device(), log, positions(log), {.unknown = {}, .grid = kitti360_grid()});

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training on a log of two LiDARs: the loss falls, and a held-out frame of each comes
-// closer to what it measured.
+// Tests training on a log of two LiDARs: the loss decreases, and a held-out frame of each
+// LiDAR becomes more similar to its measurement.
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
 
@@ -22,7 +22,8 @@ Config two_lidar_config() {
     return config;
 }
 
-/// Mean absolute error of the depth of one LiDAR's held-out frame, on its nominal rays.
+/// Returns the mean absolute depth error of one LiDAR's held-out frame on its nominal
+/// rays.
 double held_out_error(Device& device, const Scene& scene, const Config& config, const Sequence& street,
                       const Frame& frame) {
     ScanRenderer renderer(device, scene, config, street);

@@ -88,11 +88,10 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
     held.n_rays = rays.size();
     const Shape shape{static_cast<py::ssize_t>(rays.size())};
     py::dict dict;
-    dict["depth"] = owned<float>(std::move(r.depth), shape);
-    dict["weight"] = owned<float>(std::move(r.weight), shape);
-    dict["intensity"] = owned<float>(std::move(r.intensity), shape);
-    dict["hit_logit"] = owned<float>(std::move(r.hit_logit), shape);
-    dict["drop_logit"] = owned<float>(std::move(r.drop_logit), shape);
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) \
+    dict[#name] = owned<float>(std::move(r.name), shape);
+    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
     dict["transmittance"] = owned<float>(std::move(r.transmittance), shape);
     dict["median_depth"] = owned<float>(std::move(r.median_depth), shape);
     dict["hits"] = owned<std::uint32_t>(std::move(r.hits), shape);
@@ -100,22 +99,24 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
     return dict;
 }
 
+// For messages and help: "depth, weight, " and so on, and the same with their meanings.
+#define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
+#define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
+
 RenderedGradients gradients_from(const py::dict& arrays, std::size_t n_rays) {
     RenderedGradients d;
-    const std::vector<std::pair<std::string, std::vector<float>*>> places{{"depth", &d.depth},
-                                                                          {"weight", &d.weight},
-                                                                          {"intensity", &d.intensity},
-                                                                          {"hit_logit", &d.hit_logit},
-                                                                          {"drop_logit", &d.drop_logit}};
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) {#name, &d.name},
+    const std::vector<std::pair<std::string, std::vector<float>*>> places{
+        RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)};
+#undef RELIDAR_VALUES
     for (const auto& [key, array] : arrays) {
         const std::string name = py::str(key);
         const auto place =
             std::find_if(places.begin(), places.end(), [&](const auto& p) { return p.first == name; });
         if (place == places.end())
-            throw UsageError(
-                fmt::format("d_rendered: found \"{}\", expected depth, weight, intensity, hit_logit or "
-                            "drop_logit, which have gradients",
-                            name));
+            throw UsageError(fmt::format("d_rendered: found \"{}\", expected one of " RELIDAR_IMAGE_VALUES(
+                                             RELIDAR_NAME) "which have gradients",
+                                         name));
         *place->second =
             copied<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
     }
@@ -189,18 +190,15 @@ void add_differentiable_renderer(py::module_& module) {
              "Renders rays.\n\n"
              "origins: [n,3] float32, C order, world, metres\n"
              "directions: [n,3] float32, C order, world, length 1\n\n"
-             "Returns [n] arrays: depth (sum w t, not normalised, metres), weight (sum w), intensity, "
-             "hit_logit, drop_logit (sums of w "
-             "times channel; drop_logit + what is\n"
-             "left of the light), transmittance, median_depth (metres, 0: none) float32; hits uint32 "
-             "(blended surfels); instance int32 "
-             "(-1: none).\n"
+             "Returns [n] arrays, w the weight of a hit: " RELIDAR_IMAGE_VALUES(
+                 RELIDAR_MEANING) "transmittance, median_depth (metres, 0: none) float32;\n"
+                                  "hits uint32 (blended surfels); instance int32 (-1: none).\n"
              "Raises UsageError before place().")
         .def("backward", &backward, py::arg("d_rendered"),
              "Gradients of a loss of the last forward pass. Poses, view and parameters must be as they were "
              "then.\n\n"
-             "d_rendered: dL/d(depth, weight, intensity, hit_logit, drop_logit), [n] float32 each; those "
-             "left out are 0\n\n"
+             "d_rendered: dL/d(value), [n] float32 each, of " RELIDAR_IMAGE_VALUES(
+                 RELIDAR_NAME) "those left out are 0\n\n"
              "Returns dL/d(parameter) in the place of the parameter: mean [s,3], rotation [s,4], log_scale "
              "[s,2], opacity_logit [s], sh "
              "[s,3,16], log_scale_w [s] of 3D\n"

@@ -130,10 +130,6 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
                     "more where training would keep more)")
         ->type_name("N");
     command
-        .add_option("--distortion", choice.distortion,
-                    "weight of loss.distortion (default: 0, or as the run says)")
-        ->type_name("WEIGHT");
-    command
         .add_option("--likelihood", choice.likelihood,
                     "weight of loss.likelihood (default: 0, or as the run says)")
         ->type_name("WEIGHT");

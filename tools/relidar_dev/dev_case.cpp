@@ -57,7 +57,6 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
 void apply(const BenchChoice& choice, Config& config) {
     if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
     if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
-    if (!choice.distortion.empty()) set_key(config, "loss.distortion", choice.distortion);
     if (!choice.likelihood.empty()) set_key(config, "loss.likelihood", choice.likelihood);
     if (choice.deterministic) config.train.deterministic = true;
     if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);

@@ -21,8 +21,8 @@ struct BenchChoice {
     std::string run;               ///< a run folder instead of a street
     /// settings over those of the case; empty = as they are
     std::string chunk, proxy, walk, order, sh, keep_hits;
-    std::string distortion, likelihood;  ///< weights of these losses, likewise
-    bool deterministic = false;          ///< gradients are gathered, whatever the case says
+    std::string likelihood;      ///< weight of this loss, likewise
+    bool deterministic = false;  ///< gradients are gathered, whatever the case says
 };
 
 /// A case with choices that no setting offers.

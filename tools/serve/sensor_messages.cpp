@@ -163,15 +163,6 @@ std::string base_name(const std::string& name) {
     return sized ? name.substr(0, colon) : name;
 }
 
-std::uint64_t rays_of(const SensorModel& sensor) {
-    if (const auto* s = std::get_if<SpinningSensor>(&sensor.pattern))
-        return s->beams.size() * std::uint64_t(s->columns);
-    if (const auto* s = std::get_if<ScanningWindow>(&sensor.pattern))
-        return std::uint64_t(s->rows) * std::uint64_t(s->columns);
-    if (const auto* s = std::get_if<Rosette>(&sensor.pattern)) return std::uint64_t(s->n_rays);
-    return std::get<RayTable>(sensor.pattern).size();
-}
-
 }  // namespace
 
 SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field) {
@@ -209,7 +200,7 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
         },
         sensor.pattern);
     // says now what is not finite: its rays are made scan by scan
-    if (std::holds_alternative<Rosette>(sensor.pattern)) make_rays(sensor);
+    if (describe_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return sensor_choice(sensor);
 }
 
@@ -224,7 +215,7 @@ SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
                fmt::format("a name that ListScenes gives, as {}", nearest_name(name.substr(0, 80), known)));
     }
     const SensorModel sensor = find_sensor(name);
-    check_count("sensor.name " + quoted(name), rays_of(sensor));
+    check_count("sensor.name " + quoted(name), describe_pattern(sensor.pattern).n_rays);
     return sensor_choice(sensor, lidar);
 }
 
@@ -240,8 +231,7 @@ FiringSpan firing_span(const SensorChoice& sensor) {
 
 std::size_t count_rays(const SensorChoice& sensor) {
     if (sensor.rays.size() > 0 || !sensor.pattern) return sensor.rays.size();
-    const Rosette* rosette = std::get_if<Rosette>(&*sensor.pattern);
-    return rosette ? std::size_t(rosette->n_rays) : 0;
+    return describe_pattern(*sensor.pattern).n_rays;
 }
 
 }  // namespace relidar::serve

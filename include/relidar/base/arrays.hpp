@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Named arrays, and the files that hold them: npz, npy and safetensors.
+// Named arrays, and functions that read and write them as npz, npy and safetensors files.
 #pragma once
 
 #include <cstddef>
@@ -12,53 +12,63 @@
 
 namespace relidar {
 
-/// An n-dimensional array of an npz or safetensors file, row-major, little-endian.
+/// N-dimensional array of an npz or safetensors file. The values are row-major and
+/// little-endian.
 struct NamedArray {
     std::string name;
-    /// numpy's names without byte order: f4 f8 f2, i1 i2 i4 i8, u1 u2 u4 u8, b1; npz
-    /// alone: S<bytes>, U<letters>
+    /// Element type, named as in numpy without the byte order: f4 f8 f2, i1 i2 i4 i8, u1
+    /// u2 u4 u8 or b1. npz files may also use S<bytes> and U<letters>.
     std::string dtype;
     std::vector<std::size_t> shape;
     std::vector<std::byte> bytes;
 
     std::size_t count() const;
-    /// Values converted to float (b1 as 0 or 1). @throws DataError for text, or where
-    /// bytes do not fill the shape
+    /// Returns the values converted to float; b1 becomes 0 or 1.
+    /// @throws DataError if the array holds text, or if the number of bytes does not
+    /// match the shape
     std::vector<float> as_float() const;
-    std::vector<double> as_double() const;  ///< the same, for times and large coordinates
+    /// Returns the values as double; use it for times and large coordinates.
+    std::vector<double> as_double() const;
 };
 
-/// The array of a name; nothing where there is none.
+/// Returns the array with this name, or nullptr if no array has it.
 const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name);
 
-/// Array of float, double, int32 or uint16 values. @throws DataError where n is not the
-/// product of shape
+/// Makes an array of float, double, int32 or uint16 values.
+/// @throws DataError if n is not the product of the shape
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::int32_t* values,
                       std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
                       std::size_t n);
-/// Texts as numpy's fixed-length strings (UTF-32 padded with zeros). @param texts  UTF-8
-/// @return [texts]
+/// Makes an array of numpy's fixed-length strings (UTF-32, padded with zeros).
+/// @param texts UTF-8
+/// @return array of shape [texts]
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts);
-/// One text, of shape [].
+/// Makes an array of shape [] that holds one text.
 NamedArray make_text(std::string name, const std::string& text);
 
-/// npz as numpy.savez_compressed writes it; equal arrays make equal files. @throws
-/// DataError beyond 4 GiB, as for write_atomically
+/// Writes an npz file in the format of numpy.savez_compressed. Equal arrays give
+/// identical files.
+/// @throws DataError if an array exceeds 4 GiB, or for the reasons listed at
+/// write_atomically()
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
-/// Arrays of an npz file, stored or deflated, row-major and little-endian. @throws
-/// DataError for anything else, or damage
+/// Reads all arrays of an npz file. The arrays may be stored or deflated, and must be
+/// row-major and little-endian.
+/// @throws DataError if the file is damaged or has another layout
 std::vector<NamedArray> read_npz(const std::filesystem::path& path);
-/// The array of a .npy file, named after it. @throws DataError as read_npz
+/// Reads the array of a .npy file. The array gets the file's name.
+/// @throws DataError as read_npz()
 NamedArray read_npy(const std::filesystem::path& path);
-/// safetensors, arrays in the given order. @throws DataError for names used twice or not
-/// UTF-8, as for write_atomically
+/// Writes a safetensors file. The arrays keep their order.
+/// @throws DataError if two arrays have the same name or a name is not UTF-8, or for the
+/// reasons listed at write_atomically()
 void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const std::map<std::string, std::string>& metadata);
-/// Arrays in the order of their data. Whether values are finite is not checked. @throws
-/// DataError for a file that is damaged
+/// Reads a safetensors file and returns the arrays in the order of their data. Does not
+/// check that values are finite.
+/// @throws DataError if the file is damaged
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
                                          std::map<std::string, std::string>* metadata = nullptr);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Failures a caller can meet. Every message is one line: what was being done: what was
-// found, what was expected.
+// Exceptions that relidar throws. Each message is one line that states the operation, the
+// value found and the value expected.
 #pragma once
 
 #include <optional>
@@ -14,7 +14,7 @@ namespace relidar {
 /// Exit codes of the command line tool.
 enum class ExitCode : int { ok = 0, bug = 1, usage = 2, data = 3, device = 4, interrupted = 130 };
 
-/// Base of all failures relidar reports.
+/// Base class of all exceptions that relidar throws.
 class Error : public std::runtime_error {
 public:
     Error(ExitCode code, const std::string& message) : std::runtime_error(message), code_(code) {}
@@ -24,40 +24,40 @@ private:
     ExitCode code_;
 };
 
-/// A wrong flag, key or combination of options (exit code 2).
+/// Error for a wrong flag, a wrong key or a wrong combination of options (exit code 2).
 struct UsageError : Error {
     explicit UsageError(const std::string& message) : Error(ExitCode::usage, message) {}
 };
 
-/// A file or value in the input is missing, malformed or impossible; output that cannot
+/// Error for input that is missing, malformed or impossible, and for output that cannot
 /// be written (exit code 3).
 struct DataError : Error {
     explicit DataError(const std::string& message) : Error(ExitCode::data, message) {}
 };
 
-/// No device, a missing feature, a failed Vulkan call or exhausted device memory (exit
-/// code 4).
+/// Error for a missing device, a missing feature, a failed Vulkan call or exhausted
+/// device memory (exit code 4).
 struct DeviceError : Error {
     explicit DeviceError(const std::string& message) : Error(ExitCode::device, message) {}
 };
 
-/// The device hung, was taken away, or its driver was restarted. It does not work again
-/// in this process.
+/// Error for a device that hung, was removed, or whose driver was restarted. This process
+/// cannot use the device again.
 struct DeviceLost : DeviceError {
     using DeviceError::DeviceError;
 };
 
-/// The known name a mistyped one was most likely meant to be (smallest edit distance,
-/// case ignored), for "did you mean".
-/// @return empty where `known` is empty
-std::string nearest_name(std::string_view wanted, const std::vector<std::string>& known);
-/// ", did you mean 'NAME'?" with the nearest known name. @return `otherwise` where none
-/// resembles what was wanted
-/// @param quote  around the name: "'", "\"" or nothing
-std::string did_you_mean(std::string_view wanted, const std::vector<std::string>& known,
+/// Returns the known name that is most similar to a mistyped name, for "did you mean"
+/// messages. Uses the smallest edit distance and ignores case.
+/// @return empty string if there are no known names
+std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names);
+/// Returns the text ", did you mean 'NAME'?" with the most similar known name.
+/// @param quote quotation mark around the name: "'", "\"" or empty
+/// @return `otherwise` if no known name is similar
+std::string did_you_mean(std::string_view query, const std::vector<std::string>& known_names,
                          std::string_view quote = "", std::string_view otherwise = "");
-/// The known name that a user means who writes it in another case; nothing where there is
-/// none.
-std::optional<std::string> known_name(std::string_view wanted, const std::vector<std::string>& known);
+/// Returns the known name that equals the given name if case is ignored. Returns nullopt
+/// if there is none.
+std::optional<std::string> known_name(std::string_view query, const std::vector<std::string>& known_names);
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Files that appear under their final name only when they are complete.
+// Functions that write files and folders atomically: the final name exists only once the
+// content is complete.
 #pragma once
 
 #include <filesystem>
@@ -10,39 +11,46 @@
 
 namespace relidar {
 
-/// Writes a file by calling `write` on a temporary path beside it, flushing to disk and
-/// renaming. The folder must exist. A link is followed; a target that is no regular file
-/// (a folder, /dev/null) is refused.
-/// @throws DataError where the folder cannot be written or the disk is full; the
-/// temporary file is removed. A DataError or standard exception of `write` comes out as a
-/// DataError naming the path, other relidar errors as they are.
+/// Writes a file atomically: calls `write` with a temporary path in the same folder,
+/// flushes the file to disk and renames it. The folder must exist. A symbolic link is
+/// followed. A target that is not a regular file (a folder, /dev/null) is rejected.
+/// @throws DataError if the folder cannot be written or the disk is full; the temporary
+/// file is then removed. A DataError or standard exception from `write` is rethrown as a
+/// DataError that names the path; other relidar errors are passed on unchanged.
 void write_atomically(const std::filesystem::path& path,
                       const std::function<void(const std::filesystem::path&)>& write);
-/// A name beside a file, for what becomes that file once it is complete; never the same
-/// twice. remove_temporaries() knows it.
+/// Returns a unique temporary path in the folder of `path`. A complete file is then
+/// renamed from the temporary path to `path`. remove_temporaries() recognises such names.
 std::filesystem::path temporary_path(const std::filesystem::path& path);
-/// Removes what a killed process has left in a folder: files and folders named
-/// .NAME.tmp-PID-COUNT. Use it only for a folder that no other process writes to.
+/// Removes the temporary files and folders (.NAME.tmp-PID-COUNT) that a killed process
+/// left in a folder. Use it only for a folder that no other process writes to.
 void remove_temporaries(const std::filesystem::path& folder);
-/// Writes a text through write_atomically.
+/// Writes a text file with write_atomically().
 void write_text(const std::filesystem::path& path, const std::string& text);
 
-/// A folder that is filled beside its name and gets it when it is complete; what has the
-/// name goes away then. Where finish() is not reached nothing is left; what a killed
-/// process left of the same name is removed by the next one.
+/// Temporary folder that is renamed to its final name when it is complete. An existing
+/// folder of that name is then removed. If finish() is not called, the destructor removes
+/// the temporary folder. The next StagedFolder of the same name removes what a killed
+/// process left.
 class StagedFolder {
 public:
-    /// @throws DataError where the folder cannot be made
+    /// Creates the temporary folder.
+    /// @throws DataError if the folder cannot be created
     explicit StagedFolder(const std::filesystem::path& wanted);
     ~StagedFolder();
     StagedFolder(const StagedFolder&) = delete;
     StagedFolder& operator=(const StagedFolder&) = delete;
 
-    const std::filesystem::path& path() const { return path_; }      ///< to write into, until it is finished
-    const std::filesystem::path& wanted() const { return wanted_; }  ///< its name, absolute
-    /// @throws DataError where it cannot be renamed; what had the name stays
+    /// Path of the temporary folder; write files here before finish().
+    const std::filesystem::path& path() const { return path_; }
+    /// Absolute path of the final folder.
+    const std::filesystem::path& wanted() const { return wanted_; }
+    /// Renames the temporary folder to its final name.
+    /// @throws DataError if the folder cannot be renamed; an existing folder of that name
+    /// is then kept
     void finish() const;
-    /// The same, unless something has the name by now. An empty folder may have it.
+    /// Renames the temporary folder to its final name if that name is free or belongs to
+    /// an empty folder.
     /// @throws DataError if the name is not free, or the folder cannot be renamed
     void finish_new() const;
 
@@ -50,8 +58,7 @@ private:
     std::filesystem::path wanted_, path_;
 };
 
-/// What a file says of itself: names and values, for people and for tools that look for a
-/// name.
+/// Metadata of a file as pairs of name and value.
 using FileNotes = std::vector<std::pair<std::string, std::string>>;
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images, and the files that hold them: OpenEXR and PNG.
+// Images, and functions that read and write them as OpenEXR and PNG files.
 #pragma once
 
 #include <cstdint>
@@ -12,42 +12,48 @@
 
 namespace relidar {
 
-/// Float channels of one image, ZIP compressed. @param channels name -> [rows*columns]
-/// @param notes string attributes
+/// Writes the float channels of an image to a ZIP-compressed OpenEXR file.
+/// @param channels map from channel name to values [rows*columns]
+/// @param notes string attributes of the file
 void write_exr(const std::filesystem::path& path, int rows, int columns,
                const std::map<std::string, std::vector<float>>& channels, const FileNotes& notes = {});
-/// Channels of one image.
+/// Channels and attributes of an OpenEXR image.
 struct ExrImage {
     int rows = 0;
     int columns = 0;
-    std::map<std::string, std::vector<float>> channels;  ///< name -> [rows*columns]
-    std::map<std::string, std::string> notes;            ///< string attributes
+    /// Map from channel name to values [rows*columns].
+    std::map<std::string, std::vector<float>> channels;
+    std::map<std::string, std::string> notes;  ///< String attributes of the file.
 };
-/// Every channel of an OpenEXR image of scan lines, whatever its compression and type of
-/// numbers. Sizes are checked against the file before anything is allocated. @throws
-/// DataError for tiles, deep or several images, subsampled channels, absurd sizes, damage
+/// Reads every channel of an OpenEXR scan-line image, with any compression and any number
+/// type. Checks sizes against the file size before it allocates memory.
+/// @throws DataError if the file has tiles, deep data, several images, subsampled
+/// channels or absurd sizes, or is damaged
 ExrImage read_exr(const std::filesystem::path& path);
 
 /// 8-bit RGB image.
 struct Image {
     int rows = 0;
     int columns = 0;
-    std::vector<std::uint8_t> rgb;  ///< [rows*columns*3]
+    std::vector<std::uint8_t> rgb;  ///< Pixel values, [rows*columns*3].
 };
-/// Colour map of a scalar image: "turbo" (range), "gray" (intensity, drop), "heat"
-/// (error). Values outside [low, high] clamp; NaN and pixels with mask 0 are dark gray.
+/// Converts a scalar image to colours with the map "turbo" (range), "gray" (intensity,
+/// drop) or "heat" (error). Values outside [low, high] are clamped. NaN values and pixels
+/// with mask 0 become dark gray.
 /// @param mask [rows*columns] or empty
-/// @throws UsageError for an unknown map, DataError for wrong counts or limits that are
-/// not finite
+/// @throws UsageError for an unknown map
+/// @throws DataError for wrong counts or limits that are not finite
 Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
                  const std::string& map, const std::vector<float>& mask = {});
-/// Stacks images of one width, separated by a thin line, each enlarged vertically by
-/// `stretch` (a LiDAR row is taller than its column is wide). @throws DataError where
-/// widths differ
+/// Stacks images of equal width, separated by a thin line.
+/// @param stretch vertical magnification of each image, because a LiDAR row covers a
+/// larger angle than a column
+/// @throws UsageError if stretch is below 1
+/// @throws DataError if the widths differ
 Image stack(const std::vector<Image>& images, int stretch = 1);
-/// PNG file, or its bytes. @param notes as international text (iTXt), names of 1 to 79
-/// Latin letters
-/// @throws DataError where rgb is not rows*columns*3 bytes, or nothing
+/// Writes a PNG file, or returns its bytes.
+/// @param notes stored as international text (iTXt); a name has 1 to 79 Latin letters
+/// @throws DataError if rgb is empty or is not rows*columns*3 bytes
 void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes = {});
 std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes = {});
 

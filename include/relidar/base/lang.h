@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The only file that knows both languages. The other shared headers are plain struct
-// definitions, read unchanged by C++ and GLSL: scalar block layout, vectors by GLSL name,
-// pointers as buffer references here and 8-byte addresses there.
+// Defines the pointer and vector types that C++ and GLSL share. All other shared headers
+// are plain struct definitions that both languages read unchanged. Structs use the scalar
+// block layout. A pointer is a buffer reference in GLSL and an 8-byte address in C++.
 #ifndef RELIDAR_INCLUDED_BASE_LANG_H
 #define RELIDAR_INCLUDED_BASE_LANG_H
 #ifdef __cplusplus
@@ -14,17 +14,18 @@
     struct name {                \
         std::uint64_t value = 0; \
     }
-// Where a struct has two pointers of one kind, each says what it holds:
-// RELIDAR_OF(Floats, LossTerms) terms. In GLSL that is Floats.
+// Names what a pointer refers to, for structs with two pointers of the same type:
+// RELIDAR_OF(Floats, LossTerms) terms. In GLSL the type is simply Floats.
 #define RELIDAR_OF(pointer, meaning) pointer::Of<struct meaning>
 namespace relidar {
 template <class T, class Meaning = void>
 class Array;
 class Stream;
 
-/// Where entries of an array of T begin on the device: nothing but 8 bytes, and nowhere
-/// unless an Array<T, Meaning> has made it. Addresses of different types, or of different
-/// meanings, are not each other, so that a kernel never gets one array for another.
+/// Device address of an array of T: 8 bytes. Only an Array<T, Meaning> can create an
+/// address that is not null. Two addresses convert to each other only if both their
+/// element type and their meaning match. This prevents passing the wrong array to a
+/// kernel.
 template <class T, class Meaning = void>
 class Address {
 public:
@@ -33,7 +34,8 @@ public:
 
     Address() = default;
     friend bool operator==(const Address&, const Address&) = default;
-    /// The same place under another meaning: the only way from one to the other.
+    /// Returns the same address with another meaning. This is the only conversion between
+    /// meanings.
     template <class Other>
     Of<Other> as() const {
         return Of<Other>(value_);
@@ -44,7 +46,9 @@ private:
     friend class Address;
     template <class, class>
     friend class Array;
-    friend class Stream;  // parameters of its own, for one submission
+    // Stream makes addresses of its kernel parameters, which are valid for one
+    // submission.
+    friend class Stream;
     explicit Address(std::uint64_t value) : value_(value) {}
     std::uint64_t value_ = 0;
 };
@@ -65,12 +69,12 @@ using uint = std::uint32_t;
 #define RELIDAR_SHARED_END
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
-// What the driver alone reads through.
+// Declares a pointer type that only the driver dereferences.
 #define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
 #define RELIDAR_OF(pointer, meaning) pointer
-// Addresses are never numbers here: not every device has 64-bit integers. A pointer
-// becomes one of another type through uvec2, as not every compiler (SwiftShader's) casts
-// pointers.
+// Shaders never treat an address as a 64-bit integer, because some devices lack 64-bit
+// integers. A pointer is cast to another pointer type through uvec2, because some
+// compilers (SwiftShader) cannot cast pointers.
 #endif
 
 RELIDAR_SHARED_BEGIN

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rigid poses and the few host-side vector types every stage shares. Double precision: a
-// log may lie kilometres from its origin. Transforms read right to left:
-// `world_from_sensor * point_sensor`.
+// Rigid poses and small motions in double precision, because a log may be kilometres from
+// its origin. Transforms read right to left: `world_from_sensor * point_sensor`.
 #pragma once
 
 #include <array>
@@ -16,41 +15,43 @@ struct Pose {
     glm::dquat rotation{1.0, 0.0, 0.0, 0.0};  ///< unit quaternion (w, x, y, z)
     glm::dvec3 translation{0.0};              ///< metres
 
-    /// Applies the transform to a point. @param point [3] metres, frame b @return [3]
-    /// metres, frame a
+    /// Applies the transform to a point.
+    /// @param point [3] metres, frame b
+    /// @return [3] metres, frame a
     glm::dvec3 operator*(const glm::dvec3& point) const { return rotation * point + translation; }
 
-    /// Composition: (a_from_b * b_from_c) = a_from_c.
+    /// Composes two transforms: (a_from_b * b_from_c) = a_from_c.
     Pose operator*(const Pose& other) const {
         return {glm::normalize(rotation * other.rotation), rotation * other.translation + translation};
     }
 };
 
-/// Inverse transform: a_from_b becomes b_from_a.
+/// Returns the inverse transform: b_from_a for a_from_b.
 inline Pose inverse(const Pose& pose) {
     const glm::dquat r = glm::conjugate(pose.rotation);
     return {r, -(r * pose.translation)};
 }
 
-/// Pose between two poses: slerp of the rotation, lerp of the translation.
-/// @param s  [0, 1] gives a..b; values outside extrapolate at constant velocity.
+/// Interpolates between two poses: slerp of the rotation, lerp of the translation.
+/// @param s 0 gives a, 1 gives b; values outside [0, 1] extrapolate at constant velocity
 inline Pose interpolate(const Pose& a, const Pose& b, double s) {
     return {glm::normalize(glm::slerp(a.rotation, b.rotation, s)),
             a.translation + s * (b.translation - a.translation)};
 }
 
-/// R_z(yaw) R_y(pitch) R_x(roll): rolled first, turned last; x forward, y left, z up,
-/// radians.
+/// Returns the rotation R_z(yaw) R_y(pitch) R_x(roll), which applies roll first and yaw
+/// last. Axes: x forward, y left, z up. Angles in radians.
 inline glm::dquat rotation_of(double yaw_rad, double pitch_rad, double roll_rad) {
     return glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)) * glm::angleAxis(pitch_rad, glm::dvec3(0, 1, 0)) *
            glm::angleAxis(roll_rad, glm::dvec3(1, 0, 0));
 }
 
-/// Small motion of a pose: translation v in metres of the world, rotation vector w in
-/// radians, in the world's axes about the pose's own origin; or the derivative by them.
+/// Small motion of a pose: translation v (metres, world frame), then rotation vector w
+/// (radians, world axes, about the pose's origin). Also used for the derivative with
+/// respect to this motion.
 using Twist = std::array<double, 6>;
 
-/// (exp([w]x) R, T + v)
+/// Returns the pose after a small motion: (exp([w]x) R, T + v).
 inline Pose moved(const Pose& pose, const Twist& twist) {
     const glm::dvec3 v(twist[0], twist[1], twist[2]), w(twist[3], twist[4], twist[5]);
     const double angle = glm::length(w);
@@ -58,7 +59,8 @@ inline Pose moved(const Pose& pose, const Twist& twist) {
     return {glm::normalize(glm::angleAxis(angle, w / angle) * pose.rotation), pose.translation + v};
 }
 
-/// The twist that moves one pose to another, its rotation at most pi.
+/// Returns the small motion that takes one pose to another. Its rotation angle is at most
+/// pi.
 inline Twist twist_between(const Pose& from, const Pose& to) {
     glm::dquat q = to.rotation * glm::conjugate(from.rotation);
     if (q.w < 0.0) q = -q;
@@ -68,19 +70,22 @@ inline Twist twist_between(const Pose& from, const Pose& to) {
     return {v.x, v.y, v.z, w.x, w.y, w.z};
 }
 
-/// How something moves during a sweep: at constant velocity and turn rate, within a span
-/// of time. Before and after the span it stands. All zero: it does not move.
+/// Motion of an object during a sweep: constant velocity and turn rate within a time
+/// span. The object rests before and after the span. If all fields are zero, it does not
+/// move.
 struct PoseMotion {
-    glm::dvec3 velocity_mps{0.0};  ///< world
-    glm::dvec3 turn_radps{0.0};    ///< rotation vector per second in the world's axes, about its own origin
-    double middle_s = 0.0;         ///< middle of the span, from the reference time of the sweep
+    glm::dvec3 velocity_mps{0.0};  ///< Velocity in the world frame, metres per second.
+    glm::dvec3 turn_radps{0.0};    ///< Rotation vector per second, in world axes about the object's origin.
+    /// Middle of the time span, in seconds after the reference time of the sweep.
+    double middle_s = 0.0;
     double half_span_s = 0.0;
 
     bool is_none() const {
         return !(half_span_s > 0.0) || (velocity_mps == glm::dvec3(0.0) && turn_radps == glm::dvec3(0.0));
     }
-    /// Pose that a ray meets which is fired `after_s` seconds after the reference time.
-    /// @param pose  in the middle of the span
+    /// Returns the pose of the object for a ray fired `after_s` seconds after the
+    /// reference time.
+    /// @param pose pose in the middle of the span
     Pose at(const Pose& pose, double after_s) const {
         const double since_s = glm::clamp(after_s - middle_s, -half_span_s, half_span_s);
         const glm::dvec3 v = since_s * velocity_mps, w = since_s * turn_radps;
@@ -88,7 +93,7 @@ struct PoseMotion {
     }
 };
 
-/// 4x4 matrix of a pose (GLM, column-major).
+/// Returns the 4x4 matrix of a pose (GLM, column-major).
 inline glm::dmat4 to_matrix(const Pose& pose) {
     glm::dmat4 m = glm::mat4_cast(pose.rotation);
     m[3] = glm::dvec4(pose.translation, 1.0);

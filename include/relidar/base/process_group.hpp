@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Several processes that do one piece of work together, as the ranks of MPI do.
+// Group of processes that work together on one task, like the ranks of an MPI program.
 #pragma once
 
 #include <cstddef>
@@ -11,22 +11,24 @@
 
 namespace relidar {
 
-/// Processes that do the same steps in the same order. What takes long in a step is cut
-/// into parts that do not depend on how many processes there are; each process does its
-/// share of them, and then all have all results. One process by itself does everything.
+/// Group of processes that execute the same steps in the same order. An expensive step is
+/// split into parts that do not depend on the number of processes. Each process computes
+/// its share of the parts, then all processes receive all results. A single process
+/// computes everything.
 struct ProcessGroup {
     int rank = 0, size = 1;
-    /// Bytes of all processes one after the other, in order of ranks. Returns once all
-    /// have come here. Not called where size is 1.
-    std::function<std::string(const std::string& own)> all_gather = {};
+    /// Concatenates the bytes of all processes in rank order and returns the result to
+    /// each process. Blocks until all processes have called it. Not called if size is 1.
+    std::function<std::string(const std::string& bytes)> all_gather = {};
 
     bool is_first() const { return rank == 0; }
 
     struct Share {
         std::size_t begin, end;
     };
-    /// What this process does of n parts: neighbours, as many as others do, or one more
-    /// or less. The first has some.
+    /// Returns the contiguous range of the n parts that this process computes. The shares
+    /// of two processes differ by at most one part. The first process has at least one
+    /// part if n > 0.
     Share share(std::size_t n) const {
         const auto first_of = [&](int of) {
             return (n * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
@@ -34,22 +36,22 @@ struct ProcessGroup {
         return {first_of(rank), first_of(rank + 1)};
     }
 
-    /// Values of all processes, in order of ranks.
+    /// Returns the values of all processes, concatenated in rank order.
     template <class T>
-    std::vector<T> all_gathered(std::vector<T> own) const {
+    std::vector<T> all_gathered(std::vector<T> values) const {
         static_assert(std::is_trivially_copyable_v<T>);
-        if (size == 1) return own;
+        if (size == 1) return values;
         const std::string all =
-            all_gather({reinterpret_cast<const char*>(own.data()), own.size() * sizeof(T)});
-        own.resize(all.size() / sizeof(T));
-        if (!own.empty()) std::memcpy(own.data(), all.data(), own.size() * sizeof(T));
-        return own;
+            all_gather({reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T)});
+        values.resize(all.size() / sizeof(T));
+        if (!values.empty()) std::memcpy(values.data(), all.data(), values.size() * sizeof(T));
+        return values;
     }
-    /// Values of the first process, in all.
+    /// Returns the values of the first process on every process.
     template <class T>
-    std::vector<T> broadcast(std::vector<T> own) const {
-        if (!is_first()) own.clear();
-        return all_gathered(std::move(own));
+    std::vector<T> broadcast(std::vector<T> values) const {
+        if (!is_first()) values.clear();
+        return all_gathered(std::move(values));
     }
 };
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How what takes longer than a moment says how far it is, and what it has spent its time
-// on.
+// Progress reports and stage times of long-running work.
 #pragma once
 
 #include <algorithm>
@@ -12,21 +11,22 @@
 
 namespace relidar {
 
-/// Called now and then by work that may take seconds, from the thread that started it.
-/// May be empty: nothing is told.
-/// @param what  is being done, in a few words @param done  share of it, 0..1
+/// Callback that long-running work calls from time to time, on the thread that started
+/// the work. If it is empty, no progress is reported.
+/// @param what short description of the current work
+/// @param done completed share of the work, 0..1
 using Progress = std::function<void(std::string_view what, double done)>;
 
-/// What long work spends its time on: stages, one after the other, in the order in which
-/// they first began.
+/// Time spent in each stage of long-running work. Stages run one after the other and are
+/// listed in the order of their first start.
 class StageTimes {
 public:
     struct Stage {
         std::string name;
         double seconds = 0.0;
     };
-    /// Ends the stage before and begins this one. One that was there before goes on
-    /// counting.
+    /// Ends the running stage and starts this one. If the stage has run before, its time
+    /// accumulates.
     void begin(std::string_view name) {
         end();
         const auto known = std::ranges::find(stages_, name, &Stage::name);
@@ -40,7 +40,7 @@ public:
                 std::chrono::duration<double>(std::chrono::steady_clock::now() - since_).count();
         running_ = kNone;
     }
-    /// The one that runs has the seconds of its earlier turns alone.
+    /// Returns all stages. The time of the running stage excludes its current run.
     const std::vector<Stage>& stages() const { return stages_; }
 
 private:
@@ -50,7 +50,7 @@ private:
     std::chrono::steady_clock::time_point since_{};
 };
 
-/// For work that is timed where somebody wants to know.
+/// Starts a stage if `times` is not null.
 inline void begin_stage(StageTimes* times, std::string_view name) {
     if (times) times->begin(name);
 }

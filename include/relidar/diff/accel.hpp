@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The two-level acceleration structure: one tree a model over boxes or proxies of its
-// surfels, a top level over the placed models, so moving an actor rewrites a transform
-// and nothing else. The driver's where the device traverses by ray query, else relidar's
-// own.
+// Two-level acceleration structure. Each model has a tree over boxes or proxies of its
+// surfels, and a top level contains the placed models. Moving an actor therefore changes
+// only a transform. With ray queries the structure belongs to the driver; otherwise it is
+// relidar's own tree.
 #pragma once
 
 #include <cstdint>
@@ -15,40 +15,46 @@ namespace relidar {
 
 class DeviceScene;
 namespace shared {
-struct ProxyReach;  // what an array holds, as kernels tell it from others
+// Content types of device arrays. Kernels use them to distinguish arrays of the same
+// element type.
+struct ProxyReach;
 struct ModelRadii;
 }  // namespace shared
 
-/// What stands for a surfel in the driver's tree. Both propose the same hits; `boxes` are
-/// faster on lavapipe, `triangles` (two a surfel, an icosahedron a 3D Gaussian) on
-/// ray-tracing hardware. The software tree is always over boxes.
+/// Geometry that represents a surfel in the driver's tree. Both kinds give the same hits.
+/// `boxes` are faster on lavapipe. `triangles` (two per surfel, an icosahedron per 3D
+/// Gaussian) are faster on ray-tracing hardware. The software tree always uses boxes.
 enum class Proxy { automatic, triangles, boxes };
 
 struct AccelOptions {
     Proxy proxy = Proxy::automatic;
-    /// Proxies are grown by this factor and length, so that rounding in a driver's own
-    /// intersection loses no hit.
+    /// Factor and length by which proxies are enlarged, so that rounding errors in a
+    /// driver's intersection test lose no hit.
     float margin_scale = 1.002f;
     float margin_m = 1e-4f;
-    /// When a structure is built anew instead of refitted (besides when it is told to):
-    /// after so many refits (0 = never), and, software tree alone, at the next update
-    /// after check_growth() has seen its cost grown by this factor since the build.
+    /// Conditions for a rebuild instead of a refit, in addition to explicit requests. The
+    /// structure is rebuilt after `rebuild_every` refits (0 = never). The software tree
+    /// is also rebuilt at the next update after check_growth() has measured that its cost
+    /// exceeds `rebuild_growth` times the cost after the build.
     int rebuild_every = 1000;
     float rebuild_growth = 1.3f;
 };
 
-/// The structure that a device's traversal searches; the others are nowhere.
+/// Addresses of the structure that a device's traversal method uses. The other addresses
+/// are null.
 struct AccelAddresses {
-    shared::TlasHandle tlas;  ///< ray query
-    /// [1] ray query over icosahedra: how far behind a hit one may end
+    shared::TlasHandle tlas;  ///< Top-level acceleration structure, for ray queries.
+    /// Largest distance between a hit and the end of its icosahedron, [1]. For ray
+    /// queries over icosahedra.
     Address<float, shared::ProxyReach> proxy_reach;
-    Address<shared::MovingInstance> moving;          ///< [n_moving] ray query
-    Address<float, shared::ModelRadii> model_radii;  ///< [models] ray query
-    std::uint32_t n_moving = 0;                      ///< ray query: instances that move during the sweep
-    shared::BvhPointers bvh;                         ///< software
+    /// Instances that move during the sweep, [n_moving], for ray queries.
+    Address<shared::MovingInstance> moving;
+    Address<float, shared::ModelRadii> model_radii;  ///< Radii of the models, [models], for ray queries.
+    std::uint32_t n_moving = 0;  ///< Number of instances that move during the sweep, for ray queries.
+    shared::BvhPointers bvh;     ///< Software tree.
 };
 
-/// Proxy that suits a device where none is chosen.
+/// Returns the proxy to use on a device; replaces `automatic` by the faster kind.
 Proxy resolve(Proxy proxy, const Device& device);
 
 class Accel {
@@ -56,31 +62,35 @@ public:
     Accel(Device& device, const DeviceScene& scene, const AccelOptions& options);
     ~Accel();
 
-    /// Records proxies from the scene's records and a build (first time, when told, or
-    /// when due) or refit of all trees, then the top level.
+    /// Records the computation of proxies from the scene's records, then a build or refit
+    /// of all trees, then the top level. Builds the trees at the first call, if `rebuild`
+    /// is true, or if the options require a rebuild.
     void update(Stream& stream, const DeviceScene& scene, bool rebuild = false);
-    /// Records proxies and a refit of the models that bend alone, then the top level:
-    /// actors walk, no other surfel has changed.
+    /// Records proxies and a refit of walking actors only, then the top level. Use it if
+    /// no other surfel has changed.
     void bend(Stream& stream, const DeviceScene& scene);
-    /// Records the top level alone: instances have moved, no surfel has changed.
+    /// Records an update of the top level only. Use it if instances have moved but no
+    /// surfel has changed.
     void move(Stream& stream, const DeviceScene& scene);
 
-    /// Records a measurement of how much the software tree has grown since its build, and
-    /// looks at the one recorded by the call before: the next update() rebuilds a tree
-    /// that is outgrown. Waits where that one, which must have been submitted, is not
-    /// done: for every so many iterations, not for each.
+    /// Records a measurement of the software tree's cost, and evaluates the measurement
+    /// of the previous call. If the cost has grown too much since the build, the next
+    /// update() rebuilds the tree. Blocks until the previous measurement is done, which
+    /// must have been submitted. Therefore call it every few iterations, not in each one.
     void check_growth(Stream& stream);
 
     AccelAddresses addresses() const;
     Proxy proxy() const;
-    std::uint64_t memory_bytes() const;  ///< of structures, proxies and scratch
-    std::uint64_t updates() const;       ///< builds and refits recorded so far
-    int refits_since_build() const;      ///< refits recorded since the last build
+    /// Device memory of structures, proxies and scratch buffers, bytes.
+    std::uint64_t memory_bytes() const;
+    std::uint64_t updates() const;   ///< Number of builds and refits recorded so far.
+    int refits_since_build() const;  ///< Number of refits recorded since the last build.
 
     struct Impl;
 
 private:
-    friend const Impl& impl_of(const Accel& accel);  ///< what the library itself works with
+    /// Returns the internal implementation; used only inside the library.
+    friend const Impl& impl_of(const Accel& accel);
     std::unique_ptr<Impl> impl_;
 };
 

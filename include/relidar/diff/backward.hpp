@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The same rays cast again, front to back, for the gradient of every parameter (Eq. 9).
+// Backward pass: traces the rays of a batch again, front to back, and computes the
+// gradient of every parameter (Eq. 9).
 #pragma once
 
 #include <cstdint>
@@ -13,57 +14,63 @@
 
 namespace relidar {
 
-namespace shared {  // what arrays hold, as kernels tell them apart
+// Content types of device arrays. Kernels use them to distinguish arrays of the same
+// element type.
+namespace shared {
 struct DeviceRayGradients;
 struct InstancePoseGradients;
 struct SensorPoseGradient;
 }  // namespace shared
 
-/// What is wanted beside the gradients of the surfels.
+/// Selects gradients to compute in addition to the gradients of the surfels.
 struct WantedGradients {
-    bool rays = false;   ///< of every ray
-    bool poses = false;  ///< of all instances and of the sensor
+    bool rays = false;   ///< If true, computes the gradients of every ray.
+    bool poses = false;  ///< If true, computes the pose gradients of all instances and of the sensor.
 };
 
-/// Gradients of everything the image depends on.
+/// Gradients of the loss with respect to all inputs of the rendered image.
 struct Gradients {
-    SurfelArrays surfels;  ///< dL/d(parameter), layout of Surfels
-    /// [DeviceScene::gradient_rows,16] dL/d(record) of each placed surfel
+    SurfelArrays surfels;  ///< dL/d(parameter), in the layout of Surfels.
+    /// dL/d(record) of each placed surfel, [DeviceScene::gradient_rows,16].
     Array<float, shared::RecordGradients> records;
-    /// [n] 1 where a surfel has a gradient in this batch
+    /// 1 for each surfel with a gradient in this batch, [n].
     Array<std::uint32_t, shared::TouchedSurfels> touched;
-    /// false: parameter gradients of the other surfels are left undefined (Adam takes
-    /// them for zero)
+    /// If false, parameter gradients of surfels without a gradient are undefined; Adam
+    /// treats them as zero.
     bool zero_untouched = true;
-    /// [n_rays,6] dL/d(origin), dL/d(direction), world; empty unless asked for
+    /// dL/d(origin) and dL/d(direction) of every ray, [n_rays,6], world frame. Empty
+    /// unless selected.
     Array<float, shared::DeviceRayGradients> rays;
 
-    /// [instances,6] dL/d(v, w) at 0, v metres, w radians, both in the world's axes:
-    /// world_from_model becomes (exp([w]x) R, T + v), so w turns the model about its own
-    /// origin. Row 0 is the background's: a refinement keeps that where it is. Exactly 0
-    /// for instances that no ray with a gradient meets, and for absent ones. With
-    /// ShDirection::surfel a model is viewed from its first placement: further ones have
-    /// no share in what its SH directions do. Empty unless asked for.
+    /// Pose gradients of the instances, [instances,6]: dL/d(v, w) at 0, v in metres, w in
+    /// radians, both in world axes. world_from_model becomes (exp([w]x) R, T + v), so w
+    /// rotates the model about its origin. Row 0 belongs to the background, whose pose is
+    /// never refined. A row is exactly 0 if the instance is absent or no ray with a
+    /// gradient hits it. With ShDirection::surfel, only the first instance of a model
+    /// receives the gradient through SH directions, because the model is viewed from it.
+    /// Empty unless selected.
     ///
-    /// An instance that moves during the sweep has the pose P(t) = (R(t), T(t)); R is its
-    /// rotation in the pose that it was placed with. The gradient is the exact derivative
-    /// of one correction that moves the model by the same amount in its own axes at all
-    /// times of the sweep: P(t) becomes P(t) * (exp([R^T w]x), R^T v). It is not the
-    /// derivative of a change of velocity or of turn rate.
+    /// An instance that moves during the sweep has the pose P(t) = (R(t), T(t)). R is the
+    /// rotation of the pose that was set. The gradient is the exact derivative of one
+    /// correction that moves the model by the same amount in its own axes at all times of
+    /// the sweep: P(t) becomes P(t) * (exp([R^T w]x), R^T v). It is not the derivative of
+    /// a change of velocity or turn rate.
     Array<float, shared::InstancePoseGradients> poses;
-    /// [6] dL/d(v, w) at 0: every ray of the batch moves as one body, origin' = c +
-    /// exp([w]x) (origin - c) + v and direction' = exp([w]x) direction, c =
-    /// view_origin_m, which moves along. With a rolling shutter that is one correction
-    /// for the whole frame. Empty unless asked for.
+    /// Pose gradient of the sensor, [6]: dL/d(v, w) at 0. All rays of the batch move as
+    /// one rigid body: origin' = c + exp([w]x) (origin - c) + v and direction' =
+    /// exp([w]x) direction, where c = view_origin_m moves along. With a rolling shutter
+    /// this is one correction for the full frame. Empty unless selected.
     ///
-    /// It is the exact derivative if no instance moves during the sweep. For an instance
-    /// that moves, the sum uses the pose that the instance was placed with for all its
-    /// rays. So v is exact if the instance drives and does not turn. Otherwise the share
-    /// of that instance is off by the angle that it turns, and in w also by its travel,
-    /// between that pose and each ray. `rays` is exact in every case.
+    /// The gradient is exact if no instance moves during the sweep. For a moving
+    /// instance, the sum uses one pose for all its rays, the pose that was set. v is then
+    /// still exact if the instance moves without turning. Otherwise the contribution of
+    /// the instance has an error: it is rotated by the angle that the instance turns
+    /// between that pose and each ray. In w, the distance travelled in that time adds
+    /// another error. `rays` is exact in every case.
     Array<float, shared::SensorPoseGradient> sensor;
 
-    /// @param n_rays  of the largest batch
+    /// Allocates the gradient arrays.
+    /// @param n_rays number of rays of the largest batch
     Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted = {},
               std::uint32_t n_rays = 0);
     ~Gradients();
@@ -71,44 +78,50 @@ struct Gradients {
     Gradients& operator=(Gradients&&) noexcept;
 
     struct PoseSums;
-    std::unique_ptr<PoseSums> pose_sums;  ///< what poses and sensor are summed from
+    std::unique_ptr<PoseSums> pose_sums;  ///< Scratch buffers for the pose gradients.
 };
 
-/// How the gradients of hits are summed.
-///   atomics: each hit adds to its surfel, in whatever order the device runs them: the last digits differ from run to run
-///   gather:  each hit leaves a record, the records are sorted by surfel and summed in the order of rays: bit-equal from run to run on
-///            one device, as long as all records have room and no model is placed more than twice
-///   automatic: what measures best
+/// Method for summing the gradients of hits.
+///
+///   atomics    each hit adds atomically to its surfel; the order and thus the last
+///              digits differ between runs
+///   gather     each hit writes a record; the records are sorted by surfel and summed in
+///              ray order; bit-equal between runs on one device if all records fit and no
+///              model has more than two instances
+///   automatic  the method that measures best
 enum class Reduction { automatic, atomics, gather };
 
 struct BackwardOptions {
     Reduction reduction = Reduction::automatic;
-    /// atomics: threads exchange their hits, so that neighbours add the floats of one
-    /// hit; not given: on a GPU
+    /// For atomics: if true, threads exchange their hits, so that neighbouring threads
+    /// add the floats of one hit. Default: true on a GPU.
     std::optional<bool> coalesced_atomics = std::nullopt;
-    /// gather: room for so many records a ray of the largest batch, 38 bytes each (50
-    /// with ShDirection::ray)
+    /// For gather: capacity in records per ray of the largest batch. A record has 38
+    /// bytes (50 with ShDirection::ray).
     std::uint32_t hits_per_ray = 64;
 };
 
 class BackwardPass {
 public:
-    /// @throws UsageError where hits_per_ray is out of range
+    /// Creates the kernels of the backward pass.
+    /// @throws UsageError if hits_per_ray is out of range
     BackwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options,
                  const BackwardOptions& backward = {});
     ~BackwardPass();
-    /// Records the second cast and the chain rule to the parameters. All gradients are
-    /// overwritten.
-    /// @param view_origin_m  the one the scene was activated with
+    /// Records the second trace and the chain rule to the parameters. Overwrites all
+    /// gradients.
+    /// @param view_origin_m origin with which the scene was activated
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
              const glm::vec3& view_origin_m, Gradients& gradients);
     void set_sh_degree(int degree);
-    /// Hit records of the gather: [1] of the largest batch, on the device, growing until
-    /// it is set to 0; and the room that there is now. Hits beyond it are added with
-    /// atomics: right, but not the same in every run. Null and 0 with atomics.
+    /// Usage and capacity of the hit records for the gather method. most_hits() returns a
+    /// device array [1] with the largest number of hits of a batch; it grows until it is
+    /// set to 0. hit_capacity() returns the current capacity. Hits beyond the capacity
+    /// are added with atomics, which is correct but not bit-equal between runs. With
+    /// atomics the functions return null and 0.
     const Array<std::uint32_t>* most_hits() const;
     std::uint64_t hit_capacity() const;
-    /// Makes room for so many hit records, at least. Waits for the stream.
+    /// Grows the capacity to at least n_hits records. Waits for the stream.
     void reserve_hits(Stream& stream, std::uint64_t n_hits);
 
 private:

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The software acceleration structure: wide nodes with quantised child boxes (after
-// Ylitie et al., "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide
-// BVHs", 2017). One tree a model over its surfels, in the model's frame; one top tree
-// over the instances, in the world. Built and refitted on the device.
+// Software acceleration structure: wide nodes with quantised child boxes (after Ylitie et
+// al., "Efficient Incoherent Ray Traversal on GPUs Through Compressed Wide BVHs", 2017).
+// Each model has a tree over its surfels, in the model's frame. A top-level tree contains
+// the instances, in the world frame. The trees are built and refitted on the device.
 #ifndef RELIDAR_INCLUDED_DIFF_BVH_H
 #define RELIDAR_INCLUDED_DIFF_BVH_H
 #include "relidar/base/lang.h"
@@ -10,19 +10,28 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_BVH_WIDTH 8
-#define RELIDAR_BVH_LEAF_SIZE 4u  // primitives of one leaf slot, at most
+#define RELIDAR_BVH_LEAF_SIZE 4u  // Maximum number of primitives in one leaf slot.
 #define RELIDAR_BVH_NO_NODE 0xffffffffu
 
-/// A node over at most 8 children: 80 bytes. A child's box along an axis is origin + q
-/// 2^(e - 127), q = 0..255, rounded outward. A slot is inner (its bit in inner_mask), a
-/// leaf (its count > 0) or empty (neither; its box is inverted: lo 255, hi 0).
+/// Node with at most 8 children: 80 bytes. The box of a child along an axis is origin + q
+/// 2^(e - 127), q = 0..255, rounded outward. A slot is inner (its bit in inner_mask is
+/// set), a leaf (its count is above 0), or empty (neither; its box is inverted: low 255,
+/// high 0).
 struct BvhNode {
-    vec3 origin;       // low corner of the node's box, m
-    uint exponents;    // biased exponents e: x in bits 0-7, y in 8-15, z in 16-23; inner_mask in 24-31
-    uint first_child;  // inner slot: node first_child + number of inner slots before it
-    uint first_leaf;   // leaf slot: entries first_leaf + offset ... of `order`
-    uint leaves[2];    // a byte a slot: bits 0-4 offset, bits 5-7 count; 0 for inner and empty slots
-    uint low_x[2];     // a byte a slot
+    vec3 origin;  // Lower corner of the node's box, metres.
+    // Biased exponents e: x in bits 0-7, y in bits 8-15, z in bits 16-23. Bits 24-31 are
+    // inner_mask.
+    uint exponents;
+    // Node index of the first inner slot; the node of an inner slot is first_child + the
+    // number of inner slots before it.
+    uint first_child;
+    // Index in `order` of the node's leaves; a leaf slot starts at first_leaf + its
+    // offset.
+    uint first_leaf;
+    // One byte per slot: offset in bits 0-4, count in bits 5-7; 0 for inner and empty
+    // slots.
+    uint leaves[2];
+    uint low_x[2];  // Quantised bounds, one byte per slot.
     uint low_y[2];
     uint low_z[2];
     uint high_x[2];
@@ -31,31 +40,32 @@ struct BvhNode {
 };
 RELIDAR_POINTER(BvhNodes, BvhNode);
 
-RELIDAR_HANDLE(TlasHandle);  // of the driver's top level
+RELIDAR_HANDLE(TlasHandle);  // Top-level structure of the driver.
 
-// Bits of the cull mask of a driver's instances: models that stand still, and the first
-// of those for models that move.
+// Cull mask of instances in the driver's structure: bit of models at rest. Moving models
+// use the following bits.
 #define RELIDAR_STANDING_MASK 1u
-#define RELIDAR_MOVING_MASKS 7u  // bits
+#define RELIDAR_MOVING_MASKS 7u  // Number of cull mask bits for moving models.
 
-/// A model that moves during a sweep, as a ray query looks for it: by itself, with the
-/// ray moved to where the driver's tree has the model.
+/// Model that moves during a sweep, for ray queries. A separate query searches only this
+/// model, with the ray transformed to the pose that the driver's structure has for it.
 struct MovingInstance {
     uint instance;
     uint model;
-    uint mask;  // of its cull mask; others may have it too
+    uint mask;  // Cull mask bit of the model, which other models may share.
 };
 RELIDAR_POINTER(MovingInstances, MovingInstance);
 
-/// A two-level structure as a traversal reads it.
+/// Two-level tree as traversal kernels read it.
 struct BvhPointers {
-    BvhNodes nodes;                      // of all models
-    RELIDAR_OF(Uints, LeafOrder) order;  // surfels in leaf order, counted from the first of their model
-    // [n_instances] root of the instance's model in `nodes`; RELIDAR_BVH_NO_NODE: no
-    // surfels, or not placed
+    BvhNodes nodes;  // Nodes of all models.
+    // Surfels in leaf order, as indices relative to the first surfel of their model.
+    RELIDAR_OF(Uints, LeafOrder) order;
+    // Index in `nodes` of the root of each instance's model, [n_instances];
+    // RELIDAR_BVH_NO_NODE if the model has no surfels or the instance is absent.
     RELIDAR_OF(Uints, InstanceRoots) roots;
-    BvhNodes top_nodes;                     // over the instances; root 0
-    RELIDAR_OF(Uints, TopOrder) top_order;  // instances in leaf order
+    BvhNodes top_nodes;  // Nodes of the top-level tree over the instances; node 0 is the root.
+    RELIDAR_OF(Uints, TopOrder) top_order;  // Instances in leaf order.
 };
 
 RELIDAR_SHARED_END

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Densification on the device, of the background and all actors at once: surfels are
-// added where the scans need more of them and removed where they do nothing
-// (docs/method.md section 6). Parameters, optimiser moments and statistics move together.
+// Densification on the device, for the background and all actors together. Adds surfels
+// where the scans need more of them and removes useless surfels (docs/method.md section
+// 6). Parameters, optimiser moments and statistics are moved together.
 #pragma once
 
 #include <cstdint>
@@ -18,67 +18,74 @@ class DeviceScene;
 struct Scene;
 struct SurfelArrays;
 
-namespace shared {  // what arrays hold, as kernels tell them apart
+// Content types of device arrays. Kernels use them to distinguish arrays of the same
+// element type.
+namespace shared {
 struct GradientSums;
 struct SeenBatches;
 struct SeenFrames;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Statistics since the last densification, kept with the surfels; the arrays may have
-/// room for more than n. A checkpoint holds them.
+/// Statistics of each surfel since the last densification. The arrays may be larger than
+/// n. Checkpoints contain them.
 struct SurfelStatistics {
-    Array<float, shared::GradientSums> gradient_sum;   ///< [n] sum over batches of the norm of the gradient
-    Array<std::uint32_t, shared::SeenBatches> n_seen;  ///< [n] batches whose frame shows the surfel
-    /// [n, n_words] bit f: the surfel, or what it was copied from, has had a gradient in
-    /// training frame f
+    /// Norm of the gradient of the mean, summed over batches, [n].
+    Array<float, shared::GradientSums> gradient_sum;
+    /// Number of batches whose frame shows the surfel, [n].
+    Array<std::uint32_t, shared::SeenBatches> n_seen;
+    /// Bit f is set if the surfel, or the surfel it was copied from, has had a gradient
+    /// in training frame f, [n, n_words].
     Array<std::uint32_t, shared::SeenFrames> frames;
     std::uint32_t n_words = 1;
 };
 
-/// A batch whose gradients are there.
+/// Batch whose gradients have been computed.
 struct ObservedBatch {
     const SurfelArrays* gradients = nullptr;
-    /// [n] where the gradients are defined and not zero
+    /// 1 for each surfel whose gradient is defined and not zero, [n].
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
-    std::uint32_t frame = 0;  ///< place among the training frames
-    bool whole_frame = true;  ///< false: every s-th of its rays
+    std::uint32_t frame = 0;  ///< Index among the training frames.
+    /// True if the batch has all rays of the frame; false if it has every s-th ray.
+    bool whole_frame = true;
 };
 
 class Densifier {
 public:
-    /// @param initial  what training starts from, with its surfels @param alpha_min of
-    /// the image model
-    /// @param n_frames training frames @param seed of the random numbers, which depend on
-    /// it, the step and the surfel alone
+    /// Allocates the statistics for a scene.
+    /// @param initial scene at the start of training, with its surfels
+    /// @param alpha_min value of the image model
+    /// @param n_frames number of training frames
+    /// @param seed seed of the random numbers, which depend only on the seed, the step
+    /// and the surfel
     Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min,
               std::uint32_t n_frames, std::uint64_t seed);
     ~Densifier();
 
-    /// False with DensifyStrategy::none: nothing is recorded, due or kept then, and there
-    /// are no statistics.
+    /// Returns false with DensifyStrategy::none. Then the densifier does nothing and has
+    /// no statistics.
     bool is_active() const;
-    /// Records one batch into the statistics.
+    /// Records an update of the statistics with a batch.
     void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
-    /// Whether surfels are added or removed after this step.
+    /// Returns true if surfels are to be added or removed after this step.
     bool due(int step) const;
-    /// Adds and removes. Surfels keep their order and a model stays one range; copies
-    /// stand next to their original. Survivors keep their moments; new surfels, and old
-    /// ones whose opacity or scale is changed, start with zeros. Statistics start over.
-    /// Blocks, with one readback: the counts of each model, which fix sizes and layout.
-    /// What others hold for the surfels of the scene (Gradients, Accel) is out of date
-    /// afterwards.
-    /// @param others_bytes a surfel, that others will allocate again for the new size:
-    /// growth leaves room for it Out of memory is no error: growth ends where it is, and
-    /// the report says so once.
+    /// Adds and removes surfels. Surfels keep their order, each model stays a contiguous
+    /// range, and copies are stored next to their original. Surviving surfels keep their
+    /// moments. New surfels, and surfels whose opacity or scale was changed, start with
+    /// zero moments. Statistics are reset. Blocks for one readback of the surfel counts
+    /// of each model, which determine sizes and layout. Data that other objects hold for
+    /// the surfels (Gradients, Accel) is then out of date.
+    ///
+    /// Insufficient memory is not an error: growth ends, and the report contains one note
+    /// about it.
+    /// @param others_bytes bytes per surfel that other objects will allocate again for
+    /// the new size; growth leaves this memory free
     DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes = 0.0);
-    /// Records what happens every step or at its own times: opacity reset (adaptive),
-    /// noise (mcmc).
-    /// @param rate_share learning rate of the means now over that at the start
-    void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share);
+    /// Records the reset of opacities if it is due after this step.
+    void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
-    std::vector<double>& extents_m();              ///< of each model, metres
-    const std::vector<double>& extents_m() const;  ///< the same
+    std::vector<double>& extents_m();              ///< Extent of each model, metres.
+    const std::vector<double>& extents_m() const;  ///< Extent of each model, metres.
 
 private:
     struct Impl;

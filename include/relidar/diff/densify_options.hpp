@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How surfels are added and removed in training (docs/method.md section 6): what there is
-// to choose, and what came of it. Who does it is in relidar/diff/densify.hpp.
+// Options and reports of densification, which adds and removes surfels during training
+// (docs/method.md section 6). The implementation is in relidar/diff/densify.hpp.
 #pragma once
 
 #include <array>
@@ -10,59 +10,58 @@
 
 namespace relidar {
 
-/// What is added and removed.
+/// Strategy for adding and removing surfels.
 enum class DensifyStrategy {
     none,
-    adaptive,  ///< the paper's: clone and split by gradient, prune, reset opacities
-    /// "3D Gaussian Splatting as Markov Chain Monte Carlo": the dead move to the living,
-    /// growth by a share, noise on means
-    mcmc
+    adaptive  ///< the paper's: clone and split by gradient, prune, reset opacities
 };
 
-/// When and by which bounds; the defaults are the paper's (section 6). An extent is 4 x
-/// the size of an actor's box, and of the background and models without a box 3 x the
-/// 90th percentile of 2 |p - centre|, both of the scene training starts from.
+/// Schedule and thresholds of densification. The defaults are the paper's (section 6).
+/// The extent of an actor is 4 x the size of its box. The extent of the background and of
+/// models without a box is 3 x the 90th percentile of 2 |p - centre|. Both refer to the
+/// scene at the start of training.
 struct DensifyOptions {
     DensifyStrategy strategy = DensifyStrategy::none;
-    int from = 500;     ///< first step, included
-    int until = 15000;  ///< last step, excluded
+    int from = 500;     ///< First step (inclusive).
+    int until = 15000;  ///< Last step (exclusive).
     int every = 100;
-    /// mean norm of dL/d(mean), 1/m, above which a surfel grows; L is a mean over a
-    /// frame's rays
+    /// Threshold of the mean norm of dL/d(mean), 1/m. Surfels with a larger value grow. L
+    /// is a mean over the rays of a frame.
     double gradient_threshold = 2e-4;
-    /// of the extent: below, a growing surfel is cloned, above, it is split
+    /// Threshold between cloning and splitting, relative to the extent. A growing surfel
+    /// is cloned if it is smaller, and split if it is larger.
     double clone_extent_share = 2e-4;
-    /// fainter ones are removed; never less than ImageModel::alpha_min, which is traced
+    /// Minimum opacity; fainter surfels are removed. ImageModel::alpha_min, which tracing
+    /// uses, is a lower bound of this value.
     double min_opacity = 0.003;
     double max_extent_share = 0.01;  ///< of the extent: larger ones are removed ...
     int large_from = 3000;           ///< ... after this step
-    int opacity_reset_every = 3000;  ///< adaptive, until `until`; 0 = never
+    int opacity_reset_every = 3000;  ///< until `until`; 0 = never
     double reset_opacity = 0.01;     ///< at least 2.5 times ImageModel::alpha_min, which is traced
     int max_surfels = 4000000;       ///< no growth beyond; a scene that starts larger is not cut
-    double growth = 0.05;            ///< mcmc: share of surfels added each time
-    /// mcmc: standard deviation of the noise a step on the means of faint surfels, in
-    /// scales
-    double noise = 0.2;
     bool operator==(const DensifyOptions&) const = default;
 };
 
-/// What one densification did.
+/// Result of a densification.
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
-    std::uint32_t added = 0;  ///< rows more than survivors: a clone, a split and a relocation add one each
+    std::uint32_t added = 0;  ///< rows more than survivors: a clone and a split add one each
     /// wanted by their gradient; where the sum exceeds `added` there was no room for all
     std::uint32_t clones = 0, splits = 0;
-    /// removed: not finite, opacity, scale, box
+    /// Number of removed surfels by reason: not finite, low opacity, large scale, outside
+    /// the actor's box.
     std::uint32_t invalid = 0, faint = 0, large = 0, outside = 0;
-    std::string note;  ///< once, when memory ends the growth; empty otherwise
+    /// Note that growth ended because of insufficient memory. Set only once, otherwise
+    /// empty.
+    std::string note;
 
     std::uint32_t removed() const { return invalid + faint + large + outside; }
-    /// Counts of another one are added; its sizes, and its note where it has one, take
-    /// the place of these.
+    /// Adds the counts of a later report and adopts its sizes. Adopts its note if it is
+    /// not empty.
     void add(const DensifyReport& later);
 };
 
-/// All its counts by name.
+/// Names of all counts of a report.
 inline constexpr std::array<std::pair<const char*, std::uint32_t DensifyReport::*>, 9> kDensifyCounts{
     {{"before", &DensifyReport::before},
      {"after", &DensifyReport::after},

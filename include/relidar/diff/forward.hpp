@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rays in, rendered range, intensity and ray-drop logits out (Eq. 2-4).
+// Forward pass: renders range, intensity and ray-drop logits of rays (Eq. 2-4).
 #pragma once
 
 #include <cstdint>
@@ -15,13 +15,13 @@
 
 namespace relidar {
 
-/// What a ray brings back; one entry a ray.
+/// Rendered values, one entry per ray.
 struct Rendering {
-    std::vector<float> depth;          ///< D = sum w t, not normalised, metres
-    std::vector<float> weight;         ///< W = sum w
-    std::vector<float> intensity;      ///< sum w * intensity
-    std::vector<float> hit_logit;      ///< sum w * hit logit
-    std::vector<float> drop_logit;     ///< sum w * drop logit + T * 1 (background)
+    /// depth, weight, intensity, hit_logit and drop_logit: <relidar/diff/blended_values.h>
+    /// says what each one is.
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name;
+    RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
     std::vector<float> transmittance;  ///< T after the last blended surfel
     std::vector<float> median_depth;   ///< t at which T crosses 0.5, 0 where it never does, metres
     std::vector<std::uint32_t> hits;   ///< blended surfels
@@ -31,15 +31,15 @@ struct Rendering {
     /// without a hit.
     std::vector<std::int32_t> instance;
     /// sum w n of unit normals that face the sensor, world; empty without
-    /// TraceOptions::geometry
+    /// TraceOptions::normals
     std::vector<glm::vec3> normal;
-    /// mean t of the heaviest surface, 0 without hits, metres; empty without
-    /// TraceOptions::mode_gap_m
+    /// Mean t of the heaviest surface, metres; 0 without hits. Empty without
+    /// TraceOptions::mode_gap_m.
     std::vector<float> mode_depth;
     std::size_t size() const { return depth.size(); }
 };
 
-/// The forward kernel with its settings. Rendered rays stay on the device.
+/// Forward kernel and its settings. The rendered rays stay on the device.
 class ForwardPass {
 public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
@@ -49,16 +49,17 @@ public:
     /// @param rendered  [>= n_rays] output
     /// @param kept      output, for the backward pass of the same batch; null where it
     /// shall cast the rays again
-    /// @param geometry  output, with TraceOptions::geometry
+    /// @param surfaces  [>= n_rays] output, needed with TraceOptions::has_surfaces()
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-             Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr, RayGeometry* geometry = nullptr);
+             Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr,
+             const Array<shared::RenderedSurface>* surfaces = nullptr);
     /// Rays that reached the cap of passes since the last call (they end early, which is
     /// an error). Blocks.
     std::uint32_t take_pass_cap_count();
-    /// [1] The same on the device, counting until it is set to 0: to be read back without
-    /// a wait.
+    /// Number of rays that reached the maximum number of passes, [1] on the device. It
+    /// grows until it is set to 0. Can be read back without waiting.
     const Array<std::uint32_t>& pass_cap_count() const;
-    /// [1] Rays with more hits than were kept of them, on the device, counting until it
+    /// Number of rays with more hits than were kept, [1] on the device. It grows until it
     /// is set to 0.
     const Array<std::uint32_t>& overfull_count() const;
     void set_sh_degree(int degree);
@@ -68,99 +69,106 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Rendered rays as host arrays. @param geometry  of as many rays, where it was rendered
+/// Returns rendered rays as host arrays. @param surfaces  of as many rays, or empty
 Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
-                       const std::vector<shared::RenderedGeometry>& geometry = {});
+                       const std::vector<shared::RenderedSurface>& surfaces = {});
 
-/// What a renderer is made with beside a scene and its image model.
+/// Options of a renderer, in addition to the scene and its image model.
 struct RendererOptions {
     AccelOptions accel{};
     TraceOptions trace{};
-    /// room for the largest batch; where one has more, the renderer waits once and makes
-    /// room
+    /// Initial capacity in rays. If a batch is larger, the renderer waits once and
+    /// allocates more memory.
     std::uint32_t n_rays = 0;
-    /// first hits of a ray kept for a backward pass, 16 bytes each; 0 = it casts every
-    /// ray again
+    /// Number of hits per ray that are kept for a backward pass, 16 bytes each. 0 = the
+    /// backward pass traces every ray again.
     std::uint32_t keep_hits = 0;
-    /// that another renderer has too, and which outlives this one; null: one of its own
+    /// Stream to use, which may be shared with other renderers and must outlive this one.
+    /// Null = create a stream.
     Stream* stream = nullptr;
 };
 
-/// A scene ready to be rendered: parameters, acceleration structure, forward pass and
-/// what rays render, on one device and in one stream, its own or RendererOptions::stream.
-/// place() first, then forward() or record_forward() as often as wanted. The device must
-/// outlive it; one thread at a time may use it. Several renderers of one device do not
-/// know of each other.
+/// Renderer of one scene on one device. It has the parameters, the acceleration
+/// structure, the forward pass and the rendered rays. It uses a private stream or
+/// RendererOptions::stream. Call place() first, then forward() or record_forward() any
+/// number of times. The device must outlive the renderer. One thread at a time may use
+/// it. Several renderers on one device are independent.
 class Renderer {
 public:
-    /// @param scene  is copied to the device: parameters() and upload() change the copy
-    /// @throws DataError where models or instances of the scene are out of range
+    /// Creates a renderer.
+    /// @param scene copied to the device; scene().parameters() and upload() change only
+    /// the copy
+    /// @throws DataError if models or instances of the scene are out of range
     Renderer(Device& device, const Scene& scene, const ImageModel& model,
              const RendererOptions& options = {});
     ~Renderer();
 
-    /// Where everything is: poses, parameters made ready for tracing as seen from there,
-    /// and the structure refitted. To be called again whenever poses, the view or
-    /// parameters have changed. Records; takes effect with what is recorded next.
-    /// @param placed         [instances] world_from_model each, in the order of
+    /// Sets the poses of all instances, activates the parameters for this view, and
+    /// updates the acceleration structure. Call it again after poses, view or parameters
+    /// have changed. Only records commands, which affect later recorded commands.
+    /// @param placed [instances] world_from_model of each, in the order of
     /// Scene::instances; instance 0 is the background
-    /// @param view_origin_m  [3] world: the sensor's position, from which SH directions
-    /// start with ShDirection::surfel
-    /// @throws DataError for another number of poses, UsageError where the image model is
-    /// for another primitive than the scene's
+    /// @param view_origin_m [3] sensor position in the world frame, the origin of SH
+    /// directions with ShDirection::surfel
+    /// @throws DataError if the number of poses is wrong
+    /// @throws UsageError if the image model and the scene have different primitives
     void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
-    /// The same with all instances where they are; before they are placed they stand at
-    /// the origin. Records.
+    /// Updates parameters and view, and keeps the poses of all instances. Before poses
+    /// are set, all instances are at the origin. Only records commands.
     void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
-    /// As the first where no parameter has changed since the last place() or move(): the
-    /// trees of the models stay as they are. The first call does all that place() does.
-    /// Records.
+    /// Sets the poses of all instances like place(), but does not refit the trees of
+    /// rigid models. Use it if no parameter has changed since the last place() or move().
+    /// The first call does the same as place(). Only records commands.
     void move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
 
-    /// Renders rays. Blocks. @param rays [n] world, directions of length 1
-    /// @throws UsageError before place(), DeviceError where a ray reaches the cap of
-    /// passes
+    /// Renders rays. Blocks.
+    /// @param rays [n] world frame, directions of length 1
+    /// @throws UsageError if place() was not called before
+    /// @throws DeviceError if a ray reaches the maximum number of passes
     Rendering forward(const WorldRays& rays);
-    /// The same for rays on the device, which must stay there until the stream is done.
-    /// Records: rendered() is there when the stream is.
+    /// Records the rendering of rays on the device, which must stay valid until the
+    /// stream is done. rendered() is then complete.
     void record_forward(const RayBatch& rays);
-    /// The last batch; its upstream is null, and before the first one so are its rays.
+    /// Returns the last batch. Its upstream is null. Before the first batch, its rays are
+    /// null too.
     const RenderedBatch& rendered() const;
-    /// What the last batch rendered, on the host. Blocks. @throws DeviceError as
-    /// check_passes()
+    /// Returns the rendered values of the last batch on the host. Blocks.
+    /// @throws DeviceError as check_passes()
     Rendering download_rendering();
-    /// Blocks. @throws DeviceError where a ray has reached the cap of passes since the
-    /// last call: it ended early
+    /// Checks that no ray has reached the maximum number of passes since the last call.
+    /// Blocks.
+    /// @throws DeviceError if a ray has reached it and therefore ended too early
     void check_passes();
 
-    /// First hits of a ray that are kept.
+    /// Number of hits that are kept for each ray.
     std::uint32_t kept_hits() const;
-    /// Keeps so many from the next record_forward() on. Waits for the stream. @return
-    /// false where the device has no memory for them: then as many as before
+    /// Sets the number of hits that are kept for each ray, from the next record_forward()
+    /// on. Waits for the stream.
+    /// @return false if the device has not enough memory; the number is then unchanged
     bool keep_hits(std::uint32_t per_ray);
 
-    /// Active degree of the spherical harmonics, at most the image model's. To be
-    /// followed by place().
+    /// Sets the active SH degree, limited by the degree of the image model. Call place()
+    /// next.
     void set_sh_degree(int degree);
-    const ImageModel& model() const;  ///< with the active degree
-    /// Takes other values of all parameters, as many surfels as there are. Blocks.
-    /// @throws DataError for another number or primitive
+    const ImageModel& model() const;  ///< Image model with the active SH degree.
+    /// Replaces the values of all parameters. Blocks.
+    /// @throws DataError if the number of surfels or the primitive differs
     void upload(const Surfels& surfels);
-    /// The scene as it is now. Blocks.
+    /// Returns the scene with its current parameters. Blocks.
     Scene download();
 
-    /// What is recorded here comes after all that the renderer has recorded so far, and
-    /// before what it records next.
+    /// Returns the stream of the renderer. Commands recorded in it are executed in order
+    /// with those of the renderer.
     Stream& stream();
     DeviceScene& scene();
     const DeviceScene& scene() const;
     Accel& accel();
     const ForwardPass& forward_pass() const;
-    const glm::vec3& view_origin_m() const;  ///< of the last place() or move()
+    const glm::vec3& view_origin_m() const;  ///< View origin of the last place() or move().
 
 protected:
-    /// Lets go of the acceleration structure before surfels are added or removed, and
-    /// makes one for those there are then.
+    /// Releases the acceleration structure before surfels are added or removed, and
+    /// creates a new one afterwards.
     void release_accel();
     void make_accel();
 

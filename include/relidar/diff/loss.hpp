@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Losses and their derivatives with respect to what a ray renders (Eq. 10-11). Weights
-// are config fields; a term of weight 0 costs nothing. Terms are means over their pixels,
-// points or surfels, so that weights do not depend on the size of a batch.
+// Losses and their derivatives with respect to the rendered values of rays (Eq. 10-11).
+// The weights are settings. A term of weight 0 is not computed. Terms are means over
+// their pixels, points or surfels, so that the weights do not depend on the batch size.
 #pragma once
 
 #include <array>
@@ -23,36 +23,41 @@ class DeviceScene;
 
 using shared::DeviceTarget;
 
-/// How the rays of a batch lie as an image, row by row. rows = 0: they do not.
+/// Image layout of the rays of a batch, row by row. rows = 0: the rays do not form an
+/// image.
 struct ImageShape {
     std::uint32_t rows = 0;
     std::uint32_t columns = 0;
-    bool circular = false;  ///< a whole sweep: the first column follows the last one
+    bool circular = false;  ///< True for a full sweep, in which the first column follows the last one.
 
     bool is_image() const { return rows > 0; }
 };
 
-/// Targets of a batch of rays: those of ray k are entry first + k * stride.
+/// Measured targets of a batch of rays. The target of ray k is entry first + k * stride.
 struct TargetBatch {
     const Array<DeviceTarget>* targets = nullptr;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
-    /// known rays of the batch that returned: what depth and intensity are averaged over
+    /// Number of known rays of the batch that returned; depth and intensity terms are
+    /// averaged over them.
     double n_returned = 0.0;
-    double n_known = 0.0;  ///< known rays of the batch: what ray-drop is averaged over
-    ImageShape image{};    ///< of the rays, where the batch is an image
+    /// Number of known rays of the batch; the ray-drop term is averaged over them.
+    double n_known = 0.0;
+    ImageShape image{};  ///< Image layout of the rays, if the batch is an image.
 };
 
-namespace shared {  // what arrays hold, as kernels tell them apart
+// Content types of device arrays. Kernels use them to distinguish arrays of the same
+// element type.
+namespace shared {
 struct LossTerms;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Where the terms of a batch are added up: a row of an array that may hold those of
-/// several batches.
+/// Row of an array in which the loss terms of a batch are summed. The array may have
+/// rows for several batches.
 struct TermRow {
-    const Array<float>& terms;  ///< [rows, kLossTerms] weighted
+    const Array<float>& terms;  ///< Weighted loss terms, [rows, kLossTerms].
     std::uint32_t row = 0;
 
     TermRow(const Array<float>& array, std::uint32_t at = 0) : terms(array), row(at) {}
@@ -61,43 +66,45 @@ struct TermRow {
     }
 };
 
-/// Gradients of a scene's parameters, as the backward pass leaves them.
+/// Gradients of a scene's parameters after the backward pass.
 struct SurfelGradients {
-    SurfelArrays* d_surfels = nullptr;  ///< accumulated
-    /// rows that hold a gradient; null = all do
+    SurfelArrays* d_surfels = nullptr;  ///< Gradients of the surfels, to which losses add.
+    /// 1 for each row that has a gradient; null = all rows have one.
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
 };
 
-/// A loss: one term or several, recorded together. One of your own derives from it,
-/// overrides one of the two, and joins the list.
+/// Base class of a loss that computes one or several terms. A custom loss overrides one
+/// of the two functions and is added to the list of losses.
 class Loss {
 public:
     virtual ~Loss() = default;
     /// Records terms of what rays render; between the forward and the backward pass.
-    /// @param rendered  its upstream, and the gradient of its geometry, are accumulated;
-    /// those of ImageLoss, which comes first, and of GeometryLoss are output
+    /// @param rendered  its upstream is accumulated; ImageLoss, which comes first, writes it
     /// @param terms     accumulated
     virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                          const TermRow& terms);
-    /// Records terms of the parameters themselves; after the backward pass.
-    /// @param terms     accumulated
+    /// Records terms that depend directly on the parameters. Called after the backward
+    /// pass.
+    /// @param terms accumulated
     virtual void regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
                             const TermRow& terms);
 };
 
-/// The losses that weights ask for, in the order in which they are to be recorded. Always
-/// begins with an ImageLoss.
-/// @param n_rays  most rays of a batch
+/// Creates the losses whose weights are above 0, in the order in which they must be
+/// recorded. The first is always an ImageLoss.
+/// @param n_rays number of rays of the largest batch
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t n_rays);
 
-/// Depth, intensity and ray-drop, pixel by pixel, and the structural similarity of
-/// intensity. The batch must be an image where intensity_ssim > 0. A window of structural
-/// similarity holds its known, returned pixels only: what rendered and measured intensity
-/// are at dropped or unknown pixels plays no part.
+/// Depth, intensity and ray-drop losses per pixel, and structural similarity (SSIM) of
+/// the intensity. The batch must be an image if intensity_ssim > 0. An SSIM window uses
+/// only its known, returned pixels; intensities at dropped or unknown pixels have no
+/// effect.
 class ImageLoss final : public Loss {
 public:
-    /// @param n_rays  most rays of a batch; used by structural similarity only
+    /// Creates the image loss.
+    /// @param n_rays number of rays of the largest batch; used only by structural
+    /// similarity
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
@@ -108,25 +115,28 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Chamfer distance between the simulated points A and the measured points B of a batch
-/// (docs/method.md section 5), exact:
-///   chamfer ( sum_A min_B |a - b|^2 + sum_B min_A |a - b|^2 ) / min(|A|, |B|);  0 where a cloud is empty
-/// A: origin + range * direction of known rays with ray-drop below 0.5 and W > 0.1, range
-/// D / W or D (normalised_depth). B: the same of known rays that returned. The derivative
-/// goes to the range of a, as query and as the point found, with the pairs, the choice of
-/// A and the rays themselves held fixed. Points are found through boxes over tiles of
-/// neighbouring rays and over groups of tiles, in image order where the batch is an
-/// image, else along the list; the order decides how fast a search is, never what it
-/// finds.
+/// Exact Chamfer distance between the simulated points A and the measured points B of a
+/// batch (docs/method.md section 5):
+///
+///   chamfer ( sum_A min_B |a - b|^2 + sum_B min_A |a - b|^2 ) / min(|A|, |B|);  0 if a cloud is empty
+///
+/// A: origin + range * direction of known rays with ray-drop below 0.5 and W > 0.1; the
+/// range is D / W, or D (normalised_depth). B: the measured points of known rays that
+/// returned. The gradient is with respect to the range of each point a, both as query and
+/// as nearest point. The pairs, the selection of A and the rays are constant. Nearest
+/// points are searched in boxes over tiles of neighbouring rays, and over groups of
+/// tiles. Tiles follow the image if the batch is an image, otherwise the list order. The
+/// order affects only the speed.
 class ChamferLoss final : public Loss {
 public:
-    /// @param n_rays  most rays of a batch
+    /// Creates the Chamfer loss.
+    /// @param n_rays number of rays of the largest batch
     ChamferLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
     ~ChamferLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                  const TermRow& terms) override;
-    /// Of the last batch, by ray: the nearest measured point of each simulated one and
-    /// the reverse, ~0 where there is none. Blocks.
+    /// Returns the nearest measured point of each simulated point of the last batch, and
+    /// the reverse, as ray indices; ~0 if there is none. Blocks.
     std::array<std::vector<std::uint32_t>, 2> nearest() const;
 
 private:
@@ -134,26 +144,13 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Geometric losses, means over returned rays; the first two are those of "2D Gaussian
-/// Splatting for Geometrically Accurate Radiance Fields" (2024):
-///   distortion  sum over pairs of hits of a ray, each pair once, of w_i w_j |t_i - t_j|   (half of that paper's Eq. 13), metres
-///   normal      sum_i w_i (1 - n_i . N) = W - B . N   (its Eq. 14), n_i and N turned to face the sensor
+/// Likelihood of the measured ranges (docs/method.md M12), a mean over returned rays:
 ///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k about the measured range, f the likelihood_floor
-/// N is the normal of the plane through the points of the pixels beside, and those above
-/// and below, in the rendered range image (range D / W or D, normalised_depth). A pixel
-/// has one where all five returned and render a W above 0.5, where the inverse ranges r /
-/// r_left + r / r_right, and above and below, differ from 2 by less than 0.1 (a plane has
-/// 2), and where the two chords are not nearly parallel; others have no normal term. The
-/// derivative goes to B, W and, through N, to the ranges of the pixels beside and to
-/// their rays; which pixels have a normal is held fixed. The batch must be rendered with
-/// TraceOptions::geometry (distortion, normal) and TraceOptions::likelihood, as far as
-/// their weights are above 0, the latter with the same targets; and be an image where
-/// normal > 0.
-class GeometryLoss final : public Loss {
+/// The batch must be rendered with TraceOptions::likelihood and with the same targets.
+class LikelihoodLoss final : public Loss {
 public:
-    /// @param n_rays  most rays of a batch
-    GeometryLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays);
-    ~GeometryLoss() override;
+    LikelihoodLoss(Device& device, const LossWeights& weights);
+    ~LikelihoodLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                  const TermRow& terms) override;
 
@@ -162,9 +159,11 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// A term of the parameters themselves, with mu the mean in the box frame, h the
-/// Model::half_size_m and s a standard deviation:
-///   box      mean over actors' surfels of  sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
+/// Loss term of the parameters. mu is the mean in the box frame, h is Model::half_size_m,
+/// and s is a standard deviation:
+///
+///   box  mean over actors' surfels of
+///        sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)
 class SurfelLoss final : public Loss {
 public:
     SurfelLoss(Device& device, const LossWeights& weights);

@@ -1,38 +1,30 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every loss term, a line each: the only list of them, read by C++ and GLSL. From it come
-// the weights (LossWeights), the settings `loss.*`, the names in logs and reports
-// (kLossTermNames), where kernels and tests find a term in a row of terms, and which
-// losses a training has.
+// List of all loss terms, one per line, read by C++ and GLSL. It defines the weights
+// (LossWeights), the settings `loss.*`, the names in logs and reports (kLossTermNames),
+// the index of a term in a row of terms for kernels and tests, and the losses of a
+// training.
 #ifndef RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 #define RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 
 /// TERM(place in a row of terms, name, setting of its weight, the loss that computes it,
 /// default, what the setting accepts, what it means) A loss computes one term or several.
 /// It is made, once, where a weight of its terms is above 0 (make_losses).
-#define RELIDAR_LOSS_TERMS(TERM)                                                                          \
-    TERM(0u, depth, depth, image, 0.1f, at_least(0), "weight of the range term, L1 on returned rays")     \
-    TERM(1u, intensity, intensity, image, 0.1f, at_least(0),                                              \
-         "weight of the intensity term on returned rays")                                                 \
-    TERM(2u, drop, drop, image, 0.01f, at_least(0),                                                       \
-         "weight of the ray-drop term, cross-entropy on all rays")                                        \
-    TERM(3u, opacity, opacity, image, 0.0f, at_least(0), expert("weight of (1 - W)^2 on returned rays"))  \
-    TERM(4u, ssim, intensity_ssim, image, 0.0f, between(0, 1),                                            \
-         expert("share of 1 - SSIM in the intensity term, beside Huber or L1; of a sensor with image "    \
-                "order; 0: paper"))                                                                       \
-    TERM(5u, box, box, surfel, 0.0f, at_least(0),                                                         \
-         expert("weight of actors' surfels leaving their box; 0: paper"))                                 \
-    TERM(6u, chamfer, chamfer, chamfer, 0.01f, at_least(0),                                               \
-         expert("weight of the Chamfer distance between simulated and measured points, squared metres"))  \
-    TERM(7u, distortion, distortion, geometry, 0.0f, at_least(0),                                         \
-         expert("weight of the spread of a ray's hits, the sum over pairs of w_i w_j |t_i - t_j| in "     \
-                "metres, mean over returned rays; 0: "                                                    \
-                "paper"))                                                                                 \
-    TERM(8u, normal, normal, geometry, 0.0f, at_least(0),                                                 \
-         expert("weight of surfel normals disagreeing with those of the rendered range image, mean over " \
-                "returned rays; of a sensor with "                                                        \
-                "image order; 0: paper"))                                                                 \
-    TERM(9u, likelihood, likelihood, geometry, 0.0f, at_least(0),                                         \
-         expert("weight of -ln of how likely a ray's hits make the range that was measured, mean over "   \
+#define RELIDAR_LOSS_TERMS(TERM)                                                                         \
+    TERM(0u, depth, depth, image, 0.1f, at_least(0), "weight of the range term, L1 on returned rays")    \
+    TERM(1u, intensity, intensity, image, 0.1f, at_least(0),                                             \
+         "weight of the intensity term on returned rays")                                                \
+    TERM(2u, drop, drop, image, 0.01f, at_least(0),                                                      \
+         "weight of the ray-drop term, cross-entropy on all rays")                                       \
+    TERM(3u, opacity, opacity, image, 0.0f, at_least(0), expert("weight of (1 - W)^2 on returned rays")) \
+    TERM(4u, ssim, intensity_ssim, image, 0.0f, between(0, 1),                                           \
+         expert("share of 1 - SSIM in the intensity term, beside Huber or L1; of a sensor with image "   \
+                "order; 0: paper"))                                                                      \
+    TERM(5u, box, box, surfel, 0.0f, at_least(0),                                                        \
+         expert("weight of actors' surfels leaving their box; 0: paper"))                                \
+    TERM(6u, chamfer, chamfer, chamfer, 0.01f, at_least(0),                                              \
+         expert("weight of the Chamfer distance between simulated and measured points, squared metres")) \
+    TERM(7u, likelihood, likelihood, likelihood, 0.0f, at_least(0),                                      \
+         expert("weight of -ln of how likely a ray's hits make the range that was measured, mean over "  \
                 "returned rays; 0: paper"))
 
 #endif

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ray-drop as the sensor has it: a network that looks at a whole rendered scan and
-// corrects the drop probability of each ray (paper, section 3.5, Eq. 12-13). Surfels know
-// what a place returns; what the sensor makes of it (glass, dark paint, grazing beams,
-// its own electronics) shows in the image.
+// Ray-drop network: looks at a complete rendered scan and corrects the drop probability
+// of each ray (paper, section 3.5, Eq. 12-13). Surfels model what a surface returns. The
+// network models what the sensor makes of it (glass, dark paint, grazing beams,
+// electronics), which shows in the image.
 #pragma once
 
 #include <cstddef>
@@ -16,82 +16,89 @@
 
 namespace relidar {
 
-/// The network and its training: config.refine.
+/// Options of the ray-drop network and its training: config.refine.
 struct RefineOptions {
-    bool enabled = false;  ///< training ends with it, rendering uses it where a run has it
-    /// "small", "paper" (6.5 million parameters; a tenth of its layers' values is dropped
-    /// in training, and its images are turned about the sensor by random columns) or
-    /// "pixel" (each pixel by itself)
+    /// If true, training ends with the training of the network, and rendering uses the
+    /// network of a run that has one.
+    bool enabled = false;
+    /// "small", "paper" or "pixel" (each pixel is processed separately). "paper" has 6.5
+    /// million parameters. Its training uses a dropout of 0.1 and rotates images around
+    /// the sensor by a random number of columns.
     std::string network = "small";
-    int width = 0;    ///< channels at full size; 0: the network's own
-    int levels = -1;  ///< times that the image is halved; -1: the network's own
-    /// what it looks at: "native", the sensor's rays, or "grid", the cells of
-    /// config.sensor.grid
+    int width = 0;    ///< Channels at full resolution; 0 = default of the network.
+    int levels = -1;  ///< Number of times that the image is halved; -1 = default of the network.
+    /// Input image: "native" (the rays of the sensor) or "grid" (the cells of
+    /// config.sensor.grid).
     std::string image = "native";
-    /// its inputs about rays: "none", "direction" (its elevation) or "origin,direction"
+    /// Inputs about the rays: "none", "direction" (its elevation) or "origin,direction".
     std::string rays = "direction";
-    int frames = 64;     ///< training frames that it learns from at most, spread over all; 0: all
-    int epochs = 4;      ///< each of them is seen so often
-    int batch = 0;       ///< images in a training step; 0: the network's own number
-    double rate = 2e-3;  ///< Adam's, at the start; it falls to a hundredth
+    int frames = 64;     ///< Maximum number of training frames, spread evenly over the log; 0 = all.
+    int epochs = 4;      ///< Number of times that each training frame is used.
+    int batch = 0;       ///< Images per training step; 0 = default of the network.
+    double rate = 2e-3;  ///< Initial learning rate of Adam; it decreases to a hundredth.
     bool operator==(const RefineOptions&) const = default;
 };
 
-/// What the network sees of a scan with image order, and what came of it.
+/// Network input for a scan in image order, and the measured drops.
 struct DropImage {
     int rows = 0, columns = 0;
-    std::vector<float> channels;  ///< [channels of the network, rows, columns], see drop_channel_names()
-    /// [rows, columns] 1 dropped, 0 returned, negative: not known; empty where nothing
-    /// was measured
+    /// Input channels, [channels of the network, rows, columns]; drop_channel_names()
+    /// lists them.
+    std::vector<float> channels;
+    /// Measured drops, [rows, columns]: 1 dropped, 0 returned, negative = unknown. Empty
+    /// if nothing was measured.
     std::vector<float> dropped;
 };
 
-/// Names of the network's channels in their order: "log_range", "intensity",
-/// "drop_logit", "weight", "spread", "cosine" (of incidence), then those that belong to
-/// the sensor's pixels: "elevation" (its sine, in the sensor's frame) and "origin_x" ...
-/// "origin_z".
+/// Returns the names of the network's channels in order: "log_range", "intensity",
+/// "drop_logit", "weight", "spread", "cosine" (of incidence). Then follow channels that
+/// belong to the pixels of the sensor: "elevation" (its sine, in the sensor frame) and
+/// "origin_x" ... "origin_z".
 std::vector<std::string> drop_channel_names(const RefineOptions& options);
 
-/// A trained network.
+/// Trained ray-drop network.
 struct DropNetwork {
-    std::string image = "native";       ///< what it was trained on: "native", or the name of a grid
-    std::vector<std::string> inputs;    ///< channels it was trained with
-    std::vector<std::uint32_t> widths;  ///< channels at full size, half, ...
-    std::uint32_t heads = 0;            ///< of the attention at the smallest size; 0: none
-    std::uint32_t taps = 9;             ///< of its convolutions: 9, or 1 where each pixel is by itself
-    bool residual = true;               ///< its output is added to the rendered logit; false: it replaces it
-    std::vector<float> normalisation;   ///< [channels, 2] scale and shift of the inputs
-    std::vector<float> parameters;      ///< layer by layer, as the network is asked
-    std::vector<float> running;         ///< moments of the normalisations, for evaluation
+    std::string image = "native";       ///< Image type of the training: "native", or the name of a grid.
+    std::vector<std::string> inputs;    ///< Names of the input channels.
+    std::vector<std::uint32_t> widths;  ///< Channels at each resolution: full size, half, ...
+    std::uint32_t heads = 0;            ///< Attention heads at the smallest resolution; 0 = no attention.
+    std::uint32_t taps = 9;  ///< Taps of the convolutions: 9, or 1 if each pixel is processed separately.
+    /// If true, the output is added to the rendered logit; otherwise it replaces the
+    /// rendered logit.
+    bool residual = true;
+    std::vector<float> normalisation;  ///< Scale and shift of each input channel, [channels, 2].
+    std::vector<float> parameters;     ///< Parameters layer by layer, in the order of evaluation.
+    std::vector<float> running;        ///< Running moments of the normalisation layers, for evaluation.
 
     bool empty() const { return parameters.empty(); }
-    /// Rows and columns that an image needs.
+    /// Returns the minimum number of rows and columns of an image.
     int smallest_side() const { return 1 << (widths.empty() ? 0 : widths.size() - 1); }
 };
 
-/// Trainable parameters of the options' network.
+/// Returns the number of trainable parameters of the network that the options describe.
 std::size_t count_parameters(const RefineOptions& options);
 
-/// One epoch of a training.
+/// Progress of the training of a ray-drop network.
 struct RefineProgress {
     int epoch = 0, n_epochs = 0;
     int step = 0, n_steps = 0;
-    double entropy = 0.0;   ///< mean cross-entropy of the epoch's pixels so far
-    double accuracy = 0.0;  ///< share of pixels of which the likelier answer was right
+    double entropy = 0.0;  ///< Mean cross-entropy of the pixels in this epoch so far.
+    /// Share of pixels in this epoch for which the more likely answer was correct.
+    double accuracy = 0.0;
     double seconds = 0.0;
 };
 
-/// A training after one of its steps: with the same images, options and seed it goes on
-/// from here as if it had never stopped.
+/// State of a training after a step. With the same images, options and seed, training
+/// resumes exactly from this state.
 struct RefineState {
-    int step = 0;                          ///< the last one that is done
-    std::vector<float> parameters;         ///< [parameters] as in DropNetwork
-    std::vector<float> moment1, moment2;   ///< [parameters] Adam's
-    std::vector<float> running;            ///< as in DropNetwork
-    double entropy = 0.0, accuracy = 0.0;  ///< sums over the steps of the epoch
-    double seconds = 0.0;                  ///< of training so far
+    int step = 0;                         ///< Number of the last completed step.
+    std::vector<float> parameters;        ///< Network parameters, [parameters], as in DropNetwork.
+    std::vector<float> moment1, moment2;  ///< Adam moments, [parameters].
+    std::vector<float> running;           ///< Running moments of the normalisation layers, as in DropNetwork.
+    double entropy = 0.0, accuracy = 0.0;  ///< Sums over the steps of the current epoch.
+    double seconds = 0.0;                  ///< Seconds of training so far.
 
-    /// Calls visit(name, value) for all that a checkpoint keeps.
+    /// Calls visit(name, value) for each value that a checkpoint stores.
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         visit("step", step);
@@ -105,42 +112,47 @@ struct RefineState {
     }
 };
 
-/// Called after each step. @param state  copies the state from the device @return false
-/// stops, and gives the network as it is
+/// Callback after each training step.
+/// @param state copies the state from the device
+/// @return false to stop training and return the current network
 using RefineCallback =
     std::function<bool(const RefineProgress& progress, const std::function<RefineState()>& state)>;
 
-/// Trains a network on images of one shape. The same seed gives the same network, to the
-/// last bit on one device.
-/// @param start  state to go on from, of a training with the same images, options and
-/// seed; null: from the beginning
-/// @throws DataError for images of different shapes, too small, with values that are not
-/// finite, or without dropped pixels, and for a start of another network or with more
-/// steps than there are; DeviceError if the device cannot run its layers
+/// Trains a network on images of equal shape. The same seed gives a bit-identical network
+/// on the same device.
+/// @param start state to resume from, of a training with the same images, options and
+/// seed; null = start from the beginning
+/// @throws DataError if the images have different shapes, are too small, have values that
+/// are not finite, or have no dropped pixels
+/// @throws DataError if `start` belongs to another network or has more steps than the
+/// training
+/// @throws DeviceError if the device cannot run the layers of the network
 DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& images,
                                const RefineOptions& options, std::uint64_t seed,
                                const RefineCallback& progress, const RefineState* start = nullptr);
 
 class DropPass;
 
-/// A network ready to be asked, in evaluation mode: the same image gives the same answer.
+/// Network in evaluation mode: equal images give equal results.
 class DropRefiner {
 public:
-    /// @throws DataError where the arrays do not fit the network's shape; DeviceError as
-    /// train_drop_network
+    /// Uploads the network.
+    /// @throws DataError if the arrays do not match the shape of the network
+    /// @throws DeviceError as train_drop_network()
     DropRefiner(Device& device, const DropNetwork& network);
     ~DropRefiner();
     DropRefiner(DropRefiner&&) noexcept;
     DropRefiner& operator=(DropRefiner&&) noexcept;
 
     const DropNetwork& network() const;
-    /// Drop probability of each pixel [rows, columns]. @throws DataError as
-    /// train_drop_network
+    /// Returns the drop probability of each pixel, [rows, columns].
+    /// @throws DataError as train_drop_network()
     std::vector<float> refine(const DropImage& image);
-    /// Milliseconds of kernels so far, by name, where the device has timestamps.
+    /// Returns the kernel times so far in milliseconds, by kernel name, if the device has
+    /// timestamps.
     const KernelTimes& times() const;
-    /// The same network for images that are on the device,
-    /// <relidar/diff/network_training.hpp>.
+    /// Returns the network for images that are already on the device
+    /// (<relidar/diff/network_training.hpp>).
     DropPass& pass();
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Asking a ray-drop network about images that are on the device already.
+// Evaluation of a ray-drop network for images that are already on the device.
 #pragma once
 
 #include <memory>
@@ -15,22 +15,25 @@ struct DropSamples;
 struct DropProbabilities;
 }  // namespace shared
 
-/// Compiles every pipeline that training and evaluating the options' network use. Runs
-/// none of them.
+/// Compiles all pipelines that training and evaluation of the network use, but runs none
+/// of them.
 void compile_drop_network(Device& device, const RefineOptions& options);
 
-/// A network in evaluation mode, as DropRefiner, in a stream of the caller's.
+/// Ray-drop network in evaluation mode, like DropRefiner, that records into the caller's
+/// stream.
 class DropPass {
 public:
-    /// @throws as DropRefiner
+    /// Uploads the network.
+    /// @throws errors of the DropRefiner constructor
     DropPass(Device& device, const DropNetwork& network);
     ~DropPass();
 
     const DropNetwork& network() const;
-    /// Records a pass over one image. @param channels [network().inputs, rows, columns]
-    /// as DropImage::channels
-    /// @return [rows, columns] drop probabilities, there until an image of a third shape
-    /// @throws DataError for an image smaller than network().smallest_side()
+    /// Records the evaluation of an image.
+    /// @param channels [network().inputs, rows, columns] as DropImage::channels
+    /// @return drop probabilities, [rows, columns], valid until an image of a third shape
+    /// is evaluated
+    /// @throws DataError if the image is smaller than network().smallest_side()
     const Array<float, shared::DropProbabilities>& run(Stream& stream, int rows, int columns,
                                                        const Array<float, shared::DropSamples>& channels);
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batches of rays, how they are traced, and what forward and backward hand to each other.
+// Batches of rays, options for ray tracing, and the data that the forward pass hands to
+// the backward pass.
 #pragma once
 
 #include <cstdint>
@@ -15,37 +16,38 @@ namespace relidar {
 
 /// Rays in world coordinates.
 struct WorldRays {
-    std::vector<glm::vec3> origin;     ///< [n] metres
-    std::vector<glm::vec3> direction;  ///< [n] unit
-    /// [n] when each is fired, from the sweep's reference time; empty: instances stand at
-    /// their poses
+    std::vector<glm::vec3> origin;     ///< Origins, [n] metres.
+    std::vector<glm::vec3> direction;  ///< Unit directions, [n].
+    /// Firing times, [n] seconds after the reference time of the sweep. Empty: all
+    /// instances stay at the poses that were set.
     std::vector<float> time_s = {};
     std::size_t size() const { return direction.size(); }
 };
 
 using shared::DeviceRay;
 
-/// Ray k of a batch is entry first + k * stride.
+/// Batch of rays on the device. Ray k of the batch is entry first + k * stride.
 struct RayBatch {
     const Array<DeviceRay>* rays = nullptr;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
-    /// Where the batch is an image, row by row: its columns, of which n_rays is a
-    /// multiple. Threads that run together then trace tiles of 16 x 2 neighbours, which
-    /// open the same nodes. 0 = rays as they come.
+    /// Number of columns if the batch is an image in row order; n_rays is a multiple of
+    /// it. Threads that run together then trace tiles of 16 x 2 neighbouring rays, which
+    /// visit the same nodes. 0 = trace rays in list order.
     std::uint32_t columns = 0;
-    /// What the rays measured, entry by entry as `rays`; looked at with
-    /// TraceOptions::likelihood alone. Null = nothing.
+    /// Measured targets of the rays, with the same indices as `rays`. Used only with
+    /// TraceOptions::likelihood. Null = no targets.
     const Array<shared::DeviceTarget>* targets = nullptr;
 };
 
-/// Whether each ray walks the software tree on its own or the rays of a subgroup walk it
+/// Traversal of the software tree: each ray separately (lane), or all rays of a subgroup
 /// together.
 enum class Walk { automatic, lane, subgroup };
 
-/// How a ray puts its hits in order: those of a chunk as they are found, in a buffer of
-/// its own, or all of them afterwards, appended to a list in memory.
+/// Method for sorting the hits of a ray. `chunks`: hits are sorted in a per-ray buffer
+/// while they are found. `lists`: all hits are appended to a list in memory and sorted
+/// afterwards.
 enum class HitOrder { automatic, chunks, lists };
 
 /// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 +
@@ -54,83 +56,75 @@ struct RangeKernel {
     float scale_m = 0.05f;
 };
 
-/// How rays are traced; none of it changes the image.
+/// Options for ray tracing. They do not change the rendered image.
 struct TraceOptions {
-    int chunk = 16;  ///< hits sorted at a time, 1..64
-    /// software traversal alone; automatic = what measures faster on the kind of device
+    int chunk = 16;  ///< Number of hits sorted at a time, 1..64.
+    /// Traversal of the software tree; automatic = the faster method for this type of
+    /// device.
     Walk walk = Walk::automatic;
-    /// of the forward pass; automatic = lists on a GPU, chunks on a CPU
+    /// Sorting method of the forward pass; automatic = lists on a GPU, chunks on a CPU.
     HitOrder order = HitOrder::automatic;
-    /// Hits that a list has room for at first, 1..512; twice as many while any ray has
-    /// more. Rays that have more are traced in chunks.
+    /// Initial capacity of a hit list, 1..512. It is doubled while any ray has more hits.
+    /// Rays with too many hits are traced in chunks.
     int list_room = 64;
-    /// A RayGeometry is rendered too: normals of a Renderer, and of ForwardPass::run and
-    /// BackwardPass::run, which must then be given one, what the geometric losses want.
-    bool geometry = false;
-    /// Its likelihood is rendered, of the rays that have a measured range.
+    /// Blends the normals of surfels, for RenderedSurface. They have no gradient.
+    bool normals = false;
+    /// Blends the likelihood of each ray that has a measured range.
     std::optional<RangeKernel> likelihood{};
-    /// The heaviest surface of each ray is rendered (docs/method.md M13): hits no farther
-    /// than this behind the one before are one, metres.
+    /// If set, also renders the heaviest surface of each ray (docs/method.md M13).
+    /// Consecutive hits at most this far apart belong to one surface, metres.
     std::optional<float> mode_gap_m{};
 
-    /// a RayGeometry, for one of them
-    bool wants_geometry() const { return geometry || likelihood || mode_gap_m; }
+    /// Returns whether a forward pass writes a RenderedSurface for each ray.
+    bool has_surfaces() const { return normals || mode_gap_m; }
 };
 
-/// Threads that trace a batch: whole tiles of 16 x 2 rays over an image, some of them
-/// beside it; else one a ray.
+/// Returns the number of threads that trace a batch. For an image these are full tiles of
+/// 16 x 2 rays, so that some threads have no ray. Otherwise it is one thread per ray.
 std::size_t trace_threads(const RayBatch& batch);
 
-/// The first hits of each ray of a batch, as the forward pass blended them, so that the
-/// backward pass need not search them again.
+/// First hits of each ray of a batch, as blended by the forward pass. The backward pass
+/// uses them instead of searching the hits again.
 struct KeptHits {
-    Array<shared::Hit> hits;    ///< [ceil(n_threads / 4), per_ray, 4]
-    std::uint32_t per_ray = 0;  ///< what a ray has behind them is searched again
+    Array<shared::Hit> hits;  ///< Hits, [ceil(n_threads / 2), per_ray, 2].
+    /// Number of hits stored per ray. The backward pass searches further hits again.
+    std::uint32_t per_ray = 0;
 
-    /// @param n_threads  that trace the largest batch
+    /// Allocates memory for the hits.
+    /// @param n_threads number of threads that trace the largest batch
     KeptHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
         : hits(device, side_by_side(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
-    /// As many threads, in whole groups whose hits lie side by side.
+    /// Rounds a number of threads up to full groups, whose hits are interleaved in
+    /// memory.
     static std::size_t side_by_side(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
-    /// Whether there is room for those of a batch.
+    /// Returns true if the hits of a batch fit.
     bool hold(const RayBatch& batch) const {
         return side_by_side(trace_threads(batch)) * per_ray <= hits.size();
     }
 };
 
-/// How many hits of a ray should be kept where `n_overfull` rays had more than the
-/// `per_ray` that are: twice as many while there are such rays, for a GPU waits for the
-/// few that it searches again as long as for all others; but at most 256 (4 kB a ray), or
-/// as many as now.
+/// Returns the number of hits per ray that should be kept if `n_overfull` rays had more
+/// than `per_ray` hits. It is doubled while there are such rays, because on a GPU the
+/// second search of a few rays takes as long as all others. The result is at most 256 (4
+/// kB per ray), or `per_ray` if that is larger.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
-
-/// What the geometric losses want of each ray of a batch beside its image, and what they
-/// give back.
-struct RayGeometry {
-    Array<shared::RenderedGeometry> rendered;  ///< [n_rays] of the forward pass
-    Array<shared::GeometryGradient> gradient;  ///< [n_rays] of GeometryLoss
-
-    /// @param n_rays  of the largest batch
-    RayGeometry(Device& device, std::size_t n_rays)
-        : rendered(device, n_rays, "geometry of rays"), gradient(device, n_rays, "geometry gradients") {}
-};
 
 /// A batch that has been rendered, as losses compare it and the backward pass
 /// differentiates it.
 struct RenderedBatch {
     RayBatch rays;
-    const Array<shared::RenderedRay>* rendered = nullptr;  ///< [n_rays] of ForwardPass::run
-    /// [n_rays] dL/d(rendered): losses write it, the backward pass reads it
+    /// Rendered values of ForwardPass::run, [n_rays].
+    const Array<shared::RenderedRay>* rendered = nullptr;
+    /// dL/d(rendered), [n_rays]: written by losses, read by the backward pass.
     Array<shared::RayGradient>* upstream = nullptr;
     const KeptHits* kept = nullptr;  ///< of the same ForwardPass::run, or null
-    /// of the same ForwardPass::run, where TraceOptions wants geometry; its gradient is
-    /// as upstream
-    RayGeometry* geometry = nullptr;
+    /// [n_rays] of the same ForwardPass::run, or null without TraceOptions::has_surfaces()
+    const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 
-/// Rays as kernels read them.
+/// Converts rays to the struct that kernels read.
 std::vector<DeviceRay> to_device_rays(const WorldRays& rays);
 
 }  // namespace relidar

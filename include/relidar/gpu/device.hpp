@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Vulkan devices of this machine, and an open one. What runs on it is in
-// relidar/gpu/stream.hpp.
+// Vulkan devices of this machine, and an open device. relidar/gpu/stream.hpp has the
+// memory and kernel launches of a device.
 #pragma once
 
 #include <cstddef>
@@ -13,117 +13,139 @@
 
 namespace relidar {
 
-/// How rays find surfels: the driver's acceleration structures and ray queries, or
-/// relidar's own tree walked in the tracing kernels. Automatic: ray query on a GPU that
-/// has it, else software; software on a CPU, where it is 2 to 4 times faster.
+/// Method that finds the surfels along a ray. `ray_query` uses the driver's acceleration
+/// structures. `software` uses relidar's own tree, which the tracing kernels walk.
+/// `automatic` selects ray query on a GPU that supports it, otherwise software. On a CPU
+/// it selects software, which is faster there.
 enum class Traversal { automatic, ray_query, software };
 
-/// By name: "auto", "ray_query" or "software", in any case. @throws UsageError for
-/// another one
+/// Returns the traversal method named "auto", "ray_query" or "software", in any case.
+/// @throws UsageError for any other name
 Traversal find_traversal(const std::string& name);
 
-/// One Vulkan device of this machine and what relidar can do with it.
+/// Properties of a Vulkan device of this machine, and the relidar features that it
+/// supports.
 struct DeviceInfo {
     int index = 0;
     std::string name;
-    std::string type;                ///< "discrete GPU", "integrated GPU", "CPU", ...
-    std::string driver;              ///< driver name and version
-    std::string api_version;         ///< "1.3.240"
-    std::uint64_t memory_bytes = 0;  ///< of the largest device-local heap
-    bool ray_query = false;          ///< hardware (or driver) ray queries with acceleration structures
-    bool float_atomics = false;      ///< float atomic add on buffers; otherwise compare-and-swap
-    int subgroup_size = 1;           ///< lanes that run together
-    /// kernels can be made to run in subgroups of that size, all lanes there
+    std::string type;                ///< Device type: "discrete GPU", "integrated GPU", "CPU", ...
+    std::string driver;              ///< Driver name and version.
+    std::string api_version;         ///< Vulkan version, for example "1.3.240".
+    std::uint64_t memory_bytes = 0;  ///< Size of the largest device-local heap, bytes.
+    /// True if the device supports ray queries with acceleration structures, in hardware
+    /// or in the driver.
+    bool ray_query = false;
+    /// True if the device supports atomic float addition on buffers. Otherwise kernels
+    /// use compare-and-swap.
+    bool float_atomics = false;
+    int subgroup_size = 1;  ///< Number of invocations in a subgroup.
+    /// True if kernels can be forced to run in full subgroups of subgroup_size.
     bool known_subgroups = false;
-    bool timestamps = false;        ///< compute timestamps
-    std::string why_not_ray_query;  ///< missing extensions and features, empty where ray_query
-    bool software = false;          ///< relidar's own tree can be built and walked
-    std::string why_not_software;   ///< missing subgroup operations, empty where software
-    std::string why_not_usable;     ///< missing base features, empty where relidar runs at all
+    bool timestamps = false;  ///< True if compute queues support timestamps.
+    /// Names of the features and extensions that ray queries lack. Empty if ray_query is
+    /// true.
+    std::string why_not_ray_query;
+    bool software = false;  ///< True if the device can build and walk relidar's own tree.
+    /// Names of the subgroup operations that software traversal lacks. Empty if software
+    /// is true.
+    std::string why_not_software;
+    /// Names of the missing base features. Empty if relidar runs on the device.
+    std::string why_not_usable;
 };
 
-/// What Traversal::automatic means on a device; `automatic` where neither works.
+/// Returns the method that Traversal::automatic selects on a device. Returns `automatic`
+/// if no method works.
 Traversal best_traversal(const DeviceInfo& info);
 
-/// Every Vulkan device, in the loader's order. @throws DeviceError where no Vulkan loader
-/// or driver is installed
+/// Lists every Vulkan device in the order of the Vulkan loader.
+/// @throws DeviceError if no Vulkan loader or driver is installed
 std::vector<DeviceInfo> list_devices();
 
-/// What the driver's compiler made of one kernel with one set of specialisation
-/// constants.
+/// Statistics that the driver reports for a kernel that was compiled with one set of
+/// specialisation constants.
 struct PipelineStatistics {
-    std::string kernel;      ///< of the build: "stage/stem" or "stage/stem@variant"
-    std::string constants;   ///< "CHUNK=64 TOGETHER=0", in the order of their ids
-    int workgroup_size = 0;  ///< threads
-    int subgroup_size = 0;   ///< lanes the driver compiled for, 0 = unknown
-    std::string failure;     ///< the driver's answer where it made no pipeline, else empty
-    /// by the driver's own names; empty where it has no
-    /// VK_KHR_pipeline_executable_properties
+    std::string kernel;  ///< Kernel name as in the build: "stage/stem" or "stage/stem@variant".
+    /// Specialisation constants in the order of their ids, for example "CHUNK=64
+    /// TOGETHER=0".
+    std::string constants;
+    int workgroup_size = 0;  ///< Threads per workgroup.
+    int subgroup_size = 0;   ///< Subgroup size that the driver compiled for; 0 if unknown.
+    std::string failure;     ///< Error of the driver if it could not create the pipeline; otherwise empty.
+    /// Statistics by the names that the driver gives them. Empty if the driver lacks
+    /// VK_KHR_pipeline_executable_properties.
     std::map<std::string, double> values;
 };
 
 struct DeviceOptions {
-    /// of list_devices; -1 = the first GPU, one with ray query before others, else a CPU
-    /// device
+    /// Index in list_devices(). -1 selects the first GPU and prefers GPUs with ray
+    /// queries. Without a GPU, it selects a CPU device.
     int index = -1;
     Traversal traversal = Traversal::automatic;
-    bool validation = false;               ///< Khronos validation layer
-    std::uint64_t memory_limit_bytes = 0;  ///< device-local memory it may hold, 0 = all there is
-    /// Compile every kernel that is made, each distinct pipeline once, keep what the
-    /// driver says of it (Device::pipelines), and run none: what is opened so is for
-    /// looking at, and may be a driver without hardware.
+    bool validation = false;  ///< Enables the Khronos validation layer.
+    /// Maximum device-local memory that relidar may allocate, bytes; 0 = no limit.
+    std::uint64_t memory_limit_bytes = 0;
+    /// Compiles each distinct pipeline once, keeps the driver's statistics
+    /// (Device::pipelines) and runs no kernel. Use it to inspect pipelines; a driver
+    /// without hardware is sufficient.
     bool compile_only = false;
-    /// folder that keeps compiled pipelines from one process to the next; empty: compiled
-    /// each time
+    /// Folder that keeps compiled pipelines between processes. If empty, each process
+    /// compiles all pipelines.
     std::filesystem::path pipeline_cache = {};
 };
 
-/// What a user's environment says, on top of the given options: RELIDAR_VALIDATION=1,
-/// RELIDAR_MEMORY_LIMIT_MIB=n (where no limit is given), RELIDAR_PIPELINE_CACHE=FOLDER
-/// (0: none; else $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar). For programs that run
-/// on a user's machine; nothing else in the library reads the environment. @throws
-/// UsageError for a limit that is no number
+/// Returns the options after applying the user's environment variables. For programs on a
+/// user's machine; nothing else in the library reads environment variables.
+/// - RELIDAR_VALIDATION=1 enables the validation layer.
+/// - RELIDAR_MEMORY_LIMIT_MIB=n applies if the options have no memory limit.
+/// - RELIDAR_PIPELINE_CACHE=FOLDER applies if the options have no folder; 0 = no cache.
+///   Default: $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar.
+/// @throws UsageError if the limit is not a number
 DeviceOptions from_environment(DeviceOptions options = {});
 
-/// An open device. Everything made from it must be destroyed first.
+/// Open Vulkan device. Destroy all objects created from it before the device.
 class Device {
 public:
-    /// @throws DeviceError naming all missing features at once, or the device that does
-    /// not exist
+    /// Opens a device.
+    /// @throws DeviceError if the device does not exist or lacks features; the message
+    /// names all missing features
     explicit Device(const DeviceOptions& options = {});
     ~Device();
     Device(const Device&) = delete;
     Device& operator=(const Device&) = delete;
 
     const DeviceInfo& info() const;
-    /// How this device's rays find surfels: ray_query or software, never automatic.
+    /// Returns the traversal method of this device: ray_query or software, never
+    /// automatic.
     Traversal traversal() const;
-    /// Device memory held by arrays now / at most since the device was opened, bytes.
+    /// Returns the device memory that arrays occupy, in bytes: now, or the peak since the
+    /// device was opened.
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_bytes() const;
-    /// What was compiled so far, in that order, where the device was opened to compile
-    /// only.
+    /// Returns statistics of all pipelines compiled so far, in order, if the device was
+    /// opened with compile_only.
     const std::vector<PipelineStatistics>& pipelines() const;
 
     struct Impl;
 
 private:
-    friend Impl& impl_of(const Device& device);  ///< what the library itself works with
+    /// Returns the internal implementation; used only inside the library.
+    friend Impl& impl_of(const Device& device);
     std::unique_ptr<Impl> impl_;
 };
 
-/// Milliseconds a kernel over the submissions measured.
+/// Run times of kernels, in milliseconds, over the measured submissions.
 struct KernelTimes {
     static constexpr std::ptrdiff_t kLast = 4096;
     struct Total {
         double launches = 0.0, ms = 0.0;
     };
-    /// kernel name -> one entry a launch, of the last kLast launches
+    /// Map from kernel name to one run time per launch, for the last kLast launches.
     std::map<std::string, std::vector<double>> milliseconds;
-    std::map<std::string, Total> totals;  ///< of all launches
+    /// Number of launches and total run time by kernel name, over all launches.
+    std::map<std::string, Total> totals;
 
-    void add(const std::string& kernel, double ms);  ///< one more launch
-    void add(const KernelTimes& later);              ///< those of launches that came afterwards
+    void add(const std::string& kernel, double ms);  ///< Adds the run time of a launch.
+    void add(const KernelTimes& later);              ///< Adds the run times of later launches.
 };
 
 }  // namespace relidar

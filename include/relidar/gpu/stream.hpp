@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Device memory and submission, without a Vulkan type: what a stage needs to own arrays
-// and run kernels on them.
+// Device memory and kernel submission without Vulkan types, so that other parts of
+// relidar can allocate arrays and run kernels.
 #pragma once
 
 #include <cstddef>
@@ -15,12 +15,14 @@
 
 namespace relidar {
 
-/// A piece of device memory. Move-only.
+/// Block of device memory. Move-only.
 class Buffer {
 public:
     Buffer();
-    /// @param what  name used in messages @throws DeviceError where memory is exhausted,
-    /// with size and what was asked for
+    /// Allocates n_bytes of device memory.
+    /// @param what name of the buffer in messages
+    /// @throws DeviceError if device memory is exhausted; the message names the buffer
+    /// and its size
     Buffer(Device& device, std::size_t n_bytes, const std::string& what);
     ~Buffer();
     Buffer(Buffer&&) noexcept;
@@ -28,16 +30,20 @@ public:
 
     std::size_t size_bytes() const;
     explicit operator bool() const { return impl_ != nullptr; }
-    /// Blocking copies through staging memory. @throws DeviceError on a lost device
+    /// Copies between host and device through staging memory, and blocks until the copy
+    /// is done.
+    /// @throws DeviceError if the device is lost
     void upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes = 0);
     void download(void* data, std::size_t n_bytes, std::size_t offset_bytes = 0) const;
-    /// Blocking copy of the first bytes of another buffer of the same device.
+    /// Copies the first n_bytes of another buffer of the same device, and blocks until
+    /// the copy is done.
     void copy_from(const Buffer& source, std::size_t n_bytes);
 
     struct Impl;
 
 private:
-    friend Impl& impl_of(const Buffer& buffer);  ///< what the library itself works with
+    /// Returns the internal implementation; used only inside the library.
+    friend Impl& impl_of(const Buffer& buffer);
     template <class, class>
     friend class Array;
     std::unique_ptr<Impl> impl_;
@@ -58,13 +64,13 @@ public:
     }
 
     std::size_t size() const { return n_; }
-    /// What kernels are given: the whole array, or the part of it that begins at an
-    /// entry. Arrays begin at multiples of 16 bytes, so that kernels load a record in
-    /// pieces of 16 bytes; a part that begins elsewhere is indexed at run time, or by
-    /// atomics, and nothing else.
+    /// Returns the device address of entry `first`, to pass to a kernel. Arrays start at
+    /// multiples of 16 bytes, so that kernels can load a record in 16-byte pieces. An
+    /// address that is not a multiple of 16 bytes may only be used with atomics or with
+    /// indices computed at run time.
     Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
-    /// The same memory for a kernel that takes it for entries of another type or meaning.
-    /// `first` counts entries of T.
+    /// Returns the same address for a kernel that reads the memory as another type or
+    /// meaning. `first` counts entries of T.
     template <class U, class Meaning = void>
     Address<U, Meaning> address_as(std::size_t first = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
@@ -75,15 +81,16 @@ public:
         if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T));
     }
     std::vector<T> download() const { return download(n_); }
-    /// The first n values.
+    /// Copies the first n values to the host.
     std::vector<T> download(std::size_t n) const {
         std::vector<T> values(n);
         if (n) buffer_.download(values.data(), n * sizeof(T));
         return values;
     }
-    /// Makes room for n values and keeps those there are; the rest is undefined. Never
-    /// shrinks. Nothing may be in flight that uses the array: it moves. @throws
-    /// DeviceError where memory is exhausted; the array is then as before
+    /// Grows the array to at least n values and keeps the existing values; new values are
+    /// undefined. The array never shrinks. No pending submission may use the array,
+    /// because its address changes.
+    /// @throws DeviceError if device memory is exhausted; the array is then unchanged
     void reserve(Device& device, std::size_t n, const std::string& what) {
         if (n <= n_) return;
         Array larger(device, n, what);
@@ -96,9 +103,9 @@ private:
     std::size_t n_ = 0;
 };
 
-/// Device array of which kernels that take several of its type know what it holds: the
-/// Meaning is the name that their parameters give by RELIDAR_OF, as in Array<float,
-/// shared::LossTerms>. For all others, and on the host, it is an Array<T>.
+/// Device array whose type also names its content. The Meaning is a name that a kernel
+/// parameter declares with RELIDAR_OF, for example Array<float, shared::LossTerms>. It
+/// separates arrays of the same element type. On the host it behaves like Array<T>.
 template <class T, class Meaning>
 class Array : public Array<T> {
 public:
@@ -108,14 +115,15 @@ public:
     }
 };
 
-/// Of an array that need not be there: null is nowhere.
+/// Returns the address of an optional array, or a null address if the pointer is null.
 template <class T, class Meaning>
 Address<T, Meaning> address_of(const Array<T, Meaning>* array) {
     return array ? array->address() : Address<T, Meaning>();
 }
 
-/// Records kernels and submits them. Each launch sees the results of all earlier ones,
-/// but of those in its Concurrent scope or in other Strands.
+/// Records kernel launches and submits them. A launch sees the results of all earlier
+/// launches, except launches in the same Concurrent scope or in another strand (see
+/// Strands).
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -123,22 +131,26 @@ public:
     Stream(const Stream&) = delete;
     Stream& operator=(const Stream&) = delete;
 
-    /// Sets an array to a 32-bit pattern.
+    /// Fills an array with a 32-bit pattern.
     void fill(const Buffer& buffer, std::uint32_t pattern = 0);
     template <class T>
     void fill(const Array<T>& array, std::uint32_t pattern = 0) {
         fill(array.buffer(), pattern);
     }
-    /// Copies the first n_bytes of one buffer to another of the same device.
+    /// Records a copy of the first n_bytes of one buffer to another buffer of the same
+    /// device.
     void copy(const Buffer& from, const Buffer& to, std::size_t n_bytes);
-    /// Submits what was recorded. @return a ticket for wait()
+    /// Submits the recorded commands.
+    /// @return ticket for wait()
     std::uint64_t submit();
-    /// Blocks until a ticket is done. @throws DeviceError on a lost device or a
-    /// device-side check, with the kernel's name
+    /// Blocks until the submission with this ticket is done.
+    /// @throws DeviceError if the device is lost or a check in a kernel failed; the
+    /// message names the kernel
     void wait(std::uint64_t ticket);
-    /// submit and wait.
+    /// Submits the recorded commands and waits for them.
     void finish() { wait(submit()); }
-    /// Times measured so far (only with timing = true and a device with timestamps).
+    /// Returns the kernel times measured so far. Requires timing = true and a device with
+    /// timestamps.
     const KernelTimes& times() const;
     void reset_times();
     Device& device() const;
@@ -146,13 +158,14 @@ public:
     struct Impl;
 
 private:
-    friend Impl& impl_of(const Stream& stream);  ///< what the library itself works with
+    /// Returns the internal implementation; used only inside the library.
+    friend Impl& impl_of(const Stream& stream);
     std::unique_ptr<Impl> impl_;
 };
 
-/// While it lives, what a stream records may run at the same time: no launch may read or
-/// write what another one of the scope writes. What is recorded afterwards sees the
-/// results of all of them.
+/// Scope in which all launches recorded on a stream may run concurrently. A launch may
+/// not access memory that another launch of the scope writes. Commands recorded after the
+/// scope see the results of all its launches.
 class Concurrent {
 public:
     explicit Concurrent(Stream& stream);
@@ -164,41 +177,43 @@ private:
     Stream& stream_;
 };
 
-/// While it lives, a stream records into strands. A launch sees the results of the
-/// earlier ones of its own strand; the n-th launches of all strands may run at the same
-/// time, so that small ones fill a device together. No launch may read or write what
-/// another strand writes. What is recorded or submitted afterwards sees the results of
-/// all of them.
+/// Scope in which a stream records into several independent sequences of launches, called
+/// strands. A launch sees the results of earlier launches of the same strand. The n-th
+/// launches of all strands may run concurrently, so that small launches fill a device
+/// together. No launch may access memory that another strand writes. Commands recorded or
+/// submitted after the scope see the results of all strands.
 class Strands {
 public:
     Strands(Stream& stream, std::size_t n);
     ~Strands();
     Strands(const Strands&) = delete;
     Strands& operator=(const Strands&) = delete;
-    /// What is recorded from now on belongs to this one, at first to 0.
+    /// Selects the strand of all launches recorded from here on. Initially strand 0.
     void choose(std::size_t strand);
 
 private:
     Stream& stream_;
 };
 
-/// A copy of device values that arrives with a later submission.
+/// Copy of device values to the host that is executed with a later submission.
 class Readback {
 public:
-    /// @param n_bytes at most in one copy @param what name used in messages @throws
-    /// DeviceError where memory is exhausted
+    /// Allocates host memory for the copy.
+    /// @param n_bytes maximum size of a copy
+    /// @param what name of the copy in messages
+    /// @throws DeviceError if memory is exhausted
     Readback(Device& device, std::size_t n_bytes, const std::string& what);
     ~Readback();
     Readback(Readback&&) noexcept;
     Readback& operator=(Readback&&) noexcept;
 
     /// Records a copy of n_bytes into cached host memory. The next submit() of the stream
-    /// sends it.
+    /// executes the copy.
     void record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes = 0);
-    /// A copy was recorded that wait() has not been called for.
+    /// Returns true if a copy was recorded and wait() has not yet been called for it.
     bool pending() const;
-    /// Blocks until the recorded copy is done. @return the bytes, valid until the next
-    /// record()
+    /// Blocks until the recorded copy is done.
+    /// @return the copied bytes, valid until the next record()
     const void* wait(Stream& stream);
 
 private:

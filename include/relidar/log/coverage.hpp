@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a log has looked: the space that rays of its training scans have passed, or met
-// something in. What a simulated ray meets elsewhere is extrapolated.
+// Coverage of a log: the space that the rays of its training scans have passed through,
+// or in which they have hit something. Anything that a simulated ray hits outside this
+// space is extrapolated.
 #pragma once
 
 #include <array>
@@ -14,43 +15,52 @@
 
 namespace relidar {
 
-/// A set of cubic cells of relidar's world, in blocks of 8 x 8 x 8.
+/// A set of cubic cells in relidar's world frame, stored in blocks of 8 x 8 x 8 cells.
 class Coverage {
 public:
     static constexpr double kCell_m = 1.0;
-    static constexpr int kBlockCells = 8;  ///< along an edge
+    static constexpr int kBlockCells = 8;  ///< cells along an edge of a block
     static constexpr std::size_t kWords = 32;
-    /// Cell (x, y, z) of a block is bit x + 8 y + 64 z, 16 bits a word.
+    /// Bits of a block. Cell (x, y, z) of a block is bit x + 8 y + 64 z, with 16 bits
+    /// in each word.
     using Cells = std::array<std::uint16_t, kWords>;
     struct Block {
-        glm::ivec3 place{0};  ///< of its lowest corner, in blocks
+        glm::ivec3 place{0};  ///< position of the lowest corner, in units of blocks
         Cells cells{};
     };
 
     bool empty() const { return blocks_.empty(); }
-    /// Adds every cell that a straight way crosses. @param from_m, to_m [3] metres,
-    /// world; what is not finite adds nothing
+    /// Adds every cell that a line segment crosses. A segment with a coordinate that is
+    /// not finite adds nothing.
+    /// @param from_m [3] start of the segment; metres, world frame
+    /// @param to_m [3] end of the segment; metres, world frame
     void add(const glm::dvec3& from_m, const glm::dvec3& to_m);
     void add(const Block& block);
     void add(const Coverage& other);
-    /// Share of a way that lies in cells of the set, 0..1. @param from_m, to_m [3]
-    /// metres, world @return 0 for a way that is not finite
+    /// Returns the fraction of a line segment that is in cells of the set, 0..1.
+    /// @param from_m [3] start of the segment; metres, world frame
+    /// @param to_m [3] end of the segment; metres, world frame
+    /// @return 0 if a coordinate is not finite
     double share(const glm::dvec3& from_m, const glm::dvec3& to_m) const;
-    /// In ascending order of their places.
+    /// Returns all blocks, sorted by their positions in ascending order.
     std::vector<Block> blocks() const;
 
 private:
-    std::unordered_map<std::uint64_t, Block> blocks_;  ///< by place
+    std::unordered_map<std::uint64_t, Block> blocks_;  ///< blocks by position
 };
 
-/// Where the rays of some scans have looked. A returned ray has looked as far as its
-/// point. A dropped one looked as far as the nearer of the returns above and below it in
-/// its firing, or to the end of its range where it passes above all of them; else it
-/// tells nothing. Between two beams of a firing all is looked at as far as the nearer of
-/// the two sees.
+/// Returns the space that the rays of some scans have observed. A ray with a return has
+/// observed the space up to its point. For a dropped ray, the result depends on the other
+/// rays of the same firing:
+/// - with returns above and below it: it has observed the space up to the nearer one;
+/// - above all returns: it has observed the space up to `max_range_m`;
+/// - otherwise: it has observed nothing.
+///
+/// The space between two adjacent beams of a firing counts as observed up to the shorter
+/// of their two lengths.
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
-/// @param positions  of the frames to look at, in Sequence::frames
-/// @param max_range_m  how far a ray looks at most
+/// @param positions  indices into Sequence::frames of the frames to use
+/// @param max_range_m  maximum observed length of a ray
 Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_vehicle,
                        const std::vector<int>& positions, double max_range_m);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// From a folder on disk to a Sequence, or a sentence saying which file and field is
-// wrong.
+// Loads LiDAR logs from disk into a `Sequence`. Errors name the file and the field that
+// is wrong.
 #pragma once
 
 #include <cstdint>
@@ -14,135 +14,157 @@
 
 namespace relidar {
 
-/// Half-open range of the dataset's own frame numbers, as "a:b" on the command line;
-/// either side may be empty.
+/// Half-open range of frame numbers, written "a:b" on the command line. Either side may
+/// be empty. The numbers are those of the dataset.
 struct FrameRange {
     int begin = 0;
-    int end = -1;  ///< -1: to the last frame
+    int end = -1;  ///< -1: up to the last frame
 };
 
-/// DatasetOptions::poses_file of a log without poses: all are identity, for a
-/// registration of the scans to find. Boxes stand where their labels have them in the
-/// sensor's frame, and go along with set_vehicle_poses(). A file of this name is given as
-/// "./none".
+/// Value of `DatasetOptions::poses_file` for a log without poses. All poses are then
+/// identity until a registration of the scans estimates them. Boxes keep the poses of
+/// their labels in the sensor frame; set_vehicle_poses() moves them along with the
+/// vehicle. To read a file that has the name "none", write "./none".
 inline constexpr const char* kNoPoses = "none";
 
-/// What to read of a log.
+/// Options that only the reader of ROS bags uses.
+struct BagOptions {
+    std::string poses_from = {};  ///< frame or topic of the poses; empty: the reader chooses
+};
+
+/// Options that only the reader of Waymo Open uses.
+struct WaymoOptions {
+    bool clamp_intensity = false;  ///< cut intensities at 1; false: take their tanh
+};
+
+/// Options for reading a log.
 struct DatasetOptions {
-    /// which drive of a dataset that holds several, by its own name; empty: the only one,
-    /// or the first
+    /// Name of the drive, for a dataset that has several. Empty: the only drive, or the
+    /// first one.
     std::string sequence;
     FrameRange frames;
-    /// 12 numbers a line, world_from_sensor of frame i on line i, in the dataset's world;
-    /// empty = the dataset's own; kNoPoses
+    /// Text file with poses: line i has the 12 numbers of world_from_sensor for frame i,
+    /// in the dataset's world frame. Empty: use the poses of the dataset. kNoPoses: read
+    /// no poses.
     std::filesystem::path poses_file;
-    /// of a ROS bag: the frame, or the topic, that poses are taken from; empty: guessed
-    std::string poses_from = {};
-    /// leave frames without a scan out; false: a missing scan is an error
+    /// true: skip frames without a scan. false: a missing scan is an error.
     bool allow_missing_scans = true;
-    /// leave scans that cannot be read out, with a note each; false: the first is an
-    /// error
+    /// true: skip scans that cannot be read and add a note for each. false: the first
+    /// such scan is an error.
     bool skip_broken = false;
-    bool rolling_shutter = true;           ///< false: take all rays of a sweep as fired at its reference time
-    double max_range_m = 80.0;             ///< returns beyond are treated as dropped
-    double min_range_m = 0.0;              ///< and so are those nearer than this
-    bool clamp_intensity = false;          ///< of Waymo Open: cut at 1; false: its tanh
-    std::vector<std::string> lidars = {};  ///< names of those that are read; none: all
-    /// For a look at a long log: of each LiDAR so many scans, spread over its frames, are
-    /// read, and other frames stay without rays; 0: all. Logs of KITTI, Argoverse 2 and
-    /// Waymo, and nuScenes' own HDL-32E, are read whole all the same.
+    /// false: treat all rays of a sweep as if they were fired at its reference time
+    bool rolling_shutter = true;
+    double max_range_m = 80.0;             ///< returns farther away are treated as dropped
+    double min_range_m = 0.0;              ///< returns nearer than this are treated as dropped
+    std::vector<std::string> lidars = {};  ///< names of the LiDARs to read; empty: all
+    /// For a preview of a long log: the maximum number of scans to read from each LiDAR.
+    /// The scans are spread over its frames, and the other frames have no rays. 0: read
+    /// all scans. Logs of KITTI, Argoverse 2 and Waymo, and of nuScenes' original
+    /// HDL-32E, are always read completely.
     int most_scans = 0;
-    Progress progress = {};  ///< of reading
+    Progress progress = {};  ///< receives the progress of reading
+    BagOptions bag = {};
+    WaymoOptions waymo = {};
 };
 
-/// Reads a log. @param dataset a path (format recognised) or "kind:path" with a kind that
-/// recognise_dataset() gives
-/// @throws DataError naming the file and what is wrong with it; UsageError for an unknown
-/// kind or an empty frame range
+/// Reads a log.
+/// @param dataset  a path (the format is recognised), or "kind:path" with a kind that
+/// recognise_dataset() returns
+/// @throws DataError naming the file and what is wrong with it
+/// @throws UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
-/// A dataset as load_sequence() takes it, made independent of the working folder; a kind
-/// in front stays.
+/// Returns a dataset argument of load_sequence() with an absolute path, so that it does
+/// not depend on the working directory. Keeps a "kind:" prefix.
 std::string absolute_dataset(const std::string& dataset);
 
-/// Kind of a dataset path ("kitti_raw", "waymo", ... as in docs/datasets.md). @throws
-/// DataError where it is none of the known ones
+/// Returns the kind of a dataset, for example "kitti_raw" or "waymo". docs/datasets.md
+/// lists all kinds.
+/// @throws DataError if the path is none of the known kinds
 std::string recognise_dataset(const std::filesystem::path& path);
 
-/// How save_folder() writes.
+/// Options of save_folder().
 struct FolderOptions {
-    bool overwrite = false;  ///< a plain folder of this name is replaced, once the new one is complete
-    bool poses = true;       ///< false: those of a log that was read without any (kNoPoses) are no poses
-    Progress progress = {};  ///< what it throws ends the writing; nothing is left
+    /// replace an existing plain folder of this name after the new one is complete
+    bool overwrite = false;
+    bool poses = true;  ///< false: do not write poses; for a log that was read without poses (kNoPoses)
+    /// receives the progress; if it throws an exception, writing stops and leaves no
+    /// files
+    Progress progress = {};
 };
-/// Writes a log as a plain folder (kind "folder", docs/datasets.md) from which
-/// load_sequence() reads it again: the same rays, dropped ones and second returns
-/// included, bit by bit; times, boxes, notes; poses to a nanometre. What is estimated of
-/// sensors later, such as the response of beams, is not part of a log. The folder appears
-/// under its name when it is complete.
-/// @throws UsageError where something of that name is there that may not be replaced,
-/// DataError where it cannot be written
+/// Writes a log as a plain folder (kind "folder", docs/datasets.md) that load_sequence()
+/// can read. All rays are preserved bit by bit, including dropped rays and second
+/// returns. Times, boxes and notes are preserved too, and poses to a nanometre. Values
+/// that are estimated later, for example the intensity response of beams, are not
+/// written. The folder gets its final name only when it is complete.
+/// @throws UsageError if the path exists and may not be replaced
+/// @throws DataError if the folder cannot be written
 void save_folder(const Sequence& sequence, const std::filesystem::path& folder,
                  const FolderOptions& options = {});
 
-/// Whether a folder or file is a log of one of these kinds.
+/// Returns true if a folder or file is a log of a known kind.
 bool is_dataset(const std::filesystem::path& path);
 
-/// Parameters of the synthetic street: facades, poles, parked cars and what moves, cast
-/// exactly.
+/// Parameters of the synthetic street: facades, poles, parked cars and moving objects.
+/// Its scans are computed by exact ray casting.
 struct SyntheticOptions {
     std::uint64_t seed = 1;
     int n_frames = 30;
     int rows = 32;
     int columns = 512;
-    double range_noise_m = 0.01;  ///< standard deviation
-    double speed_mps = 8.0;       ///< of the sensor along the street
+    double range_noise_m = 0.01;  ///< standard deviation of the range noise
+    double speed_mps = 8.0;       ///< speed of the sensor along the street
     bool moving_cars = true;
-    /// file of a rig, whose sensors take the log in place of rows and columns; mounted in
-    /// the vehicle
+    /// File of a sensor rig that is mounted on the vehicle. Its sensors record the log,
+    /// instead of a sensor with `rows` and `columns`.
     std::string rig = {};
-    /// three pedestrians, a cyclist, cars parked behind a fence, cars with windows that
-    /// let rays through, bushes
+    /// Adds three pedestrians, a cyclist, cars parked behind a fence, cars with
+    /// transparent windows, and bushes.
     bool people = false;
-    bool gait = false;  ///< the pedestrians swing their legs and arms, by the distance that they have come
+    /// pedestrians swing their legs and arms, in step with the distance they have walked
+    bool gait = false;
 };
 
-/// Makes the synthetic street log in memory, ground truth by exact ray casting with a
-/// rolling shutter.
+/// Creates the log of the synthetic street in memory. The scans are ground truth: exact
+/// ray casting with a rolling shutter.
 Sequence make_synthetic_street(const SyntheticOptions& options);
 
-/// Casts any rays into the synthetic street at their own times: the exact answer for a
-/// novel sensor or pose. Noise-free; a dropped ray has range 0. @param world_from_sensor
-/// pose of the sensor against time
+/// Casts any rays into the synthetic street, each at its own firing time. The result is
+/// the exact scan of a novel sensor or pose. It has no noise. A dropped ray has range 0.
+/// @param world_from_sensor  poses of the sensor over time
+/// @param time_s  reference time of the scan
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                            const PoseTrack& world_from_sensor, double time_s);
 
-/// The same for beams of a divergence, as a receiver of two returns has them: the
-/// strongest, and the last one, or the next strongest where the strongest is the last. 53
-/// exact rays for each beam; surfaces 0.5 m apart are two returns, a tenth of the
-/// strongest's light is enough for the second. @param rays  some of them of a divergence
-/// above 0 @throws UsageError where none is
+/// Casts beams with a divergence, and returns up to two returns for each beam, like a
+/// dual-return receiver. The first is the strongest. The second is the last return, or
+/// the second strongest if the strongest is also the last. Each beam is sampled with 53
+/// exact rays. Surfaces that are 0.5 m apart give separate returns. A second return needs
+/// at least a tenth of the light of the strongest one.
+/// @param rays  at least one ray must have a divergence above 0
+/// @throws UsageError if no ray has a divergence
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
                           const PoseTrack& world_from_sensor, double time_s);
 
-/// A car on a street that has been edited: the shapes of one of the street's own cars,
-/// along a track of relidar's world.
+/// A car in an edited street. It has the shape of one of the street's original cars and
+/// follows a track in relidar's world frame.
 struct StreetCar {
-    std::size_t shapes_of = 0;  ///< the street's car of BoxTrack::id "0", "1", ...
-    BoxTrack track;  ///< the car is there at the sweeps at whose reference time the track is present
+    std::size_t shapes_of = 0;  ///< id of the original car: BoxTrack::id "0", "1", ...
+    BoxTrack track;  ///< the car exists in every sweep at whose reference time the track is present
 };
 
-/// The same with these cars instead of the street's own: the exact answer for an edit.
-/// @throws DataError where the street has no such car
+/// Casts rays into the street with these cars instead of the original ones. The result is
+/// the exact scan of an edited street.
+/// @throws DataError if the street has no car with the id `shapes_of`
 Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars,
                            const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
-/// Options of a log that save_synthetic wrote. @throws DataError naming the key that is
-/// wrong
+/// Reads the options of a log that save_synthetic() wrote.
+/// @throws DataError naming the key that is wrong
 SyntheticOptions read_synthetic(const std::filesystem::path& folder);
 
-/// Writes a synthetic log as a folder that load_sequence reads (kind "synthetic":
-/// street.toml with the options).
+/// Writes a synthetic log as a folder that load_sequence() can read (kind "synthetic").
+/// The folder holds only `street.toml` with the options.
 void save_synthetic(const SyntheticOptions& options, const std::filesystem::path& folder);
 
 }  // namespace relidar

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the intensities that a sensor measures scatter about those that a scene renders:
-// their grain along a beam and from beam to beam, and their steps. A decision tree looks
-// at what is rendered around a ray and at what was drawn before it; a leaf holds what was
-// measured in such places. (Not in the paper.)
+// Statistical model of the difference between measured and rendered intensities: noise
+// along a beam, differences between beams, and quantisation. A decision tree selects a
+// leaf from the rendered values around a ray and from the values that were already drawn.
+// Each leaf holds the intensities that were measured in such situations. (Not in the
+// paper.)
 #pragma once
 
 #include <cstddef>
@@ -13,62 +14,69 @@
 
 namespace relidar {
 
-/// What a scene renders for the rays of a scan, row by row; columns go round. All arrays
+/// Rendered values for the rays of a scan, row by row. Columns wrap around. All arrays
 /// are [rows*columns].
 struct RenderedIntensities {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
-    std::vector<float> range_m;        ///< of the dominant surface; 0 where nothing is met
-    std::vector<float> spread_m;       ///< see range_spread()
-    std::vector<float> cosine;         ///< of the angle of incidence; below 0 where it is not known
-    std::vector<float> elevation_rad;  ///< of the ray, which tells the beam
+    std::vector<float> range_m;        ///< range of the dominant surface; 0 if the ray hit nothing
+    std::vector<float> spread_m;       ///< result of range_spread()
+    std::vector<float> cosine;         ///< cosine of the angle of incidence; negative if unknown
+    std::vector<float> elevation_rad;  ///< elevation of the ray, which identifies the beam
 };
 
-/// In place of an intensity where nothing came back.
+/// Marks a ray without a return in an array of intensities.
 inline constexpr float kNoIntensity = std::numeric_limits<float>::lowest();
 
-/// A rendered scan and what was measured along the same rays.
+/// A rendered scan and the measured intensities of the same rays.
 struct MeasuredIntensities {
     RenderedIntensities rendered;
-    std::vector<float> measured;  ///< [rows*columns] kNoIntensity where nothing came back
+    std::vector<float> measured;  ///< [rows*columns] kNoIntensity for rays without a return
 };
 
-/// How a LiDAR's intensities scatter.
+/// Decision tree with the measured intensities of a LiDAR.
 struct IntensityScatter {
-    /// Of the tree. Every node has values; an inner one those of its two children.
+    /// Node of the decision tree. Every node has values; an inner node has the values of
+    /// its two children.
     struct Node {
-        std::int32_t feature = -1;  ///< what it asks for, below count_scatter_features(); -1: it is a leaf
-        float at = 0.0f;            ///< up to this the first child is next, above it the second
-        std::int32_t child = 0;     ///< position of the first child; the second follows it
-        std::uint32_t first = 0, count = 0;  ///< in `values`
+        /// feature to compare, less than count_scatter_features(); -1 for a leaf
+        std::int32_t feature = -1;
+        /// threshold: the first child is next for values up to it, the second child for
+        /// values above it
+        float at = 0.0f;
+        std::int32_t child = 0;              ///< index of the first child; the second child follows it
+        std::uint32_t first = 0, count = 0;  ///< range of entries in `values`
     };
-    std::vector<Node> nodes;    ///< [0] the root; none: nothing is known
-    std::vector<float> values;  ///< intensities that were measured, leaf by leaf
-    double step = 0.0;          ///< all intensities of the log are multiples of it; 0: they come in no steps
+    std::vector<Node> nodes;    ///< nodes, [0] is the root; empty if there is no model
+    std::vector<float> values;  ///< measured intensities, leaf by leaf
+    /// quantisation step: all intensities of the log are multiples of it; 0 if there is
+    /// none
+    double step = 0.0;
 
     bool empty() const { return nodes.empty(); }
-    /// The multiple of the step nearest to an intensity.
+    /// Returns the multiple of `step` that is nearest to an intensity.
     float quantised(float intensity) const;
 };
 
-/// What a node of the tree may ask for is counted from 0 to this.
+/// Returns the number of features that a node of the tree can compare.
 std::size_t count_scatter_features();
 
-/// The largest number of which all values are multiples, to a millionth of the largest
-/// value. 0 where there is none above a hundredth of a thousandth of that, and where
-/// fewer than eight different values tell nothing. @param values  >= 0, in any order
+/// Returns the largest number of which all values are multiples. Rounding errors of up to
+/// 1e-6 of the largest value are allowed. Returns 0 if that number is below 1e-5 of the
+/// largest value, or if there are fewer than eight distinct values.
+/// @param values  >= 0, in any order
 double find_step(std::vector<float> values);
 
-/// Fits the tree to scans of one LiDAR: nodes are parted where that tells most of what
-/// was measured, by entropy. The same for the same images, on any number of threads.
-/// @return empty for fewer than a thousand returns
-/// @throws DataError for arrays of other sizes than their image
+/// Fits the decision tree to scans of a LiDAR. Nodes are split to reduce the entropy of
+/// the measured values. The result does not depend on the number of threads.
+/// @return an empty tree if there are fewer than a thousand returns
+/// @throws DataError if an array has another size than its image
 IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images);
 
-/// Draws what a sensor may have measured: ray by ray along the beams, the highest first,
-/// given what was drawn before.
-/// @param returns [rows*columns] 0 where nothing comes back @return [rows*columns]
-/// kNoIntensity there
+/// Draws random intensities that a sensor could have measured. Rays are drawn beam by
+/// beam, the highest beam first. Each draw depends on the values drawn before it.
+/// @param returns [rows*columns] 0 for rays without a return
+/// @return [rows*columns] kNoIntensity for rays without a return
 std::vector<float> draw_intensities(const IntensityScatter& scatter, const RenderedIntensities& rendered,
                                     std::span<const std::uint8_t> returns, std::uint64_t seed);
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a LiDAR is: a table of rays. A spinning LiDAR is a generator for such a table, a
-// range grid a convention for ordering points into an image. Sensor frame: x forward, y
-// left, z up, metres.
+// Models of LiDAR sensors. Each sensor is a table of rays. A spinning LiDAR generates
+// such a table; a range grid defines the order of points in an image. Sensor frame: x
+// forward, y left, z up, metres.
 #pragma once
 
 #include <cstddef>
@@ -18,36 +18,37 @@
 
 namespace relidar {
 
-// Where the arrays of rays and scans lie. A log of 6000 scans is 30 GB, which few
-// machines have: beyond a limit the arrays lie in a file that is mapped into memory, of
-// which the system keeps what is in use. Scans are written once and then read frame by
-// frame, so that this costs little.
+// Memory for the arrays of rays and scans. A log of 6000 scans needs 30 GB, which is more
+// than most machines have. Arrays beyond a limit are stored in a memory-mapped file, so
+// that the operating system keeps only the pages in use. This has a small cost, because
+// scans are written once and then read frame by frame.
 
-/// How much the arrays of all scans of this process may take of its memory from now on.
-/// What goes beyond lies in a file without a name in a folder, which ends with the
-/// process. Unlimited until this is called.
-/// @param bytes  0: half of what the machine, or the control group of the process, has,
-/// shared with other processes (share_scan_memory())
-/// @param folder  of the file, made where the first array goes there
+/// Limits the memory for the arrays of all scans in this process, from now on. Arrays
+/// beyond the limit are stored in an unnamed file, which disappears when the process
+/// ends. The memory is unlimited until this function is called.
+/// @param bytes  0: half of the memory of the machine or of the control group, divided by
+/// the number of processes (share_scan_memory())
+/// @param folder  folder of the file; the file is created when the first array needs it
 void limit_scan_memory(std::uint64_t bytes, const std::filesystem::path& folder);
 
-/// Says that so many processes of this machine hold scans; one until this is called.
+/// Sets how many processes on this machine hold scans. The default is one.
 void share_scan_memory(int n_processes);
 
-/// Bytes of the arrays of all scans. Small ones (below 16 KiB) are not counted.
+/// Memory used by the arrays of all scans, in bytes. Arrays below 16 KiB are not counted.
 struct ScanMemoryUse {
     std::uint64_t in_memory = 0;
     std::uint64_t in_file = 0;
 };
-/// What they take now.
+/// Returns the memory that the arrays of all scans use now.
 ScanMemoryUse scan_memory_use();
 
-/// @throws DataError naming the folder where its disk is full or it cannot be written,
-/// std::bad_alloc
+/// Allocates an array, in memory or in the mapped file.
+/// @throws DataError naming the folder if its disk is full or it cannot be written
+/// @throws std::bad_alloc
 void* allocate_scan_array(std::size_t bytes);
 void free_scan_array(void* array, std::size_t bytes) noexcept;
 
-/// Allocator of the arrays of scans.
+/// Allocator for the arrays of scans. Uses allocate_scan_array().
 template <class T>
 struct ScanAllocator {
     using value_type = T;
@@ -60,103 +61,109 @@ struct ScanAllocator {
     bool operator==(const ScanAllocator&) const { return true; }
 };
 
-/// A value for each ray of a scan.
+/// Array with a value for each ray of a scan.
 template <class T>
 using ScanArray = std::vector<T, ScanAllocator<T>>;
 
-/// A copy in memory.
+/// Copies an array of a scan to a vector in memory.
 template <class T>
 std::vector<T> to_vector(const ScanArray<T>& values) {
     return {values.begin(), values.end()};
 }
 
-/// And back.
+/// Copies a vector to an array of a scan.
 template <class T>
 ScanArray<T> to_scan_array(const std::vector<T>& values) {
     return {values.begin(), values.end()};
 }
 
-/// A table of rays in range-image order; ray (row, column) is entry row * columns +
-/// column, row 0 the highest beam, column 0 at azimuth +180 degrees, azimuth falling with
-/// the column. A sensor without image order has rows = 1.
+/// A table of rays in the order of a range image. Ray (row, column) has index row *
+/// columns + column. Row 0 is the highest beam. Column 0 is at azimuth +180 degrees, and
+/// the azimuth decreases with the column. For a sensor without an image, rows = 1.
 struct RayTable {
     int rows = 0;
     int columns = 0;
-    ScanArray<glm::vec3> origin;       ///< [rows*columns] metres, sensor frame: where the beam starts
-    ScanArray<glm::vec3> direction;    ///< [rows*columns] unit, sensor frame
-    ScanArray<float> time_offset_s;    ///< [rows*columns] firing time relative to the frame's reference time
+    ScanArray<glm::vec3> origin;     ///< [rows*columns] start of the ray; metres, sensor frame
+    ScanArray<glm::vec3> direction;  ///< [rows*columns] unit vector, sensor frame
+    /// [rows*columns] firing time relative to the frame's reference time
+    ScanArray<float> time_offset_s;
     ScanArray<std::uint16_t> channel;  ///< [rows*columns] beam number, 0 = highest
-    float divergence_rad = 0.0f;       ///< full beam divergence of all; 0 = ideal ray
-    /// [rows*columns] of each, in place of the one; empty where all have the same
+    float divergence_rad = 0.0f;       ///< full beam divergence of all rays; 0 = ideal ray
+    /// [rows*columns] divergence of each ray, instead of `divergence_rad`. Empty if all
+    /// rays have the same.
     ScanArray<float> ray_divergence_rad = {};
 
     std::size_t size() const { return direction.size(); }
     double divergence_of(std::size_t ray) const {
         return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray];
     }
-    double largest_divergence() const;  ///< 0 where all are ideal rays
-    /// Adds a ray of another table, from which all of this one's are; rows and columns
-    /// stay.
+    double largest_divergence() const;  ///< largest divergence in the table; 0 if all rays are ideal
+    /// Appends a ray of another table. All rays of this table must come from that same
+    /// table. Does not change `rows` and `columns`.
     void append(const RayTable& from, std::size_t ray);
 };
-/// Offsets across a beam of the rays that stand for its footprint, [n] in units of half
-/// its divergence: its own ray first, the others so that, all weighted alike, their
-/// spread is that of a disc that is lit evenly, mean of offset^2 = 1/2.
-/// @param n  1, 5 or 9; any other number is a spiral, whose first ray lies beside the
-/// middle
+/// Returns the offsets of the sub-rays that sample the footprint of a beam. [n] in units
+/// of half the beam's divergence; the first is the beam axis. All sub-rays have the same
+/// weight. Their spread is that of an evenly lit disc: mean of offset^2 = 1/2.
+/// @param n  1, 5 or 9; any other number gives a spiral whose first ray is not on the
+/// axis
 std::vector<glm::dvec2> footprint_pattern(int n);
-/// Some rays of a table, without image order.
-RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted);
+/// Returns some rays of a table as a new table without image order (rows = 1).
+RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
-/// One beam of a spinning LiDAR. The ray of a head at azimuth `theta` (counter-clockwise)
-/// points along elevation_rad, azimuth theta + azimuth_offset_rad, and starts at
+/// A beam of a spinning LiDAR. If the head is at azimuth `theta` (counter-clockwise),
+/// the ray has elevation `elevation_rad` and azimuth theta + azimuth_offset_rad. It
+/// starts at
 ///   R_z(theta) * (origin_offset_m, 0, 0)
 ///   + R_z(theta + azimuth_offset_rad) * (-origin_up_m * sin(elevation), origin_left_m, origin_up_m * cos(elevation))
 struct Beam {
     double elevation_rad = 0.0;
     double azimuth_offset_rad = 0.0;
-    double origin_offset_m = 0.0;  ///< along the head direction
-    double origin_up_m = 0.0;      ///< at right angles to the beam, in its vertical plane
-    double origin_left_m = 0.0;    ///< to the left of the beam
+    double origin_offset_m = 0.0;  ///< offset of the origin along the head direction
+    double origin_up_m = 0.0;      ///< offset of the origin perpendicular to the beam, in its vertical plane
+    double origin_left_m = 0.0;    ///< offset of the origin to the left of the beam
     double intensity_gain = 1.0;
     double intensity_offset = 0.0;
     double range_offset_m = 0.0;
 
-    /// What the beam measures of a surface and back:
+    /// Converts between values of a surface and values that the beam measures:
     ///   measured range = range of the surface + range_offset,
-    ///   measured intensity = gain * fall * intensity of the surface + offset, cut to 0..1
-    /// A range of 0, no return, stays 0. The two directions are inverse where nothing is
-    /// cut.
-    /// @param fall  of the log's IntensityResponse at the range of the surface
+    ///   measured intensity = gain * fall * intensity of the surface + offset, clamped to 0..1
+    /// A range of 0 (no return) stays 0. The two directions are inverse unless a value is
+    /// clamped.
+    /// @param fall  factor of the log's IntensityResponse at the range of the surface
     double measured_range(double surface_m) const;
     double surface_range(double measured_m) const;  ///< at least 1 mm
     double measured_intensity(double of_surface, double fall) const;
     double surface_intensity(double measured, double fall) const;
 };
 
-/// The beam of a channel; one that measures what is there where there is no such beam.
+/// Returns the beam of a channel. If there is no such beam, returns an ideal beam that
+/// measures the values of the surface unchanged.
 const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel);
 
-/// Ranges at which a sensor sees anything. A ray whose range lies outside is dropped.
+/// Range limits of a sensor. A ray whose range is outside the limits is dropped.
 struct RangeLimits {
     double min_m = 0.0;
     double max_m = std::numeric_limits<double>::infinity();
 
-    /// A range of 0 means that the ray met nothing, and is never within limits.
+    /// Returns true if the range is within the limits. A range of 0 means that the ray
+    /// hit nothing, so it is never within the limits.
     bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
-/// What lies within both.
+/// Returns the intersection of two range limits.
 RangeLimits overlap(const RangeLimits& a, const RangeLimits& b);
 
-/// A spinning LiDAR: its beams, the number of azimuth steps a sweep, and the sweep
-/// itself.
+/// A spinning LiDAR: its beams, the number of azimuth steps in a sweep, and the timing of
+/// the sweep.
 struct SpinningSensor {
     std::string name;
-    std::vector<Beam> beams;  ///< highest first
-    int columns = 0;          ///< azimuth steps a sweep
-    double period_s = 0.1;    ///< time of one sweep; 0: it does not turn
-    bool clockwise = true;    ///< seen from above
-    /// azimuth of the centre of column 0 (pi - pi/columns: bins centred on half steps)
+    std::vector<Beam> beams;  ///< beams, highest first
+    int columns = 0;          ///< azimuth steps in a sweep
+    double period_s = 0.1;    ///< duration of a sweep; 0: the sensor does not spin
+    bool clockwise = true;    ///< direction of rotation, seen from above
+    /// Azimuth of the centre of column 0. Use pi - pi/columns if the bins are centred on
+    /// half steps.
     double first_azimuth_rad = 0.0;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
@@ -165,50 +172,56 @@ struct SpinningSensor {
     RangeLimits range_limits() const { return {min_range_m, max_range_m}; }
 };
 
-/// Where a beam starts and points, sensor frame.
+/// Start and direction of a beam in the sensor frame.
 struct BeamRay {
     glm::dvec3 origin_m;
     glm::dvec3 direction;
 };
 
-/// Ray of one beam while the head stands at an azimuth, by the equation of Beam.
+/// Returns the ray of a beam while the head is at an azimuth. Uses the equation of
+/// `Beam`.
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad);
 
-/// Azimuth of the head at which a beam meets a point: the inverse of beam_ray(). @param
-/// point_m [3] metres, sensor frame @return not wrapped
+/// Returns the azimuth of the head at which a beam hits a point. Inverse of beam_ray().
+/// @param point_m [3] metres, sensor frame
+/// @return radians, not wrapped to a range
 double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
-/// Columns by which a beam's firings are moved in the image, so that a column keeps one
-/// azimuth: image column j holds firing (j + shift) mod columns, shift = azimuth_offset
-/// in columns, rounded.
+/// Returns by how many columns the firings of a beam are shifted in the image, so that
+/// each column has one azimuth. Image column j holds firing (j + shift) mod columns,
+/// where shift = azimuth_offset in columns, rounded.
 int column_shift(const Beam& beam, int columns);
 
-/// Rays of one sweep. Time 0 is the moment the head faces forward (azimuth 0); a
-/// clockwise head reaches azimuth a at -a / (2 pi) * period.
-/// @throws UsageError where the sensor has no beams, no columns, more than kMaxRays rays,
-/// a non-finite value or no range between its limits
+/// Returns the rays of a sweep. Time 0 is the moment at which the head faces forward
+/// (azimuth 0). A clockwise head reaches azimuth a at -a / (2 pi) * period.
+/// @throws UsageError if the sensor has no beams, no columns, more than kMaxRays rays, a
+/// value that is not finite, or an empty range between its limits
 RayTable make_rays(const SpinningSensor& sensor);
-/// of one sweep: 128 beams at 0.003 degrees; 500 MB as rays and their scan
+/// Maximum number of rays in a sweep: 128 beams with steps of 0.003 degrees. The rays
+/// and their scan then use 500 MB.
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
-/// Sensor-level ray-drop (paper section 3.5): what a sensor never sees whatever stands
-/// there, such as the body of its own vehicle, as a probability a beam and azimuth bin.
-/// Independent of the scene: P(drop) = 1 - (1 - scene's) (1 - sensor's).
+/// Ray-drop of the sensor itself (paper section 3.5): the probability that a beam has no
+/// return in an azimuth bin, whatever the scene is. An example is the body of the
+/// sensor's own vehicle. P(drop) = 1 - (1 - P of the scene) (1 - P of the sensor).
 struct DropTable {
     int channels = 0;
-    int bins = 0;                    ///< of azimuth, bin 0 begins at +180 degrees, falling
-    std::vector<float> probability;  ///< [channels, bins]
+    int bins = 0;  ///< azimuth bins; bin 0 starts at +180 degrees, and the azimuth decreases
+    std::vector<float> probability;  ///< [channels, bins] drop probability
 
     bool empty() const { return probability.empty(); }
-    /// Index of a ray's entry. @param direction [3] sensor frame
+    /// Returns the index of the entry for a ray.
+    /// @param direction [3] sensor frame
     std::size_t index(std::uint16_t channel, const glm::vec3& direction) const;
-    /// @return 0 where the table is empty or has no such channel
+    /// Returns the drop probability of a ray.
+    /// @param direction [3] sensor frame
+    /// @return 0 if the table is empty or does not have the channel
     float at(std::uint16_t channel, const glm::vec3& direction) const;
 };
 
-/// A linear image of elevation by azimuth. Pixel (i, j) is centred on elevation fov_up -
-/// i * fov / rows and azimuth 180 - j * 360 / columns degrees. (as the KITTI-360 grid has
-/// it)
+/// Layout of a range image that is linear in elevation and azimuth, like the KITTI-360
+/// grid. The centre of pixel (i, j) has, in degrees:
+///   elevation = fov_up - i * fov / rows,  azimuth = 180 - j * 360 / columns
 struct RangeGrid {
     std::string name;
     int rows = 0;
@@ -218,114 +231,146 @@ struct RangeGrid {
     double max_range_m = 80.0;
 };
 
-/// The KITTI-360 convention of published results: 66 x 1030, +2.0 ... -24.9 degrees, 80
-/// m.
+/// Returns the range grid that published results on KITTI-360 use: 66 x 1030 pixels,
+/// elevation +2.0 to -24.9 degrees, 80 m.
 RangeGrid kitti360_grid();
 
-/// Rays through the pixel centres of a grid, starting at the sensor origin; clockwise,
-/// 0.1 s a sweep.
+/// Returns rays through the pixel centres of a grid. They start at the sensor origin; the
+/// sweep is clockwise and takes 0.1 s.
 RayTable make_rays(const RangeGrid& grid);
 
-/// Nearest pixel of a point, the forward half of the sensor model (Eq. 6-7).
+/// Returns the pixel nearest to the projection of a point: the forward half of the sensor
+/// model (Eq. 6-7).
 /// @param point_m [3] metres, sensor frame
-/// @return row * columns + column, or nothing outside the vertical field of view, at
-/// range 0 or beyond max_range_m
-/// @differs Eq. 7 as printed divides |f_down| alone by f_v; Eq. 6 writes arctan(y, x),
+/// @return row * columns + column, or nothing if the point is outside the vertical field
+/// of view, at range 0 or beyond max_range_m
+/// @differs Eq. 7 as printed divides only |f_down| by f_v; Eq. 6 writes arctan(y, x) and
 /// arcsin(z, d).
 std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m);
 
-/// A range image gathered by projecting points: the nearest point wins a pixel.
+/// A range image that was made by projecting points. Each pixel holds the nearest of its
+/// points.
 struct GridImage {
     int rows = 0;
     int columns = 0;
-    std::vector<float> range_m;    ///< [rows*columns] 0 where no point fell
-    std::vector<float> intensity;  ///< [rows*columns]
-    std::vector<int> source;       ///< [rows*columns] index of the winning point, -1 where none
+    std::vector<float> range_m;    ///< [rows*columns] 0 in pixels without a point
+    std::vector<float> intensity;  ///< [rows*columns] intensity of the nearest point
+    std::vector<int> source;  ///< [rows*columns] index of the nearest point; -1 in pixels without a point
 };
 
-/// Projects points into a grid. @param points_m [n] metres, sensor frame @param intensity
-/// [n]
+/// Projects points into a range grid.
+/// @param points_m [n] metres, sensor frame
+/// @param intensity [n] intensity of each point
+/// @throws UsageError if the two arrays have different lengths
 GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m,
                          const std::vector<float>& intensity);
 
-/// A LiDAR whose beam is bent by two prisms that turn against each other: a flower of
-/// petals about the x axis, other petals in every scan.
+/// A LiDAR that deflects its beam with two prisms rotating in opposite directions. Its
+/// scan is a rosette about the x axis, with different petals in every scan:
 ///   direction = (cos r, sin r cos p, sin r sin p),   r e^(ip) = deflection (e^(i 2 pi f1 t) + e^(i 2 pi f2 t)),
-/// which is the paraxial form of a pair of thin prisms of equal wedge.
+/// which is the paraxial form of two thin prisms with equal wedge angles.
 struct Rosette {
     std::string name;
-    double deflection_rad = 0.0;  ///< by one prism: half of the cone's half angle
-    /// of the prisms, positive counter-clockwise seen from behind the sensor
+    double deflection_rad = 0.0;  ///< deflection by each prism: half of the cone's half angle
+    /// Rotation rates of the prisms. Positive means counter-clockwise, seen from behind
+    /// the sensor.
     double first_hz = 0.0, second_hz = 0.0;
-    int n_rays = 0;  ///< of one scan, at even times
+    int n_rays = 0;  ///< rays of a scan, evenly spaced in time
     double period_s = 0.1;
     double divergence_rad = 0.0;
 };
 
-/// Rays of the scan at a time, in the order of firing: rows = 1, channel 0, time offsets
-/// from -period/2 to period/2.
-/// @throws UsageError for no rays, more than kMaxRays, or a value that is not finite
+/// Returns the rays of the scan at a time, in the order of firing: rows = 1, channel 0,
+/// time offsets from -period/2 to period/2.
+/// @throws UsageError for no rays, for more than kMaxRays rays, or for a value that is
+/// not finite
 RayTable make_rays(const Rosette& rosette, double time_s);
 
-/// A LiDAR whose mirrors sweep a window: rows of even elevation, columns of even azimuth,
-/// all rows of a column fired together.
+/// A LiDAR whose mirrors scan a rectangular window. Rows have evenly spaced elevations,
+/// columns evenly spaced azimuths. All rows of a column fire at the same time.
 struct ScanningWindow {
     std::string name;
     int rows = 0, columns = 0;
-    double left_rad = 0.0, right_rad = 0.0;  ///< azimuths of the first and last column, left positive
+    /// azimuths of the first and last column, positive to the left
+    double left_rad = 0.0, right_rad = 0.0;
     double top_rad = 0.0, bottom_rad = 0.0;  ///< elevations of the first and last row
-    double period_s = 0.1;                   ///< of one scan, from left to right at even speed
+    double period_s = 0.1;                   ///< duration of a scan, from left to right at constant speed
     double divergence_rad = 0.0;
 };
 
-/// Rays of one scan, row 0 the highest; time 0 in the middle of the scan. @throws
-/// UsageError as for a SpinningSensor
+/// Returns the rays of a scan. Row 0 is the highest; time 0 is the middle of the scan.
+/// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
-/// What makes the rays of a LiDAR that does not spin.
-using FixedPattern = std::variant<ScanningWindow, Rosette, RayTable>;
-/// Rays of the scan at a time; only a Rosette has others at another time. @throws
-/// UsageError as make_rays() of what it holds
-RayTable make_rays(const FixedPattern& pattern, double time_s);
-/// Time of one scan; 0 for a table, which does not say.
-double period_of(const FixedPattern& pattern);
+/// What makes the rays of a sensor: one of the kinds of the table in
+/// src/log/sensor/pattern_kinds.cpp.
+using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
 
-/// A sensor to simulate: what makes its rays, and between which ranges they see.
-struct SensorModel {
-    std::string name;
-    std::string about = {};  ///< what it is and where its figures are from, one line; empty for a file
-    RangeLimits limits = {};
-    std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable> pattern;
+/// Rays of the scan at a time. @throws UsageError as make_rays() of the kind it holds
+RayTable make_rays(const SensorPattern& pattern, double time_s);
+
+/// A sweep at even speed over columns of rays, each fired together.
+struct AzimuthSweep {
+    double first_rad, last_rad;  ///< azimuths of the first and last column
+    int columns;
 };
 
-/// Rays of the scan at a time; only a Rosette has others at another time. @throws
-/// UsageError as make_rays() of the pattern
+/// What is known of a pattern without making its rays.
+struct PatternSummary {
+    std::size_t n_rays = 0;         ///< of a scan
+    double period_s = 0.0;          ///< time of one scan; 0: it follows from the time offsets of the rays
+    bool has_rays_by_time = false;  ///< scans at different times have different rays
+    std::optional<AzimuthSweep> sweep = {};  ///< unless it spins or fires in another order
+};
+/// The summary of a pattern, from the row of its kind.
+PatternSummary describe_pattern(const SensorPattern& pattern);
+/// PatternSummary::period_s.
+double period_of(const SensorPattern& pattern);
+
+/// A sensor to simulate: its scan pattern and its range limits.
+struct SensorModel {
+    std::string name;
+    /// single line: what the sensor is and the source of its specification; empty for a
+    /// sensor file
+    std::string about = {};
+    RangeLimits limits = {};
+    SensorPattern pattern;
+};
+
+/// Rays of the scan at a time. @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
-/// What makes the rays of one that does not spin.
-std::optional<FixedPattern> fixed_pattern(const SensorModel& sensor);
+/// The pattern of a sensor that does not spin; nothing for one that spins.
+std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor);
 
-/// Names known_sensor() knows.
+/// Returns the names that known_sensor() accepts.
 std::vector<std::string> sensor_names();
-/// A built-in sensor by name ("VLP-16", "kitti360" ..., in any case), where one has it.
-/// @param columns @param rate_hz  of a spinning sensor, instead of its usual ones; 0:
-/// these
-/// @throws UsageError for a number of columns or a rate that a sensor which does not spin
-/// cannot have
+/// Returns a built-in sensor, or nothing if no sensor has this name.
+/// @param name  for example "VLP-16" or "kitti360", in upper or lower case
+/// @param columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
+/// sensor
+/// @param rate_hz  rotation rate of a spinning sensor; 0: the default of the sensor
+/// @throws UsageError if `columns` or `rate_hz` is set for a sensor that does not spin
 std::optional<SensorModel> known_sensor(const std::string& name, int columns = 0, double rate_hz = 0.0);
 
-/// A beam table, CSV: a header line, then a line for each beam from the highest down;
-/// lines that begin with # are left out. Columns, in any order, those left out 0:
-/// elevation_deg (needed), azimuth_offset_deg, origin_offset_m, origin_up_m,
-/// origin_left_m as in Beam; firing_offset_us, by how much a beam fires after the head
-/// was at its azimuth, which turns it on; min_range_m, max_range_m of the sensor;
-/// channel, the maker's number, which is not used.
-/// @param where  what messages call it @param columns @param rate_hz  of the sweep
+/// Parses a table of beams in CSV format: a header line, then a line for each beam,
+/// from the highest to the lowest. Lines that begin with # are ignored. The columns can
+/// have any order; a missing column is 0:
+/// - elevation_deg (required), azimuth_offset_deg, origin_offset_m, origin_up_m,
+///   origin_left_m: as in Beam;
+/// - firing_offset_us: delay of the beam's firing after the head was at its azimuth; the
+///   head turns during this delay;
+/// - min_range_m, max_range_m: limits of the sensor;
+/// - channel: the manufacturer's channel number, which is ignored.
+/// @param where  name of the table in error messages
+/// @param columns  azimuth steps in a sweep
+/// @param rate_hz  rotation rate
 /// @throws DataError naming the line and the value that is wrong
 SpinningSensor parse_beam_table(const std::string& text, const std::string& where, int columns,
                                 double rate_hz);
 
-/// A grid by name ("kitti360", in any case). @throws UsageError for an unknown name
+/// Returns a range grid by name, for example "kitti360", in upper or lower case.
+/// @throws UsageError for an unknown name
 RangeGrid find_grid(const std::string& name);
 
 }  // namespace relidar

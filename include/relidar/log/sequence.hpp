@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a LiDAR log is: scans with their rays, sensor poses in time, tracked boxes, and
-// which frames are held out.
+// A LiDAR log: scans with their rays, sensor poses over time, tracked boxes, and the
+// split into training and test frames.
 #pragma once
 
 #include <cstdint>
@@ -13,11 +13,11 @@
 
 namespace relidar {
 
-/// Where a time lies in a track: between entries `left` and `left + 1`, at fraction s;
-/// outside 0..1 beyond its ends.
+/// Position of a time in a track: between the entries `left` and `left + 1`, at fraction
+/// s. s is outside 0..1 for times before the first or after the last entry.
 struct TrackPlace {
     std::size_t left = 0;
-    double s = 0.0;  ///< 0 where the track has one entry only
+    double s = 0.0;  ///< 0 if the track has only one entry
 };
 
 /// Poses at ascending times.
@@ -25,332 +25,380 @@ struct PoseTrack {
     std::vector<double> time_s;
     std::vector<Pose> pose;
 
-    /// Interpolated pose (slerp, lerp). Outside the first and last time the end segment's
-    /// velocity continues.
-    /// @throws DataError where the track is empty
+    /// Returns the interpolated pose at a time (slerp for rotations, lerp for
+    /// translations). Before the first and after the last pose, the velocity of the
+    /// nearest segment continues.
+    /// @throws DataError if the track is empty
     Pose at(double t_s) const;
-    /// Of something that rides along: as moved_track(*this, mounted).at(t_s).
+    /// Returns the pose at `t_s` of an object that is mounted on this one. Same as
+    /// moved_track(*this, mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
-    /// Between which poses at(t_s) interpolates. @throws DataError where the track is
-    /// empty
+    /// Returns the two poses between which at(t_s) interpolates.
+    /// @throws DataError if the track is empty
     TrackPlace place(double t_s) const;
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
 };
 
-/// The second return of each ray of a scan, or the third, ...
+/// The second returns of all rays of a scan, or the third returns, and so on.
 struct SecondReturn {
-    std::vector<float> range_m;    ///< [n] along the ray from its origin; 0 = none
-    std::vector<float> intensity;  ///< [n] 0..1; 0 where there is none
+    std::vector<float> range_m;    ///< [n] range along the ray from its origin; 0 = no such return
+    std::vector<float> intensity;  ///< [n] 0..1; 0 if there is no such return
 };
 
-/// One measured (or simulated) sweep: its rays and what came back along each.
+/// A measured or simulated sweep: its rays and the returns of each ray.
 struct Scan {
-    RayTable rays;               ///< a returned ray carries its own direction and origin
-    ScanArray<float> range_m;    ///< [n] of the strongest return, along the ray from its origin; 0 = dropped
-    ScanArray<float> intensity;  ///< [n] 0..1; 0 where dropped
-    /// second, third ... return of the rays, none of a dropped one
+    RayTable rays;  ///< for a ray with a return: its measured direction and origin
+    /// [n] range of the strongest return along the ray from its origin; 0 = dropped
+    ScanArray<float> range_m;
+    ScanArray<float> intensity;  ///< [n] intensity of the strongest return, 0..1; 0 if dropped
+    /// Second, third, ... returns of the rays. A dropped ray has none.
     std::vector<SecondReturn> second_returns = {};
 
-    /// End point of a ray. @return [3] metres, sensor frame at the ray's firing time
+    /// Returns the end point of a ray.
+    /// @return [3] metres, sensor frame at the ray's firing time
     glm::vec3 point(std::size_t ray) const { return rays.origin[ray] + range_m[ray] * rays.direction[ray]; }
     std::size_t count_returns() const;
 };
 
-/// Drops the rays of a scan whose range lies outside the limits, and their second returns
-/// that do.
+/// Drops the rays of a scan whose range is outside the limits. Also removes second
+/// returns outside the limits.
 void drop_outside(Scan& scan, const RangeLimits& limits);
 
-/// Where a head pointed and how long after the frame's time when a sweep began.
+/// State of a LiDAR at the start of a sweep: the azimuth of its head, and the time since
+/// the frame's reference time.
 struct SweepStart {
-    double azimuth_rad = 0.0;  ///< 0 for a LiDAR that does not spin
+    double azimuth_rad = 0.0;  ///< azimuth of the head; 0 for a LiDAR that does not spin
     double time_s = 0.0;
 };
 
-/// Where a sweep of these rays began, by their own times. Nothing where it began
-/// backward, half a sweep before time 0, as one that faces forward at time 0; where the
-/// LiDAR does not spin, or times and azimuths do not go together.
+/// Computes the start of a sweep from the times and azimuths of its rays. Returns nothing
+/// in these cases:
+/// - the sweep started facing backward, half a period before time 0 (the default, which
+///   faces forward at time 0);
+/// - the LiDAR does not spin;
+/// - the times and azimuths of the rays are inconsistent.
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor);
 
-/// One sweep of one LiDAR of the log.
+/// A sweep of one LiDAR of the log.
 struct Frame {
-    int index = 0;        ///< the dataset's own frame number; LiDARs that sweep together share it
-    double time_s = 0.0;  ///< reference time: the head faces forward, but for a sweep with a `start`
+    int index = 0;        ///< frame number of the dataset; LiDARs that sweep together share it
+    double time_s = 0.0;  ///< reference time: the head faces forward, except in a sweep with a `start`
     Scan scan;
-    int lidar = 0;                         ///< in Sequence::lidars
-    std::optional<SweepStart> start = {};  ///< see find_start(); load_sequence() looks for it
-    /// [columns] see find_azimuth_shift(), likewise; empty: nominal
+    int lidar = 0;                         ///< index into Sequence::lidars
+    std::optional<SweepStart> start = {};  ///< result of find_start(); set by load_sequence()
+    /// [columns] result of find_azimuth_shift(), set by load_sequence(). Empty: no
+    /// deviation from the nominal azimuths.
     std::vector<float> azimuth_shift_rad = {};
 };
 
-/// All of a frame but its scan.
+/// Returns a copy of a frame without its scan.
 inline Frame without_scan(const Frame& frame) {
     return {frame.index, frame.time_s, {}, frame.lidar, frame.start, frame.azimuth_shift_rad};
 }
 
-/// Which LiDAR of a log sweeps, when, and where its sweep begins.
+/// LiDAR, time and start of a sweep.
 struct SweepMoment {
     double time_s = 0.0;  ///< reference time of the sweep
-    int lidar = 0;        ///< in Sequence::lidars
+    int lidar = 0;        ///< index into Sequence::lidars
     std::optional<SweepStart> start = {};
 };
-/// Of a frame.
+/// Returns the LiDAR, time and start of a frame's sweep.
 inline SweepMoment moment_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
 
 struct Lidar;
-/// The same for any LiDAR. Of one that sweeps a window or draws a rosette: nothing where
-/// the frame's time is in the middle of the scan, or where its pattern is not known.
+/// Computes the start of a sweep for any LiDAR. For a scanning window or a rosette,
+/// returns nothing if the frame's time is the middle of the scan or the pattern is
+/// unknown.
 std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
 
-/// How much the ranges of a sensor scatter, by range and incidence.
+/// Range noise of a sensor, as a table over range and incidence.
 struct RangeNoise {
-    std::vector<double> range_m, cosine;  ///< upper ends of the bins, ascending; none: no noise is known
-    std::vector<double> sigma_m;  ///< [ranges*cosines] standard deviations along the ray, a row a range
+    /// upper limits of the bins, ascending; empty if the noise is unknown
+    std::vector<double> range_m, cosine;
+    /// [ranges*cosines] standard deviations along the ray, a row for each range
+    std::vector<double> sigma_m;
 
-    /// Of the bin that holds range and cosine of the angle of incidence, or of the
-    /// nearest; 0 where no noise is known.
+    /// Returns the standard deviation of the bin that contains a range and a cosine of
+    /// incidence, or of the nearest bin. Returns 0 if the noise is unknown.
     double at(double at_m, double at_cosine) const;
 };
 
-/// One LiDAR of a log.
+/// A LiDAR of a log.
 struct Lidar {
-    std::string name;  ///< the dataset's own, unique in the log; empty where there is one LiDAR alone
-    /// nominal: for rays of frames without a scan of their own. No beams, period 0: it
-    /// does not spin
+    std::string name;  ///< name in the dataset, unique in the log; empty if the log has only one LiDAR
+    /// Nominal sensor, used for rays of frames without a scan. No beams and period 0 mean
+    /// that it does not spin.
     SpinningSensor sensor;
-    /// where it is mounted; identity where the log has one: the vehicle's frame is then
-    /// the sensor's
+    /// Mounting. Identity if the log has a single LiDAR, because the vehicle frame is
+    /// then the sensor frame.
     Pose vehicle_from_sensor;
     /// nominal, of one that does not spin; not given: it spins, or is known by its scans
     /// alone
-    std::optional<FixedPattern> pattern = {};
+    std::optional<SensorPattern> pattern = {};
     RangeNoise range_noise = {};  ///< none unless measured
 
-    /// Time of one sweep; 0 where it is not known.
+    /// Returns the duration of a sweep, or 0 if it is unknown.
     double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
 };
+
+/// Sets the nominal sensor of a LiDAR.
+void set_sensor(Lidar& lidar, const SensorModel& sensor);
+/// The nominal sensor of a LiDAR. One that is known by its scans alone has no beams.
+SensorModel sensor_of(const Lidar& lidar);
 
 /// Rays of a LiDAR's scan at a time, for frames without one of their own: none for one
 /// that is known by its scans alone.
 RayTable nominal_rays(const Lidar& lidar, double time_s);
 
-/// How far to the left of its nominal azimuth the head of a spinning LiDAR pointed at
-/// each firing of one sweep: the median over the returned rays of the firing, all beams
-/// together, so that it does not say which of them were dropped. Firings that return less
-/// than three rays lie between their neighbours. The rays of KITTI's HDL-64E are off by
-/// up to three columns, with it by 0.01 of one.
-/// @param nominal  nominal_rays() of the LiDAR @return [columns] radians, by firing
-/// (column_shift()); empty where the scan is not in the order of the nominal rays, its
-/// beams do not turn together, or it is where it nominally is
+/// Measures how far the head of a spinning LiDAR deviated from its nominal azimuth at
+/// each firing of a sweep. Positive is to the left. The value is the median over all
+/// returned rays of the firing. Because all beams share one value, it does not reveal
+/// which of them were dropped. Firings with less than three returns are interpolated from
+/// their neighbours. With this shift, the rays of KITTI's HDL-64E agree to 0.01 columns
+/// instead of up to three columns.
+/// @param nominal  nominal_rays() of the LiDAR
+/// @return [columns] radians, by firing (column_shift()). Empty if the scan is not in the
+/// order of the nominal rays, if the beams do not rotate together, or if there is no
+/// deviation.
 std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
                                       const RayTable& nominal);
-/// Rays of a sensor's sweep where its head pointed: turned about the z axis, firing by
-/// firing.
-/// @param shift_rad  see find_azimuth_shift(); empty: nothing is turned
+/// Returns the rays of a sweep at the measured azimuths of the head: each firing is
+/// rotated about the z axis.
+/// @param shift_rad  result of find_azimuth_shift(); empty: no rotation
 RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
 
-/// Category of boxes that no dataset labelled (discover_tracks() in
-/// relidar/scene/scene.hpp).
+/// Category of boxes that have no label in the dataset and were found by
+/// discover_tracks() (relidar/scene/scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
-/// moving boxes are grown by this where their points are left out: labels fit loosely
+/// Moving boxes are enlarged by this margin when their points are removed, because labels
+/// fit loosely.
 inline constexpr double kMoverMargin_m = 0.2;
 
-/// One tracked box. The box frame has x along the length, y along the width, z up, origin
-/// at the centre.
+/// A tracked box. Box frame: x along the length, y along the width, z up, origin at the
+/// centre.
 struct BoxTrack {
-    std::string id;            ///< unique in the sequence
-    std::string category;      ///< the dataset's own class name, or kDiscoveredCategory
-    glm::dvec3 size_m{0.0};    ///< length, width, height
-    PoseTrack world_from_box;  ///< at the times of the frames in which the box was labelled or discovered
-    /// of a discovered box: what kind of thing its size was filled up for, as one side
-    /// alone was seen
+    std::string id;          ///< unique in the sequence
+    std::string category;    ///< class name in the dataset, or kDiscoveredCategory
+    glm::dvec3 size_m{0.0};  ///< length, width, height
+    /// poses at the times of the frames in which the box was labelled or discovered
+    PoseTrack world_from_box;
+    /// For a discovered box of which only one side was seen: the kind of object whose
+    /// typical size was used.
     std::string size_guess = {};
-    /// poses of a labelled box before its first and after its last label:
-    /// discover_tracks()
+    /// Number of poses that discover_tracks() added to a labelled box, before its first
+    /// and after its last label.
     std::size_t n_before = 0, n_after = 0;
 
-    /// Whether the thing moves as far as labels and poses can tell, however often it was
-    /// labelled. Its positions, averaged over a second (half of a shorter track) since
-    /// labels jitter (by 9 cm on KITTI), come farther than half its longer side and 0.2
-    /// m, or than 2 m, from the first, or go faster than 0.5 m/s, and 0.2 m, from one
-    /// average to the next: a log's poses drift while a parked car is seen.
+    /// Returns true if the object moves, as far as labels and poses can show it.
+    /// Positions are averaged over one second (half of a shorter track), because labels
+    /// jitter (by 9 cm on KITTI). An object moves in either of these cases:
+    /// - An average is farther from the first one than 2 m, or than half the longer side
+    ///   of the box but at least 0.2 m.
+    /// - From one average to the next it moves faster than 0.5 m/s and by more than 0.2
+    ///   m.
+    ///
+    /// These thresholds are needed because the poses of a log drift while a parked car is
+    /// in view.
     bool moves() const;
-    /// Whether the box was observed at a time, or half a mean step beside it: a sweep
-    /// takes that long to either side of its label.
+    /// Returns true if the box was observed at a time, or within half a mean step of an
+    /// observation. The tolerance is half a sweep on either side of a label.
     bool present(double t_s) const;
-    /// The same box as the dataset labelled it, without n_before and n_after poses at its
-    /// ends.
+    /// Returns the box with its labelled poses only, without the `n_before` and `n_after`
+    /// added poses.
     BoxTrack labelled_part() const;
-    /// Whether a world point lies in the box, grown by margin_m, at a time.
+    /// Returns true if a point in the world frame is in the box at a time. The box is
+    /// enlarged by margin_m.
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// How the intensities of a log's beams fall alike with range and incidence:
-///   measured by the mean beam = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and square incidence
+/// Model of the intensity as a function of range and incidence, common to all beams of a
+/// log:
+///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and perpendicular incidence
 struct IntensityResponse {
-    std::vector<double> range_m;  ///< knots, ascending; none: 1 at every range
-    std::vector<double> factor;   ///< [knots], linear between them
-    double incidence = 0.0;       ///< 0: as bright from every side, 1: Lambert's cosine
+    std::vector<double> range_m;  ///< knots, ascending; empty: factor 1 at every range
+    std::vector<double> factor;   ///< [knots] factor, interpolated linearly
+    double incidence = 0.0;       ///< 0: no dependence on the angle of incidence; 1: Lambert's cosine
 
-    double at_range(double at_m) const;  ///< the first and last factor beyond the knots
-    /// Of the angle between ray and normal.
+    double at_range(double at_m) const;  ///< uses the first or last factor outside the knots
+    /// Returns the factor for the cosine of the angle between ray and normal.
     double at_cosine(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
 };
 
-/// A LiDAR log, recentred: the world origin is the vehicle's position in the middle
-/// frame.
+/// A LiDAR log. Its world origin is the position of the vehicle in the middle frame.
 struct Sequence {
     std::string name;
-    std::string source;                                 ///< path it was read from
-    std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< at least one
-    std::vector<Frame> frames;                          ///< of all LiDARs, ascending time
-    PoseTrack world_from_vehicle;                       ///< one entry for each time at which there are frames
+    std::string source;                                 ///< path of the log
+    std::vector<Lidar> lidars = std::vector<Lidar>(1);  ///< LiDARs, at least one
+    std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
+    PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
-    glm::dvec3 world_offset_m{0.0};        ///< add to relidar's world to get the dataset's world
-    IntensityResponse intensity_response;  ///< of all LiDARs on these surfaces; 1 unless estimated
-    std::string conventions;               ///< one line a human reads: frames, units, time reference
-    std::vector<std::string> notes;        ///< what the log lacks, as it was read: a line each
-    /// indices of the frames that published results on this part hold out, see
-    /// split_frames()
+    /// add it to relidar's world coordinates to get the dataset's world coordinates
+    glm::dvec3 world_offset_m{0.0};
+    /// response of the intensity, common to all LiDARs; factor 1 unless estimated
+    IntensityResponse intensity_response;
+    std::string conventions;         ///< a single line for users: frames, units, time reference
+    std::vector<std::string> notes;  ///< what the log lacks, a line each
+    /// Indices of the frames that published results on this part of the dataset hold out.
+    /// See split_frames().
     std::vector<int> test_frames = {};
-    bool has_poses = true;        ///< false: identity, for a registration of the scans to find
-    bool rolling_shutter = true;  ///< rays were fired at their own times (scans are not motion-compensated)
+    /// false: all poses are identity until a registration of the scans estimates them
+    bool has_poses = true;
+    /// rays were fired at different times (scans are not motion-compensated)
+    bool rolling_shutter = true;
 
     const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
-    /// Entry of world_from_vehicle at the time of a frame. @throws DataError where there
-    /// is none
+    /// Returns the index into world_from_vehicle of the pose at the time of a frame.
+    /// @throws DataError if there is no such pose
     std::size_t pose_of(const Frame& frame) const;
-    /// Poses of a LiDAR: those of the vehicle, at the same times, with its mounting.
+    /// Returns the poses of a LiDAR: the poses of the vehicle, at the same times,
+    /// combined with the mounting.
     PoseTrack world_from_sensor(int lidar) const;
-    /// Beams of all LiDARs.
+    /// Returns the total number of beams of all LiDARs.
     std::size_t count_beams() const;
-    /// Number of a beam where those of all LiDARs are counted through, in the order of
-    /// `lidars`; nothing where the LiDAR has no such beam.
+    /// Returns the number of a beam if the beams of all LiDARs are numbered
+    /// consecutively, in the order of `lidars`. Returns nothing if the LiDAR has no such
+    /// beam.
     std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
 };
 
-/// The box of an id; null where there is none, and for the empty id, which is the
-/// background's.
+/// Returns the box with an id. Returns null if there is none, or if the id is empty,
+/// which means the background.
 const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
 
-/// All of a log but its frames.
+/// Returns a copy of a log without its frames.
 Sequence without_frames(const Sequence& sequence);
 
-/// Position of a LiDAR in Sequence::lidars, by its name; the first for an empty one.
-/// @throws UsageError for a name that none has
+/// Returns the index of a LiDAR in Sequence::lidars by its name. An empty name gives the
+/// first LiDAR.
+/// @throws UsageError if no LiDAR has this name
 int find_lidar(const Sequence& sequence, const std::string& name);
 
-/// Poses of something that rides along. @param sensor_from_moved in the frame of what
-/// `track` has the poses of
+/// Returns the poses of an object that is mounted on another object.
+/// @param track  poses of the other object
+/// @param sensor_from_moved  pose of the mounted object in the frame of the other object
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
-/// The same motion with more poses where it turns: what moved_track() mounts on it goes
-/// round bends with it, not along chords.
+/// Returns the same motion with additional poses in curves. An object that moved_track()
+/// mounts on the track then follows the curve instead of its chords.
 PoseTrack with_fine_turns(const PoseTrack& track);
-/// The same poses in a world whose origin lies elsewhere. @param by_m  what is added to
-/// every place: Sequence::world_offset_m from relidar's world to the dataset's, minus it
-/// back
+/// Returns the same poses in a world frame with another origin.
+/// @param by_m  vector that is added to every position. Use Sequence::world_offset_m to
+/// convert from relidar's world to the dataset's world, and its negative to convert back.
 PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);
 
-/// Gives the vehicle other poses at the same times. Boxes go along: they were labelled on
-/// the scans, so each stays where it was as seen from the vehicle at its label's time.
+/// Replaces the poses of the vehicle, at the same times. Boxes move along, because they
+/// were labelled on the scans: each box keeps its pose relative to the vehicle at the
+/// time of its label.
 void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle);
 
-/// A ray in the world at the moment it was fired.
+/// A ray in the world frame at the time at which it was fired.
 struct WorldRay {
     glm::dvec3 origin_m;
     glm::dvec3 direction;
 };
 
-/// Where a ray of a frame starts and points, the sensor pose interpolated to the ray's
-/// own firing time where the sequence has a rolling shutter.
-/// @param time_s  reference time of the sweep @param ray  index into rays
+/// Returns a ray of a frame in the world frame. If the sequence has a rolling shutter,
+/// the sensor pose is interpolated at the ray's firing time.
+/// @param time_s  reference time of the sweep
+/// @param ray  index into `rays`
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray,
                    bool rolling_shutter);
 
-/// When the head of a LiDAR faces a point: the moment of the sweep at which a static or
-/// moving thing there is seen. A window's mirrors face its column; of a rosette, which
-/// faces everything again and again, and of a table of rays, it is the middle of the
-/// scan.
-/// @param point_m [3] metres, sensor frame @return the sweep's time_s itself without a
-/// rolling shutter
+/// Returns the time in a sweep at which the LiDAR faces a point, which is when an object
+/// there is seen. For a scanning window, it is the time of the column that contains the
+/// point. For a rosette or a table of rays, it is the middle of the scan, because a
+/// rosette covers every direction repeatedly.
+/// @param point_m [3] metres, sensor frame
+/// @return the `time_s` of the sweep if the sequence has no rolling shutter
 double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
 
-/// What a ray returned from. The angle of incidence is left in the intensity.
+/// Range and intensity of the surface that a ray hit. The effect of the angle of
+/// incidence is not removed from the intensity.
 struct SurfaceReturn {
-    float range_m;    ///< the offset of its beam taken off; 0 where the ray was dropped
-    float intensity;  ///< as the mean beam would measure it from 10 m away
+    float range_m;    ///< range without the range offset of the beam; 0 if the ray was dropped
+    float intensity;  ///< intensity that the mean beam would measure at a distance of 10 m
 };
-/// @param ray  index of a ray of the frame @param number  of the return: 0 the strongest,
-/// then those of Scan::second_returns
+/// Returns the surface values of a ray.
+/// @param ray  index of a ray of the frame
+/// @param number  number of the return: 0 is the strongest, then those of
+/// Scan::second_returns
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                              std::size_t number = 0);
 
-/// The end point of a returned ray in the world, range offset and intensity response of
-/// its beam taken off, and when it was seen.
+/// End point of a returned ray in the world frame, and the time at which it was measured.
+/// The range offset and the intensity response of its beam are removed.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
     double time_s;
-    float intensity;  ///< of the surface, see SurfaceReturn
+    float intensity;  ///< intensity of the surface, see SurfaceReturn
 };
-/// @param ray  index of a returned ray of the frame @param number  of a return that it
-/// has
+/// Returns the end point of a ray in the world frame.
+/// @param ray  index of a returned ray of the frame
+/// @param number  number of an existing return of this ray
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                          std::size_t number = 0);
 
-/// Whether a world point lies in any box that moves, each box grown by margin_m, at time
-/// t_s. Boxes are interpolated in time; they are absent before their first and after
-/// their last observation, half a step between observations allowed, for the rays of the
-/// sweep in which they were labelled.
+/// Returns true if a point in the world frame is in any moving box at time t_s. Each
+/// box is enlarged by margin_m and interpolated in time. A box is absent before its first
+/// and after its last observation. A tolerance of half a step between observations
+/// includes all rays of the sweep in which the box was labelled.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                    double margin_m);
 
-/// How well beams agree on planes that several of them have seen.
+/// Result of calibrate_ranges(): how well the beams agree on planes that several of them
+/// have measured.
 struct LaserCalibration {
-    std::size_t returns = 0;  ///< that were compared
-    double rms_before = 0.0;  ///< of points about their plane, metres
-    double rms_after = 0.0;   ///< with an offset for each beam
-    bool adopted = false;     ///< whether the beams have them now
+    std::size_t returns = 0;  ///< number of returns that were compared
+    double rms_before = 0.0;  ///< distance of points from their plane, metres
+    double rms_after = 0.0;   ///< the same, with an offset for each beam
+    bool adopted = false;     ///< true if the beams have the offsets now
 };
-/// What was found of intensities.
+/// Result of calibrate_intensity().
 struct IntensityCalibration {
-    std::size_t returns = 0;  ///< that were compared
-    double rms_before = 0.0;  ///< of intensities about the mean of their place
-    double rms_after = 0.0;   ///< with what was adopted
-    bool shared = false;      ///< whether the log has an IntensityResponse now
-    bool beams = false;       ///< whether the beams have gains and offsets now
+    std::size_t returns = 0;  ///< number of returns that were compared
+    double rms_before = 0.0;  ///< difference of intensities from the mean at their place
+    double rms_after = 0.0;   ///< the same, with the adopted corrections
+    bool shared = false;      ///< true if the log has an IntensityResponse now
+    bool beams = false;       ///< true if the beams have gains and offsets now
 };
-/// Finds how intensities fall with range and incidence (Sequence::intensity_response),
-/// and gain and offset of each beam (Beam), from returns of the frames at `positions`
-/// that fall into the same 0.1 m of a surface, by least squares. Of the two, and of both
-/// together, only what brings the error down by 5 % more is adopted: beams that agree
-/// have no gains, intensities that the sensor has compensated no fall. The mean beam has
-/// gain 1 and offset 0, and so has one that shares no place. (Not in the paper.)
+/// Estimates two models of the intensity by least squares: its dependence on range and
+/// incidence (Sequence::intensity_response), and the gain and offset of each beam (Beam).
+/// It compares returns that fall into the same 0.1 m of a surface. A model, or both
+/// together, is adopted only if it reduces the error by a further 5 %. Beams that agree
+/// therefore get no gains, and intensities that the sensor has already compensated get no
+/// response. The mean beam has gain 1 and offset 0, and so does a beam that shares no
+/// place with others. (Not in the paper.)
+/// @param positions  indices into Sequence::frames of the frames to use
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
-/// Measures how the ranges of each LiDAR scatter (Lidar::range_noise), from second
-/// differences between neighbouring firings of a beam, in the given frames: scans need
-/// the order of an image. Where a bin has seen fewer than 200 returns its neighbour's
-/// value stands; a LiDAR of which no bin has seen so many has none. (Not in the paper.)
-/// @param positions  of the frames to look at, in Sequence::frames @return returns that
-/// were looked at; 0: nothing was measured
+/// Measures the range noise of each LiDAR (Lidar::range_noise), from second differences
+/// between neighbouring firings of a beam. The scans must be in image order. A bin with
+/// fewer than 200 returns uses the value of its neighbour. A LiDAR in which no bin has
+/// that many returns gets no noise. (Not in the paper.)
+/// @param positions  indices into Sequence::frames of the frames to use
+/// @return number of returns that were used; 0: nothing was measured
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions);
-/// Finds what each beam adds to its ranges (Beam) from returns on the same planes, cells
-/// of 0.3 m, by alternating least squares from the nominal ranges; offsets of all beams
-/// average 0, and are 0 where they make the planes less than 3 % thinner. Datasets keep
-/// offsets of centimetres between beams. (Not in the paper.)
+/// Estimates the range offset of each beam (Beam) from returns on the same planes, in
+/// cells of 0.3 m. Uses alternating least squares, starting from the nominal ranges. The
+/// offsets of all beams have mean 0. They are set to 0 if they make the planes less than
+/// 3 % thinner. Datasets contain offsets of centimetres between beams. (Not in the
+/// paper.)
+/// @param positions  indices into Sequence::frames of the frames to use
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
-/// Frames for training and for testing.
+/// Split of the frames into training and test frames.
 struct Split {
-    std::vector<int> train;  ///< positions in Sequence::frames
+    std::vector<int> train;  ///< indices into Sequence::frames
     std::vector<int> test;
 };
-/// Holds out sweeps, each with the frames of all LiDARs that share its index: every
-/// `test_every`-th but the first (10, 20, ... of 0:50 with 10), or those that are named.
-/// Every tenth of a published part is what is published (Sequence::test_frames).
-/// @param test_every  0: none @param test_frames  where not empty, instead of it: indices
-/// and ranges without their ends, "13,26,40:45"
-/// @throws UsageError for a test_every of 1, for a list with something else in it, a
-/// frame that is not there or named twice, and where nothing is left to train on
+/// Splits the frames of a log. A held-out sweep includes the frames of all LiDARs that
+/// share its index. Held out is every `test_every`-th sweep except the first (10, 20, ...
+/// of 0:50 with 10), or the sweeps in `test_frames`. With `test_every` = 10 on a
+/// published part of a dataset, Sequence::test_frames are held out.
+/// @param test_every  0: hold out nothing
+/// @param test_frames  indices and half-open ranges, "13,26,40:45". If not empty, it is
+/// used instead of `test_every`.
+/// @throws UsageError for a test_every of 1, for an invalid list, for a frame that does
+/// not exist or is named twice, and if no frame is left for training
 Split split_frames(const Sequence& sequence, int test_every, const std::string& test_frames = "");
 
 }  // namespace relidar

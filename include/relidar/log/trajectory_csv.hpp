@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses as a CSV file.
+// Writes poses to a CSV file.
 #pragma once
 
 #include <filesystem>
@@ -8,10 +8,10 @@ namespace relidar {
 
 struct PoseTrack;
 
-/// Poses as the CSV that read_trajectory() reads,
-/// time_s,x,y,z,yaw_deg,pitch_deg,roll_deg, every number with all its digits: for
-/// planners, and to begin a trajectory of one's own from a log's. @throws DataError as
-/// for write_atomically
+/// Writes poses as a CSV file that read_trajectory() can read, with the columns
+/// time_s,x,y,z,yaw_deg,pitch_deg,roll_deg. Numbers keep their full precision. Planners
+/// can read the file, and users can edit the trajectory of a log.
+/// @throws DataError like write_atomically()
 void write_trajectory(const std::filesystem::path& path, const PoseTrack& track);
 
 }  // namespace relidar

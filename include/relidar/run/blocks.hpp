@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A long log in blocks: stretches of the trajectory of its sensor, each trained on its
-// own with the sweeps that see it, and joined to one scene whose background is read block
-// by block (Scene::blocks). The paper trains a log in one piece, and names that as its
-// limit.
+// Training of a long log in blocks. A block is a section of the sensor's trajectory,
+// trained separately with the sweeps that see it. The blocks are then joined to one
+// scene, whose background is loaded block by block (Scene::blocks). The paper trains a
+// log as one unit and names this as a limitation.
 #pragma once
 
 #include <filesystem>
@@ -16,43 +16,47 @@
 
 namespace relidar {
 
-/// A stretch of the trajectory.
+/// Section of the sensor's trajectory.
 struct Block {
-    double begin_m = 0.0, end_m = 0.0;  ///< driven since the log began
-    /// positions in Sequence::frames of the sweeps that were taken on it, held-out ones
-    /// too
+    /// Begin and end of the section, in metres driven since the start of the log.
+    double begin_m = 0.0, end_m = 0.0;
+    /// Indices in Sequence::frames of the sweeps recorded in this section, including
+    /// held-out sweeps.
     std::vector<int> own;
-    /// of the training frames that see it: its own, and those within the halo wherever
-    /// they come from
+    /// Indices of the training frames that see the section: sweeps recorded in it, and
+    /// all sweeps recorded within the halo.
     std::vector<int> train;
 };
 
-/// Cuts the trajectory of a log's vehicle into blocks of equal length, options.length_m
-/// at most. A stretch without a sweep, where the log has a gap, is no block. @throws
-/// DataError where a block has no training frame within its halo
+/// Divides the trajectory of a log's vehicle into blocks of equal length, at most
+/// options.length_m. Omits sections without a sweep, where the log has a gap.
+/// @throws DataError if a block has no training frame within its halo
 std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options);
 
-/// The part of a log that a block is trained on: its training frames, its own held-out
-/// ones, and boxes that come near them.
+/// Part of a log for the training of a block: its training frames, the held-out frames
+/// recorded in the block, and boxes near them.
 struct BlockLog {
     Sequence sequence;
     Split split;
-    Config config;  ///< of the block's own training: in one piece, its settings named for boxes that it has
+    /// Settings for the training of the block, without further division into blocks. They
+    /// list only tracks that the block has.
+    Config config;
 };
-/// Copies it out of a prepared log. @param config  of the whole training
+/// Extracts the part of a prepared log that a block needs.
+/// @param config settings of the complete training
 BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config);
 
-/// Leaves only those surfels in the background that belong to a block: a place belongs to
-/// the block of the nearest sweep.
+/// Removes all background surfels that do not belong to a block. A surfel belongs to the
+/// block whose sweep is nearest to it.
 void keep_own_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
                       std::size_t block);
 
-/// Joins trained blocks to one run: backgrounds stay in their files, each actor comes
-/// from the block whose training frames saw it most often, poses that training has
-/// corrected from the block on which a sweep was taken.
-/// @param run      of the prepared log, without a scene
-/// @param folders  [blocks] runs of the blocks (save_run()) @throws DataError as
-/// load_run()
+/// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
+/// Each actor comes from the block whose training frames saw it most often. Corrected
+/// poses come from the block in which the sweep was recorded.
+/// @param run run with the prepared log and without a scene
+/// @param folders [blocks] run folders of the blocks (save_run())
+/// @throws DataError as load_run()
 void join_blocks(Run& run, const std::vector<Block>& blocks,
                  const std::vector<std::filesystem::path>& folders);
 

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoints: everything a run has changed so far, so that it continues as if it had
-// never stopped. A checkpoint is a list of named arrays and texts; what they are is the
-// business of whoever owns the state, who lists it once for StateWriter and StateReader.
+// Checkpoints: the complete state of a training, from which it resumes exactly. A
+// checkpoint is a list of named arrays and texts. The class that has the state lists it
+// once, in a function used with both StateWriter and StateReader.
 //
-// On disk it is a safetensors file, written whole or not at all. Its metadata hold the
-// texts and format, version, relidar (who wrote it), iteration, and crc32: the CRC-32
-// (zlib's) of, in this order, every other metadata entry sorted by key as "key\0value\0",
-// then every array as "name\0type\0n,m,...\0" followed by its bytes, type as numpy writes
-// it ("f4").
+// A checkpoint is stored as a safetensors file, which is written atomically. Its metadata
+// contain the texts and the keys format, version, relidar (version of the writer),
+// iteration and crc32. crc32 is the CRC-32 (as in zlib) of the following bytes: every
+// other metadata entry, sorted by key, as "key\0value\0"; then every array as
+// "name\0type\0n,m,...\0" followed by its bytes. The type is written as in numpy ("f4").
 #pragma once
 
 #include <cstdint>
@@ -25,18 +25,19 @@
 
 namespace relidar {
 
-/// State of a run after an iteration.
+/// State of a training after an iteration.
 struct Checkpoint {
-    int iteration = 0;  ///< the last one that is done
+    int iteration = 0;  ///< Number of the last completed iteration.
     std::map<std::string, std::string> texts;
     std::vector<NamedArray> arrays;
 
-    /// @throws DataError where there is none of that name
+    /// Returns the array or text with this name.
+    /// @throws DataError if it does not exist
     const NamedArray& array(const std::string& name) const;
     const std::string& text(const std::string& name) const;
 };
 
-/// numpy's name of a number's type.
+/// Returns numpy's name of a number type.
 template <class T>
 constexpr const char* dtype_of() {
     static_assert(std::is_arithmetic_v<T> && (sizeof(T) == 4 || sizeof(T) == 8));
@@ -45,20 +46,20 @@ constexpr const char* dtype_of() {
     else return sizeof(T) == 4 ? "u4" : "u8";
 }
 
-/// The first n values of a device array that may have room for more.
+/// Reference to the first n values of a device array, which may be larger.
 template <class T>
 struct FirstOf {
     Array<T>& array;
     std::size_t n;
 };
 
-/// Copies state into a checkpoint: one call for each thing that is state. Device arrays
-/// must not be in use by work still running.
+/// Copies state into a checkpoint, with one call per array or number. No running work may
+/// use the device arrays.
 class StateWriter {
 public:
     explicit StateWriter(Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
 
-    /// A number, numbers on the host [n], numbers on the device [n].
+    /// Stores a number, an array on the host [n] or an array on the device [n].
     template <class T>
     void operator()(const std::string& name, const T& value) requires std::is_arithmetic_v<T> {
         put(name, dtype_of<T>(), {}, &value);
@@ -75,24 +76,25 @@ public:
     void operator()(const std::string& name, const FirstOf<T>& first) {
         (*this)(name, first.array.download(first.n));
     }
-    /// An array for each group of parameters, name/mean [n,3] and so on.
+    /// Stores one array per parameter group: name/mean [n,3] and so on.
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:
     Checkpoint& checkpoint_;
 
-    /// copies
+    /// Copies the values into the checkpoint.
     void put(const std::string& name, const char* dtype, std::vector<std::size_t> shape, const void* values);
 };
 
-/// Copies state back from a checkpoint, called exactly as the writer was. Vectors on the
-/// host take the length found; what is on the device must have it already. @throws
-/// DataError naming the array that is missing or misshapen
+/// Copies state back from a checkpoint, with the same calls as the writer. Host vectors
+/// are resized to the stored length; device arrays must have the right length already.
+/// @throws DataError if an array is missing or has the wrong shape; the message names the
+/// array
 class StateReader {
 public:
     explicit StateReader(const Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
 
-    /// A number, numbers on the host [n], numbers on the device [n].
+    /// Restores a number, an array on the host [n] or an array on the device [n].
     template <class T>
     void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
         copy(find(name, dtype_of<T>(), {}), &value);
@@ -117,14 +119,15 @@ public:
         surfels.upload(surfels_of(name, surfels.n));
     }
 
-    /// The same arrays on the host, however many surfels there are.
+    /// Returns the stored surfels on the host, for any number of surfels.
     Surfels surfels(const std::string& name) const;
 
 private:
     const Checkpoint& checkpoint_;
 
-    /// An array that must have this type and shape; one of this type and any length;
-    /// arrays of n surfels; all bytes of one.
+    /// Helpers that return an array of the given type and shape, an array of the given
+    /// type and any length, or the arrays of n surfels. copy() copies all bytes of an
+    /// array.
     const NamedArray& find(const std::string& name, const char* dtype,
                            const std::vector<std::size_t>& shape) const;
     const NamedArray& find_rows(const std::string& name, const char* dtype) const;
@@ -132,29 +135,34 @@ private:
     static void copy(const NamedArray& array, void* values);
 };
 
+/// Checks that all stored numbers are finite.
 /// @throws DataError naming array and row of the first number that is not finite
 void check_finite(const Checkpoint& checkpoint);
 
-/// Writes one file atomically. @throws DataError where it cannot be written
+/// Writes a checkpoint file atomically.
+/// @throws DataError if the file cannot be written
 void write_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
-/// Reads it back, all of it checked: format, version, sizes, checksum, finite values.
-/// @throws DataError saying what is wrong
+/// Reads a checkpoint file and checks format, version, sizes, checksum and that all
+/// values are finite.
+/// @throws DataError with the reason if a check fails
 Checkpoint read_checkpoint(const std::filesystem::path& path);
 
-/// The checkpoints in a folder, oldest first: iteration_00000400.safetensors. Empty where
-/// there is no folder.
+/// Lists the checkpoint files of a folder, oldest first, for example
+/// iteration_00000400.safetensors. Returns an empty list if the folder does not exist.
 std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder);
-/// Writes a checkpoint into a folder, which is made where missing, then removes all but
-/// the newest `keep` up to this one, and those of later iterations: of a future that was
-/// left. Nothing is removed before the new one is on the disk. @throws as
-/// write_checkpoint
+/// Writes a checkpoint into a folder, which is created if needed. Then removes older
+/// checkpoints, so that at most `keep` remain. Also removes checkpoints of later
+/// iterations, which belong to an abandoned training. Removes files only after the new
+/// checkpoint is on disk.
+/// @throws DataError as write_checkpoint()
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep);
-/// The newest that can be read. @param note gets one line for each that cannot @return
-/// nothing where there is no checkpoint
-/// @throws DataError where there are some but none can be read
+/// Loads the newest readable checkpoint of a folder.
+/// @param note callback for one line about each unreadable checkpoint
+/// @return nullopt if there is no checkpoint
+/// @throws DataError if there are checkpoints but none is readable
 std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& folder,
                                                  const std::function<void(const std::string&)>& note);
-/// Removes all checkpoints of a folder, and the folder where nothing else is in it.
+/// Removes all checkpoints of a folder. Removes the folder if it is then empty.
 void remove_checkpoints(const std::filesystem::path& folder);
 
 }  // namespace relidar

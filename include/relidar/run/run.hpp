@@ -1,10 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder is self-describing: config.toml, model.safetensors,
-// drop_network.safetensors (where one was trained), sweeps.safetensors (where heads did
-// not turn evenly), coverage.safetensors (where the log has looked),
-// intensity_scatter.safetensors (how intensities scatter), scene.json (sensor, frames,
-// poses, boxes, split, units, conventions), log.jsonl, report.html. It renders without
-// the dataset.
+// Reads and writes run folders. A run can be rendered without its dataset. Its folder
+// contains:
+//
+//   config.toml                    settings
+//   model.safetensors              surfels
+//   drop_network.safetensors       ray-drop network, if one was trained
+//   sweeps.safetensors             head rotation of sweeps with uneven rotation
+//   coverage.safetensors           space that the log has observed
+//   intensity_scatter.safetensors  scatter of measured intensities
+//   scene.json                     sensor, frames, poses, boxes, split, units, conventions
+//   log.jsonl, report.html         training log and report
 #pragma once
 
 #include <filesystem>
@@ -22,34 +27,35 @@
 
 namespace relidar {
 
-/// The file of a run folder that holds its surfels.
+/// File of a run folder that contains the surfels.
 inline constexpr const char* kModelFile = "model.safetensors";
 
-/// One edit of a run's history.
+/// Entry in the edit history of a run.
 struct RunEdit {
-    std::string run;   ///< absolute path of the run that was edited
-    std::string edit;  ///< as typed: "--move 0:0,3.5,0"
+    std::string run;   ///< Absolute path of the run that was edited.
+    std::string edit;  ///< Edit as typed on the command line: "--move 0:0,3.5,0".
 };
 
-/// What a run folder holds. The sequence has frames without scans: index, time, nothing
-/// else.
+/// Contents of a run folder. Frames of the sequence have an index and a time, but no
+/// scan.
 struct Run {
     std::filesystem::path folder;
     Config config;
     Sequence sequence;
     Split split;
     Scene scene;
-    std::vector<RunEdit> edits{};  ///< oldest first; empty for a run as it was trained
-    DropNetwork drop_network{};    ///< corrects ray-drop; empty: there is none
-    Coverage coverage{};           ///< where training scans have looked; empty: not known
-    std::vector<IntensityScatter> intensity_scatter{};  ///< [lidars] empty: not known
-    /// place_held_out() has been asked: what comes behind training is not done twice
+    std::vector<RunEdit> edits{};  ///< Edit history, oldest first; empty for a run that was not edited.
+    DropNetwork drop_network{};    ///< Network that corrects drop probabilities; empty if none was trained.
+    Coverage coverage{};           ///< Space that the training scans have observed; empty if unknown.
+    /// Intensity scatter of each LiDAR, [lidars]; empty if unknown.
+    std::vector<IntensityScatter> intensity_scatter{};
+    /// True if place_held_out() has run, so that a resumed training does not repeat it.
     bool held_out_placed = false;
-    /// which poses training has corrected, as train.refine_poses says it; empty: none,
-    /// they are the log's
+    /// Poses that training has corrected, in the format of train.refine_poses. Empty if
+    /// all poses are those of the log.
     std::string refined_poses{};
 
-    /// The scene with the tracks of its actors, as edits take it and give it back:
+    /// Returns the scene with the tracks of its actors. Edits use this type:
     /// run.replace(remove_track(run.driving(), "0")).
     DrivingScene driving() const { return {scene, sequence}; }
     void replace(DrivingScene driving) {
@@ -59,61 +65,68 @@ struct Run {
 };
 
 /// Writes config.toml, scene.json, model.safetensors, drop_network.safetensors,
-/// sweeps.safetensors, coverage.safetensors and intensity_scatter.safetensors. A folder
-/// that does not exist yet appears complete or not at all. In an existing folder the
-/// files get their names only after all of them are written. Until then an earlier run in
-/// the folder stays as it is. Blocks of the scene that lie elsewhere are linked into it
-/// (copied where the file system has no links), as blocks/NNN/model.safetensors.
-/// @throws DataError where the folder cannot be made or written, or where an option that
-/// is no setting is not as the program has it
+/// sweeps.safetensors, coverage.safetensors and intensity_scatter.safetensors. A new
+/// folder appears only when it is complete. In an existing folder, all files are written
+/// first and then renamed, so that an earlier run stays valid until then. Block files in
+/// other folders are hard-linked to blocks/NNN/model.safetensors, or copied if the file
+/// system has no links.
+/// @throws DataError if the folder cannot be created or written, or if an option that is
+/// not a setting differs from its preset value
 void save_run(const Run& run);
-/// Does the same in place of an earlier run. @param remove_earlier  is called when all
-/// files are written, before they get their names
+/// Writes a run as save_run() does, in place of an earlier run.
+/// @param remove_earlier called after all files are written and before they are renamed
 void replace_run(const Run& run, const std::function<void()>& remove_earlier);
-/// Does the same in place of the run's folder with everything in it, in one step if the
-/// file system can exchange folders.
+/// Writes a run as save_run() does, and replaces the existing folder with all its
+/// contents. The replacement is atomic if the file system can exchange folders.
 void replace_folder(const Run& run);
 
+/// Loads a run folder.
 /// @throws DataError naming the file that is missing, truncated or inconsistent
 Run load_run(const std::filesystem::path& folder);
 
 /// Saves a scene as safetensors: mean [n,3], rotation [n,4], log_scale [n,2],
-/// opacity_logit [n], sh [n,3,16], log_scale_w [n] of 3D Gaussians alone; in the metadata
-/// the name of the primitive, models and instances. Files of its blocks, which lie below
-/// the same folder, are named in the metadata and not written.
-/// @throws DataError where an array is misshapen or not finite, or the file cannot be
-/// written
+/// opacity_logit [n], sh [n,3,16], and for 3D Gaussians log_scale_w [n]. The metadata
+/// contain the name of the primitive, the models and the instances. They also list the
+/// files of the scene's blocks, which must be in or below the same folder and are not
+/// written.
+/// @throws DataError if an array has the wrong shape or a value that is not finite, or if
+/// the file cannot be written
 void save_model(const std::filesystem::path& path, const Scene& scene);
-/// Reads it back. @throws DataError for missing, misshapen or non-finite arrays, naming
-/// array and row
+/// Loads a scene that save_model() wrote.
+/// @throws DataError naming array and row if an array is missing, has the wrong shape, or
+/// has a value that is not finite
 Scene load_model(const std::filesystem::path& path);
 
-/// The background of one block. @throws DataError as load_model(), and for a file that
-/// does not hold what the scene says
+/// Loads the background surfels of a block.
+/// @throws DataError as load_model(), or if the number of surfels differs from `block`
 Surfels read_block(const SceneBlock& block);
-/// The scene with some of its blocks read into its background, which gets kd order;
-/// without the others.
-/// @param blocks  positions in Scene::blocks @throws DataError as read_block()
+/// Returns a copy of the scene with the selected blocks loaded into its background, which
+/// is sorted in kd order. The copy does not refer to the other blocks.
+/// @param blocks indices in Scene::blocks
+/// @throws DataError as read_block()
 Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks);
-/// The same with all of them: for what works on every surfel.
+/// Returns a copy of the scene with all blocks loaded, for functions that need every
+/// surfel.
 Scene whole_scene(const Scene& scene);
 
-/// Saves a ray-drop network as safetensors, and reads it back. @throws DataError naming
-/// file and array, for numbers that are not finite too
+/// Saves a ray-drop network as safetensors, and loads it.
+/// @throws DataError naming file and array, also for numbers that are not finite
 void save_drop_network(const std::filesystem::path& path, const DropNetwork& network);
 DropNetwork load_drop_network(const std::filesystem::path& path);
 
-/// Models and instances of a scene as JSON text, and back. @param where name used in
-/// messages @throws DataError naming the field that is missing or does not fit the
-/// scene's surfels
+/// Converts models and instances of a scene to JSON text, and reads them back.
+/// @param where name of the source in messages
+/// @throws DataError naming the field that is missing or does not match the surfels of
+/// the scene
 std::string layout_to_json(const Scene& scene);
 void read_layout_json(const std::string& text, const std::string& where, Scene& scene);
 
-/// Whether a path looks like a run folder (has a scene.json or a model).
+/// Returns true if a path looks like a run folder (it has a scene.json or a model).
 bool is_run(const std::filesystem::path& path);
 
-/// Fails early, before long work: makes the folder and a probe file in it. @throws
-/// DataError where that is impossible
+/// Creates the folder and a test file in it, so that an unwritable folder is reported
+/// before long work starts.
+/// @throws DataError if the folder or the file cannot be created
 void check_writable(const std::filesystem::path& folder);
 
 }  // namespace relidar

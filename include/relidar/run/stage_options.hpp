@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What settings say to the stages that cast rays and sum their gradients.
+// Derives options for ray tracing and gradient summation from the settings of a run.
 #pragma once
 
 #include <relidar/diff/backward.hpp>
@@ -9,16 +9,18 @@
 
 namespace relidar {
 
-/// Settings whose dataset.max_range_m is a length: 0 becomes the farthest limit of the
-/// log's LiDARs.
+/// Returns the settings with a definite dataset.max_range_m: 0 is replaced by the largest
+/// range limit of the log's LiDARs.
 Config with_farthest(Config config, const Sequence& sequence);
-/// How rays are traced. The device decides the rest.
+/// Returns the options for ray tracing that do not depend on the device.
 TraceOptions trace_options(const Config& config);
-/// The same with what the losses want of rays beside their image.
+/// Returns the options for ray tracing during training, including outputs that the losses
+/// need.
 TraceOptions training_trace_options(const Config& config);
-/// The same with what scans want of them: normals, and the heaviest surface.
+/// Returns the options for ray tracing when scans are rendered, including normals and the
+/// heaviest surface.
 TraceOptions rendering_trace_options(const Config& config);
-/// How gradients are summed.
+/// Returns the options for the summation of gradients.
 BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene on a device: parameters of all surfels and the table of their groups, the
-// records that hits read, and where each model is placed.
+// Scene on a device: the parameters of all surfels, the table of parameter groups, the
+// surfel records that tracing kernels read, and the placement of each model.
 #pragma once
 
 #include <array>
@@ -21,7 +21,9 @@
 
 namespace relidar {
 
-namespace shared {  // what arrays hold, as kernels tell them apart
+// Content types of device arrays. Kernels use them to distinguish arrays of the same
+// element type.
+namespace shared {
 struct Means;
 struct Rotations;
 struct LogScales;
@@ -36,73 +38,85 @@ struct TouchedCount;
 struct ViewGradients;
 }  // namespace shared
 
-/// Parameters, gradients or moments of all surfels on a device, one array a group in the
-/// layout of Surfels.
+/// Parameters, gradients or optimiser moments of all surfels on a device. One array per
+/// parameter group, in the layout of Surfels.
 struct SurfelArrays {
     Array<float, shared::Means> mean;
     Array<float, shared::Rotations> rotation;
     Array<float, shared::LogScales> log_scale;
     Array<float, shared::OpacityLogits> opacity_logit;
     Array<float, shared::Harmonics> sh;
-    Array<float, shared::ThirdLogScales> log_scale_w;  ///< of 3D Gaussians; not allocated for surfels
-    Array<float, shared::Gaits> gait;  ///< of scenes with actors that bend; not allocated for others
-    std::uint32_t n = 0;               ///< surfels; the arrays may hold more
+    /// Third scales of 3D Gaussians; not allocated for surfels.
+    Array<float, shared::ThirdLogScales> log_scale_w;
+    /// Gaits of scenes with walking actors; not allocated for other scenes.
+    Array<float, shared::Gaits> gait;
+    std::uint32_t n = 0;  ///< Number of surfels. The arrays may be larger.
     Primitive primitive = Primitive::surfel;
     bool bends = false;
 
     SurfelArrays() = default;
     SurfelArrays(Device& device, std::uint32_t n, const std::string& what, ParameterSet of = {});
     ParameterSet parameters() const { return {primitive, bends}; }
-    /// @throws DataError where arrays, primitive or gait disagree
+    /// Uploads all parameter groups.
+    /// @throws DataError if array lengths, primitive or gait disagree with these arrays
     void upload(const Surfels& surfels);
     Surfels download() const;
-    /// Surfels there is room for in every group.
+    /// Returns the number of surfels that fit in the arrays of every group.
     std::uint32_t capacity() const;
-    /// Makes room for so many surfels and keeps those there are; new room is undefined.
-    /// Nothing may be in flight that uses the arrays.
-    /// @throws DeviceError where memory is exhausted: some groups may then have grown,
-    /// none has lost anything
+    /// Grows the arrays to at least `capacity` surfels and keeps the existing values; new
+    /// values are undefined. No pending submission may use the arrays.
+    /// @throws DeviceError if device memory is exhausted. Some groups may then have
+    /// grown, but no values are lost
     void reserve(Device& device, std::uint32_t capacity, const std::string& what);
     void fill_zero(Stream& stream);
 };
 
-/// Learning rates of one step.
+/// Learning rates of an optimiser step.
 struct LearningRates {
-    double mean = 1.6e-4;  ///< metres; the schedule multiplies by the extent
+    double mean = 1.6e-4;  ///< Rate of the means, metres. The schedule multiplies it by the extent.
     double rotation = 1e-3;
-    double log_scale = 5e-3;  ///< the third of 3D Gaussians too
+    double log_scale = 5e-3;  ///< Rate of all scales, including the third scale of 3D Gaussians.
     double opacity_logit = 0.05;
-    double sh = 2.5e-3;             ///< DC coefficient of each channel
-    double sh_rest_factor = 0.05;   ///< of the other coefficients
-    double gait = 1e-4;             ///< turns, metres
-    double intensity_factor = 1.0;  ///< of all coefficients of the intensity, over those of the drop logits
-    /// DeviceScene::models(), where there are factors of them
+    double sh = 2.5e-3;            ///< Rate of the DC coefficient of each channel.
+    double sh_rest_factor = 0.05;  ///< Rate of the other SH coefficients, relative to `sh`.
+    double gait = 1e-4;            ///< Rate of the gait parameters, in turns and metres.
+    /// Rate of all intensity coefficients, relative to the rate of the drop logits.
+    double intensity_factor = 1.0;
+    /// DeviceScene::models(), required if mean_factors is not empty.
     const Array<shared::ModelEntry>* models = nullptr;
-    std::vector<float> mean_factors = {};  ///< [models] of the means of each; none: 1
+    /// Factor of the rate of the means for each model, [models]; empty = 1.
+    std::vector<float> mean_factors = {};
 };
 
-/// A group of parameters: what whoever treats all parameters alike (arrays, optimiser,
-/// densification, files) has to know of it.
+/// Description of a parameter group, for code that treats all parameters alike: arrays,
+/// optimiser, densification and files.
 struct ParameterGroup {
-    const char* name;  ///< of its array in files
-    /// shape of the floats of one surfel; {3, 1} is a row of 3, {1, 1} a single number
+    const char* name;  ///< Name of the group's array in files.
+    /// Shape of the floats of a surfel. {3, 1} is a row of 3, {1, 1} is a single
+    /// number.
     std::array<std::uint32_t, 2> row;
     double LearningRates::*rate;
-    bool harmonics;  ///< the last dimension is the coefficients of the SH basis
-    bool scales;     ///< standard deviations, which may be bounded
-    /// which surfels have it: all, or those with what is named alone
+    bool harmonics;  ///< True if the last dimension holds coefficients of the SH basis.
+    bool scales;     ///< True for standard deviations, which may be bounded.
+    /// Surfels that have this group: all, only primitives with a third scale, or only
+    /// surfels with a gait.
     enum class Of { all, third_scale, bends } of;
-    const Array<float>& (*device)(const SurfelArrays&);  ///< [n, floats()]
-    Array<float>& (*mutable_device)(SurfelArrays&);      ///< the same, to be written
-    std::span<const float> (*values)(const Surfels&);    ///< [n * floats()] on the host
-    std::span<float> (*mutable_values)(Surfels&);        ///< the same, to be written
-    void (*resize)(Surfels&, std::size_t n_floats);      ///< of the host's array
+    const Array<float>& (*device)(const SurfelArrays&);  ///< Returns the device array, [n, floats()].
+    /// Returns the device array for writing, [n, floats()].
+    Array<float>& (*mutable_device)(SurfelArrays&);
+    /// Returns the values on the host, [n * floats()].
+    std::span<const float> (*values)(const Surfels&);
+    /// Returns the values on the host for writing, [n * floats()].
+    std::span<float> (*mutable_values)(Surfels&);
+    void (*resize)(Surfels&, std::size_t n_floats);  ///< Resizes the array on the host.
 
-    constexpr std::uint32_t floats() const { return row[0] * row[1]; }  ///< a surfel
-    std::vector<std::size_t> shape(std::size_t n) const;  ///< of the array in files: [n], [n,3] or [n,3,16]
+    constexpr std::uint32_t floats() const { return row[0] * row[1]; }  ///< Number of floats per surfel.
+    /// Returns the shape of the array in files: [n], [n,3] or [n,3,16].
+    std::vector<std::size_t> shape(std::size_t n) const;
 };
 
-/// A group that the host keeps in the member kHost of Surfels.
+/// Describes the parameter group that is stored in member kHost of Surfels and member
+/// kDevice of SurfelArrays.
 template <auto kHost, auto kDevice>
 constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row,
                                         double LearningRates::*rate, bool harmonics = false,
@@ -128,9 +142,9 @@ constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32
             [](Surfels& s, std::size_t n_floats) { (s.*kHost).resize(n_floats / kFloats); }};
 }
 
-/// Every group there is; those that not all surfels have are the first and the last, so
-/// that the others and any of the two are a range. A new parameter is a member of Surfels
-/// and of SurfelArrays, a pointer for kernels, and a row here.
+/// All parameter groups. The two optional groups are the first and the last, so that each
+/// combination is a contiguous range. A new parameter needs a member of Surfels, a member
+/// of SurfelArrays, a pointer for kernels and a row here.
 inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
     describe_group<&Surfels::gait, &SurfelArrays::gait>("gait", {5, 1}, &LearningRates::gait, false, false,
                                                         ParameterGroup::Of::bends),
@@ -146,22 +160,23 @@ inline constexpr std::array<ParameterGroup, 7> kParameterGroups{{
         "log_scale_w", {1, 1}, &LearningRates::log_scale, false, true, ParameterGroup::Of::third_scale),
 }};
 
-/// The groups of surfels.
+/// Returns the parameter groups of a parameter set.
 constexpr std::span<const ParameterGroup> groups_of(ParameterSet of) {
     const std::size_t first = of.bends ? 0 : 1,
                       last = kParameterGroups.size() - (kind_of(of.primitive).third_scale ? 0 : 1);
     return std::span(kParameterGroups).subspan(first, last - first);
 }
 
-/// Where models and checkpoints say what they are made of.
+/// Metadata key of the primitive in model and checkpoint files.
 inline constexpr const char* kPrimitiveKey = "primitive";
-/// What a file says that it is made of, and whether it has a gait.
-/// @param texts  of the file @param key  of the one that says it @param has_array
-/// whether the file has an array of a group of this name
-/// @throws DataError if the text is missing or names no primitive
+/// Reads the primitive of a file, and whether its surfels have a gait.
+/// @param texts metadata of the file
+/// @param key metadata key of the primitive
+/// @param has_array returns true if the file has an array of this group name
+/// @throws DataError if the key is missing or names no primitive
 ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, const std::string& key,
                                const std::function<bool(const char*)>& has_array);
-/// Parameters of a surfel.
+/// Returns the number of parameters per surfel.
 constexpr std::uint32_t floats_per_surfel(ParameterSet of) {
     std::uint32_t sum = 0;
     for (const ParameterGroup& group : groups_of(of)) sum += group.floats();
@@ -169,24 +184,28 @@ constexpr std::uint32_t floats_per_surfel(ParameterSet of) {
 }
 
 namespace shared {
-struct SurfelPointers;  // of kernels
+struct SurfelPointers;  // Pointers to surfel parameters, for kernels.
 }
-/// The arrays as kernels are given them.
+/// Returns the device addresses of all parameter arrays, for kernels.
 shared::SurfelPointers pointers_of(const SurfelArrays& arrays);
 
-/// Numbers of the rows that are marked, found in a stream and read by the kernels that
-/// follow: lanes of a CPU that have nothing to do cost as much as the others.
+/// List of the rows marked in an array. A kernel builds it, and later kernels of the
+/// stream read it. It helps on a CPU device, where idle lanes cost as much as active
+/// lanes.
 class TouchedList {
 public:
     explicit TouchedList(Device& device);
     ~TouchedList();
-    /// Records the search. Waits for the stream where there are more rows than ever.
+    /// Records the search for marked rows. Waits for the stream if there are more rows
+    /// than in any earlier call.
     /// @param touched [n_rows] 0 or 1
     void find(Stream& stream, Address<std::uint32_t, shared::TouchedSurfels> touched, std::uint32_t n_rows);
-    Address<std::uint32_t, shared::TouchedRows> rows() const;    ///< [count] in no order
-    Address<std::uint32_t, shared::TouchedCount> count() const;  ///< [1]
-    /// Threads for a step over the list, of which the device alone knows how long it is.
-    /// @param most  for the longest list
+    /// Indices of the marked rows, [count], unordered.
+    Address<std::uint32_t, shared::TouchedRows> rows() const;
+    Address<std::uint32_t, shared::TouchedCount> count() const;  ///< Number of marked rows, [1].
+    /// Returns the number of threads for a kernel over the list, because only the device
+    /// knows the length of the list.
+    /// @param most threads needed for the longest possible list
     std::size_t threads(std::size_t most) const;
 
 private:
@@ -194,87 +213,98 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Pose and motion of a tracked box in a sweep, as place_instances() takes them. The pose
-/// is the track's own at the first and the last time at which a ray may meet the box, and
-/// is interpolated between these times. A box behind a spinning sensor is met at the
-/// begin and at the end of the sweep.
-/// @param half_size_m [3] of the box; 0: not known, then any ray may meet it
+/// Computes pose and motion of a tracked box in a sweep, for place_instances(). The pose
+/// equals the track at the first and the last time at which a ray may hit the box. It is
+/// interpolated between these times. A box behind a spinning sensor is hit at the start
+/// and at the end of the sweep.
+/// @param half_size_m [3] half size of the box; 0 = unknown, then any ray may hit the box
 InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
                            const glm::dvec3& half_size_m, const SweepMoment& sweep);
 
-/// What the activation's derivative reads and writes.
+/// Inputs and outputs of activate_vjp(), the derivative of the activation.
 struct ActivationGradients {
-    const Array<float, shared::RecordGradients>* d_records = nullptr;  ///< [gradient_rows,16] input
-    SurfelArrays* d_surfels = nullptr;                                 ///< output
-    /// [n] output: 1 where any record gradient is not zero
+    /// Input: gradients with respect to the records, [gradient_rows,16].
+    const Array<float, shared::RecordGradients>* d_records = nullptr;
+    SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
+    /// Output: 1 for each surfel whose record gradient is not zero, [n].
     Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
-    /// [n,3] output with ShDirection::surfel: dL/d(view origin) by way of each surfel,
-    /// model frame; null where not wanted
+    /// Output with ShDirection::surfel: dL/d(view origin) through each surfel, [n,3],
+    /// model frame. Null if not needed.
     Array<float, shared::ViewGradients>* d_view = nullptr;
-    bool zero_untouched = true;  ///< write zeros for surfels without a gradient
-    /// touched is 1 already where a surfel may have a gradient, else 0. With
-    /// lists_touched() and without zero_untouched the other surfels are not looked at
-    /// then, and what d_view has of them stays.
+    bool zero_untouched = true;  ///< If true, writes zeros for surfels without a gradient.
+    /// If true, `touched` already contains 1 for each surfel that may have a gradient,
+    /// otherwise 0. With lists_touched() and without zero_untouched, other surfels are
+    /// then skipped, and their entries of d_view are not written.
     bool touched_is_marked = false;
 };
 
-/// A scene on a device: parameters, the records that hits read, and the instance table.
+/// Scene on a device: surfel parameters, the records that tracing kernels read, and the
+/// instance table.
 class DeviceScene {
 public:
-    /// @throws DataError where the models are not consecutive ranges that hold all
-    /// surfels, or an instance places none of them
-    /// @param stage_harmonics  activation and its derivative move harmonics through
-    /// shared memory, whole lines at a time, instead of each thread its own surfel's; not
-    /// given: on GPUs
+    /// Uploads a scene.
+    /// @param stage_harmonics if true, the activation and its derivative move SH
+    /// coefficients through shared memory in full cache lines. If false, each thread
+    /// reads the coefficients of its surfel directly. Default: true on GPUs
+    /// @throws DataError if the models are not consecutive ranges that contain all
+    /// surfels, or an instance refers to a model that does not exist
     DeviceScene(Device& device, const Scene& scene, std::optional<bool> stage_harmonics = std::nullopt);
     ~DeviceScene();
 
-    /// Poses of all instances, world_from_model, one each: all present. Blocking upload.
+    /// Sets the poses of all instances, world_from_model, one per instance. All instances
+    /// become present. Blocks until the upload is done.
     void set_poses(const std::vector<Pose>& world_from_instance);
-    /// The same with motions; instances may be absent.
+    /// Sets the poses and motions of all instances. Instances may be absent. Blocks until
+    /// the upload is done.
     void set_poses(const std::vector<InstancePose>& placed);
-    /// The same as part of a stream, without a wait; instances may be absent. The
-    /// acceleration structure follows with its next update or move.
+    /// Sets the poses and motions of all instances as part of a stream, without waiting.
+    /// Instances may be absent. The acceleration structure uses the new poses after its
+    /// next update or move.
     void place(Stream& stream, const std::vector<InstancePose>& placed);
     const std::vector<InstancePose>& poses() const;
-    /// Whether an actor that bends would be at another phase of its gait than it is: then
-    /// records are stale once it is placed.
+    /// Returns true if these poses change the gait phase of a walking actor. The records
+    /// are then out of date once the poses are set.
     bool bends_otherwise(const std::vector<InstancePose>& placed) const;
-    /// Records the activation kernel: records from parameters (M1, M2, M9), channels too
-    /// with ShDirection::surfel.
-    /// @throws UsageError where the model is of another primitive than the scene
-    /// @param view_origin_m [3] world. A model placed twice sees it from its first
-    /// instance (see own_models).
+    /// Records the activation kernel, which computes surfel records from parameters (M1,
+    /// M2, M9). With ShDirection::surfel it also computes the channel values.
+    /// @param view_origin_m [3] world frame. A model with several instances uses the view
+    /// of its first instance (see own_models)
+    /// @throws UsageError if the primitive of `model` is not the primitive of the scene
     void activate(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m);
-    /// Whether the chain rule can go over a list of surfels: on CPUs, where harmonics are
-    /// not staged.
+    /// Returns true if activate_vjp() can process a list of touched surfels. This is
+    /// possible on CPUs, where SH coefficients are not staged.
     bool lists_touched() const;
-    /// Records the chain rule back from record gradients to parameters. SH gradients are
-    /// written with ShDirection::surfel; with ShDirection::ray the hits have accumulated
-    /// them already.
+    /// Records the kernel that computes parameter gradients from record gradients by the
+    /// chain rule. It writes SH gradients only with ShDirection::surfel. With
+    /// ShDirection::ray, the backward pass has already accumulated the SH gradients for
+    /// each hit.
     void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                       const ActivationGradients& gradients);
 
-    /// Makes room for so many surfels in parameters and records. As
-    /// SurfelArrays::reserve.
+    /// Grows the arrays of parameters and records to at least `capacity` surfels, like
+    /// SurfelArrays::reserve().
     void reserve(Device& device, std::uint32_t capacity);
-    /// New ranges of the same models, after the parameter arrays were rearranged; size()
-    /// is then their sum and the records are stale. The instance table follows with the
-    /// next place() or set_poses().
+    /// Sets new surfel ranges of the models after the parameter arrays were rearranged.
+    /// size() becomes the sum of the ranges, and the records are out of date. The
+    /// instance table is updated by the next place() or set_poses().
     void set_models(const std::vector<Model>& models);
 
-    const Scene& layout() const;  ///< models and instances; its surfels are empty
+    const Scene& layout() const;  ///< Models and instances of the scene, without surfels.
     SurfelArrays& parameters();
     const SurfelArrays& parameters() const;
-    const Array<shared::SurfelRecord>& records() const;  ///< [n]
-    float alpha_min() const;                          ///< the records were activated for: where a surfel ends
-    const Array<shared::ModelEntry>& models() const;  ///< [models] in the order of their ranges
-    const Array<shared::InstanceEntry>& instances() const;  ///< [instances] as placed last
-    std::uint32_t size() const;                             ///< surfels
+    const Array<shared::SurfelRecord>& records() const;  ///< Surfel records, [n].
+    /// alpha_min of the last activation, which determines the size of the surfels.
+    float alpha_min() const;
+    /// Table of models, [models], in the order of their surfel ranges.
+    const Array<shared::ModelEntry>& models() const;
+    /// Table of instances, [instances], with the most recent poses.
+    const Array<shared::InstanceEntry>& instances() const;
+    std::uint32_t size() const;  ///< Number of surfels.
     Primitive primitive() const;
-    /// of the record gradients of an instance's surfels
+    /// Returns the first row of the record gradients of an instance.
     std::uint32_t first_gradient_row(std::size_t instance) const;
-    /// of record gradients: surfels, then those of every further placement of a model
+    /// Number of rows of the record gradients: one per surfel, plus one per surfel of
+    /// each further instance of a model.
     std::uint32_t gradient_rows() const;
 
 private:

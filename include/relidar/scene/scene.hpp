@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene of 2D Gaussians (surfels): a background and one set per actor, each set a
-// model, placed by instances (Eq. 1, 4, 5). Or of 3D Gaussians, with a third scale; what
-// is said of surfels holds for them too.
+// A scene of 2D Gaussians (surfels): one model for the background and one per actor.
+// Instances place the models in the world (Eq. 1, 4, 5). A scene may use 3D Gaussians
+// instead, which have a third scale. Comments about surfels also apply to 3D Gaussians.
 #pragma once
 
 #include <array>
@@ -23,23 +23,24 @@
 
 namespace relidar {
 
-inline constexpr int kShCoefficients = 16;  ///< real SH basis of degree 3
-inline constexpr int kShChannels = 3;       ///< intensity, hit logit, drop logit
+/// Coefficients of the real spherical harmonics (SH) basis of degree 3.
+inline constexpr int kShCoefficients = 16;
+inline constexpr int kShChannels = 3;  ///< SH channels: intensity, hit logit, drop logit.
 inline constexpr int kShFloats = kShChannels * kShCoefficients;
 
-/// What a scene is made of: surfels, or 3D Gaussians (docs/method.md section 2). Whoever
-/// treats them differently asks their row below.
+/// Primitive of a scene: surfels or 3D Gaussians (docs/method.md section 2). kPrimitives
+/// lists the properties of each.
 enum class Primitive {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) name = number,
-    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // a value each
+    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // One enumerator per primitive.
 #undef RELIDAR_PRIMITIVE
 };
 
-/// Triangles that stand for one in a driver's tree: two that share the plane of a surfel,
-/// or twenty around an ellipsoid.
+/// Triangle mesh that represents a primitive in a driver's acceleration structure: two
+/// triangles in the plane of a surfel, or twenty triangles around an ellipsoid.
 enum class ProxyMesh { rectangle, icosahedron };
 
-/// A row of RELIDAR_PRIMITIVES, which says what each means.
+/// Properties of a primitive. RELIDAR_PRIMITIVES explains each field.
 struct PrimitiveKind {
     Primitive primitive;
     const char* name;
@@ -52,315 +53,358 @@ struct PrimitiveKind {
 inline constexpr std::array kPrimitives{
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     PrimitiveKind{Primitive::name, #name, label, third_scale, normals, ProxyMesh::proxy},
-    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // a row each
+    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // One row per primitive.
 #undef RELIDAR_PRIMITIVE
 };
-/// The row of a primitive.
+/// Returns the properties of a primitive.
 constexpr const PrimitiveKind& kind_of(Primitive primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
-/// How a surfel of an actor that walks takes part in its gait, at a phase of p turns
-/// (InstancePose::phase, docs/method.md M10):
+/// Motion of a surfel of a walking actor with the gait phase p, in turns
+/// (InstancePose::phase, docs/method.md M14):
+///
 ///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
-/// All zero: a surfel that is always there and rests.
+///
+/// If all fields are zero, the surfel is always visible and does not move.
 struct Gait {
-    float phase = 0.0f;      ///< turns: when it is most there, and where its mean is
-    float sharpness = 0.0f;  ///< 0: there at every phase
-    glm::vec3 swing{0.0f};   ///< [3] metres, model frame
+    float phase = 0.0f;  ///< Phase at which the surfel is most opaque and at its mean position, in turns.
+    /// Sharpness of the visibility over the gait phase; 0 = visible at every phase.
+    float sharpness = 0.0f;
+    glm::vec3 swing{0.0f};  ///< Amplitude of the motion: [3] metres, model frame.
 };
 
-/// Which parameters surfels have.
+/// Set of parameters that each surfel of a scene has.
 struct ParameterSet {
     Primitive primitive;
-    bool bends;  ///< a gait too
+    bool bends;  ///< True if surfels also have a gait.
     constexpr ParameterSet(Primitive p = Primitive::surfel, bool b = false) : primitive(p), bends(b) {}
     bool operator==(const ParameterSet&) const = default;
 };
 
-/// Surfels as they are stored and optimised (structure of arrays). All frames are the
-/// model's own.
+/// Surfel parameters as they are stored and optimised, as a structure of arrays. All
+/// parameters are in the frame of the surfel's model.
 struct Surfels {
-    std::vector<glm::vec3> mean;  ///< [n,3] metres
-    /// [n,4] quaternion w, x, y, z, unnormalised; columns of R: a_u, a_v, normal
+    std::vector<glm::vec3> mean;  ///< Centres, [n,3] metres.
+    /// Rotations, [n,4] quaternions w, x, y, z, unnormalised. The columns of the rotation
+    /// matrix R are a_u, a_v and the normal.
     std::vector<glm::vec4> rotation;
-    std::vector<glm::vec2> log_scale;  ///< [n,2] ln metres, standard deviations along a_u, a_v
-    std::vector<float> opacity_logit;  ///< [n]
-    std::vector<float> sh;  ///< [n,3,16] channel-major: value = 0.5 + basis(direction) . coefficients
-    /// [n] ln metres along the third axis of primitives with a third scale; empty for
-    /// others
+    std::vector<glm::vec2> log_scale;  ///< Standard deviations along a_u and a_v, [n,2] ln metres.
+    std::vector<float> opacity_logit;  ///< Logits of the opacities, [n].
+    /// SH coefficients, [n,3,16], channel-major: value = 0.5 + basis(direction) .
+    /// coefficients.
+    std::vector<float> sh;
+    /// Standard deviations along the third axis, [n] ln metres. Empty for primitives
+    /// without a third scale.
     std::vector<float> log_scale_w;
-    std::vector<Gait> gait;  ///< [n] where any of them bends; else empty
+    std::vector<Gait> gait;  ///< Gaits, [n] if any surfel bends; otherwise empty.
     Primitive primitive = Primitive::surfel;
-    bool bends = false;  ///< there is a gait
+    bool bends = false;  ///< True if the surfels have a gait.
 
     std::size_t size() const { return mean.size(); }
     ParameterSet parameters() const { return {primitive, bends}; }
     void resize(std::size_t n) { resize(n, parameters()); }
     void resize(std::size_t n, ParameterSet of);
-    void add_gait();  ///< in which they rest, where there is none
-    /// Appends the surfels of another set; an empty set takes its primitive. Where one of
-    /// the two has a gait, the other rests in it.
-    /// @throws DataError where the primitives differ
+    void add_gait();  ///< Adds a gait without motion to every surfel that has no gait.
+    /// Appends the surfels of another set. An empty set adopts the primitive of the other
+    /// set. If only one set has a gait, the surfels of the other set get a gait without
+    /// motion.
+    /// @throws DataError if the primitives differ
     void append(const Surfels& other);
-    /// Reorders: surfel i of the result is surfel order[i] of this set.
+    /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
     Surfels permuted(const std::vector<std::uint32_t>& order) const;
-    /// Surfels first ... first + count - 1 as a set of their own.
+    /// Returns a copy of surfels first ... first + count - 1.
     Surfels slice(std::size_t first, std::size_t count) const;
-    /// @throws DataError where the arrays disagree in length
+    /// Checks the lengths of all arrays.
+    /// @throws DataError if the lengths of the arrays disagree
     void check_shapes() const;
 };
 
-/// Makes another primitive of surfels. Where it has a third scale, that is `thickness`
-/// times the geometric mean of the two in the plane.
+/// Changes the primitive of surfels. If the new primitive has a third scale, it is set to
+/// `thickness` times the geometric mean of the two scales in the plane.
 void make_primitive(Surfels& surfels, Primitive primitive, double thickness);
 
-/// A contiguous range of a scene's surfels with a frame of its own.
+/// Contiguous range of the surfels of a scene that share one frame.
 struct Model {
-    std::string name;  ///< "background" or the track id
+    std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
-    /// of the box around the origin that its surfels belong in, model frame; 0 =
-    /// unbounded
+    /// Half size of the box around the origin that contains the model's surfels, model
+    /// frame; 0 = unbounded.
     glm::vec3 half_size_m{0.0f};
-    float stride_m = 0.0f;  ///< way of one turn of its gait (two steps of a person); 0: it is rigid
+    /// Distance walked in one turn of the gait (two steps of a person), metres; 0 = the
+    /// model is rigid.
+    float stride_m = 0.0f;
 };
 
-/// A model placed in the world. Instance 0 is the background with the identity pose.
+/// Placement of a model in the world. Instance 0 is the background with the identity
+/// pose.
 struct Instance {
     std::uint32_t model = 0;
-    std::string track;  ///< empty for the background
+    std::string track;  ///< Id of the track that moves the instance; empty for the background.
 };
 
-/// A part of a background that stays in its file until a sensor comes near: what was
-/// trained on one stretch of a street.
+/// Part of a background that stays in its file until a sensor comes near. It was trained
+/// on one section of a road.
 struct SceneBlock {
-    std::filesystem::path file;  ///< of save_model(): the surfels of its first model
-    std::uint32_t count = 0;     ///< of them
-    /// [3] corners of the box around them, three standard deviations of each included;
-    /// world
+    /// File written by save_model(); the block is the first model in the file.
+    std::filesystem::path file;
+    std::uint32_t count = 0;  ///< Number of surfels in the block.
+    /// Corners of the bounding box of the surfels, [3] metres, world frame. The box
+    /// includes three standard deviations of each surfel.
     glm::vec3 low_m{0.0f};
     glm::vec3 high_m{0.0f};
 
-    /// From a point of the world to the box; 0 inside.
+    /// Returns the distance from a point in the world frame to the box; 0 inside the box.
     double distance_m(const glm::dvec3& point_m) const {
         return glm::distance(point_m, glm::clamp(point_m, glm::dvec3(low_m), glm::dvec3(high_m)));
     }
 };
 
-/// Everything that can be rendered.
+/// Renderable scene: surfels, models, instances that place the models in the world, and
+/// drop probabilities of the sensor.
 struct Scene {
     Surfels surfels;
     std::vector<Model> models;
     std::vector<Instance> instances;
-    /// of the log's own LiDARs, a row a beam (Sequence::beam_number); empty where it was
-    /// not estimated
+    /// Drop probabilities of the log's LiDARs, one row per beam (Sequence::beam_number).
+    /// Empty if they were not estimated.
     DropTable sensor_drop;
-    /// of the background, beside the surfels of model 0; none: it is all in memory
+    /// Background blocks in files, in addition to the surfels of model 0. If there are no
+    /// blocks, the background is completely in memory.
     std::vector<SceneBlock> blocks = {};
 };
 
-/// Surfels of a scene, those of its blocks too.
+/// Returns the number of surfels of a scene, including the surfels of its blocks.
 std::size_t count_surfels(const Scene& scene);
 
-/// A scene and the log whose box tracks place its instances; an instance has the name of
-/// its track. Scans are not looked at.
+/// Scene with the log whose box tracks place its instances. An instance has the name of
+/// its track. The scans of the log are not used.
 struct DrivingScene {
     Scene scene;
     Sequence sequence;
 };
 
-/// A scene of one model, the background, with one instance.
+/// Returns a scene with one model, the background, and one instance.
 Scene make_background_scene(Surfels surfels);
-/// The scene with another background, which is put into kd order, and without blocks.
+/// Returns a copy of the scene with another background and without blocks. The new
+/// background is sorted in kd order.
 Scene with_background(const Scene& scene, const Surfels& background);
-/// Appends a model of another scene, with its surfels. @return its number
+/// Appends a model of another scene with its surfels.
+/// @return index of the new model
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
-/// The same scene with a model of its own for every instance: the surfels of a model
-/// placed n times are there n times.
+/// Returns the same scene with a separate model for every instance. The surfels of a
+/// model with n instances are copied n - 1 times.
 Scene own_models(Scene scene);
-/// Which instances some names mean: "background", "actors" (all others), or a track.
-/// @return [instances]
-/// @throws UsageError for a name that is none of them, naming the nearest
+/// Selects instances by name: "background", "actors" (all except the background), or a
+/// track id.
+/// @return [instances] true for each selected instance
+/// @throws UsageError for an unknown name; the message suggests the most similar name
 std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names);
 
-/// Direction in which spherical harmonics are evaluated.
+/// Direction in which spherical harmonics are evaluated: along each ray, or from the
+/// sensor to each surfel's mean.
 enum class ShDirection { ray, surfel };
 
-/// The constants of the image formation model, docs/method.md sections 2-3.
+/// Constants of the image formation model (docs/method.md sections 2-3).
 struct ImageModel {
-    float near_m = 0.2f;              ///< hits nearer than this are ignored
-    float alpha_min = 1.0f / 255.0f;  ///< a surfel contributing less is skipped
-    float alpha_max = 0.99f;          ///< alpha is clamped to this (gradient zero where clamped)
-    /// a surfel that would bring T under this is not blended and ends the ray
+    float near_m = 0.2f;              ///< Nearest range at which a surfel is hit, metres.
+    float alpha_min = 1.0f / 255.0f;  ///< Smallest alpha; surfels with a smaller alpha are skipped.
+    float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero where alpha is clamped.
+    /// Minimum transmittance T. A surfel that would reduce T below it is not blended and
+    /// ends the ray.
     float transmittance_min = 1e-4f;
-    int sh_degree = 3;  ///< active SH degree, 0..3
+    int sh_degree = 3;  ///< Active SH degree, 0..3.
     ShDirection sh_direction = ShDirection::ray;
-    /// hit logits are 0 and have no gradient: M6 is a sigmoid of the drop logit
-    /// (ablation)
+    /// If true, hit logits are 0 and have no gradient, so that M6 is a sigmoid of the
+    /// drop logit (ablation).
     bool single_drop_logit = false;
-    Primitive primitive = Primitive::surfel;  ///< what the scene is made of (ablation)
+    Primitive primitive = Primitive::surfel;  ///< Primitive of the scene (ablation).
     bool operator==(const ImageModel&) const = default;
 };
 
-/// What a labelled thing is, whatever its dataset calls it.
+/// Kind of a labelled object, independent of the class names of its dataset.
 enum class ObjectKind {
-    vehicle,  ///< on more than two wheels, or on rails; trailers too
-    cyclist,  ///< two-wheelers, with a rider or without, and riders
+    vehicle,  ///< Vehicle on more than two wheels or on rails, or a trailer.
+    cyclist,  ///< Two-wheeler with or without a rider, or a rider.
     person,
     other
 };
-/// Of a class of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes; `other` for a word
-/// that none of them has.
+/// Maps a class name of KITTI, KITTI-360, Waymo, Argoverse 2 or nuScenes to a kind.
+/// Returns `other` for an unknown name.
 ObjectKind object_kind(std::string_view category);
-/// "vehicle", "cyclist", "person", "other": what settings name them by.
+/// Returns the name of a kind as used in settings: "vehicle", "cyclist", "person" or
+/// "other".
 const char* name_of(ObjectKind kind);
 
-/// What becomes of what moves without a label: it belongs to the background; its points
-/// are left out, where other training frames see through them; or that, and what is seen
-/// long enough is an actor with a track of its own (discover_tracks()).
+/// Treatment of moving objects without a label. `background`: they are part of the
+/// background. `removed`: points that other training frames see through are left out.
+/// `actors`: like `removed`, and objects that are observed long enough become actors with
+/// a track (discover_tracks()).
 enum class UnlabelledMovers { background, removed, actors };
 
-/// How a scene is initialised from a log.
+/// Options for the initialisation of a scene from a log.
 struct InitialiseOptions {
-    double voxel_m = 0.15;  ///< points of all training frames are averaged per voxel
-    /// voxel edge grows by this share of the range to the nearest sensor position (0 =
-    /// paper)
+    /// Edge length of the voxels in which points of all training frames are averaged,
+    /// metres.
+    double voxel_m = 0.15;
+    /// Growth of the voxel edge with the distance to the nearest sensor position, as a
+    /// share of that distance (0 = paper).
     double voxel_growth = 0.0;
-    /// surfel normals from the k nearest neighbours; false = random orientation
-    /// (ablation)
+    /// If true, surfel normals come from the k nearest neighbours; otherwise orientations
+    /// are random (ablation).
     bool normals = true;
     int normal_neighbours = 6;
-    /// points are a surface where their variance across it is less than this share of the
-    /// smaller one within; discs of others (leaves, wires, corners) face the sensor
-    /// instead of following their points, and those of surfaces lie on the plane of their
-    /// neighbours; 1 = all follow their points as they are (paper)
+    /// Flatness threshold: a point lies on a surface if the variance of its neighbours
+    /// across the surface is less than this share of the smaller variance within the
+    /// surface. Discs on a surface are moved onto the plane of their neighbours. Other
+    /// discs (leaves, wires, corners) face the sensor. With 1, all discs keep the
+    /// position and normal of their points (paper).
     double flatness = 1.0;
     double opacity = 0.1;
-    /// hit logit less drop logit of new surfels, whose mean is 0.5: a surface starts at a
-    /// ray-drop probability of 1 / (1 + exp(it)) (M6)
+    /// Hit logit minus drop logit of new surfels; the mean of the two logits is 0.5. A
+    /// surface starts with a drop probability of 1 / (1 + exp(hit_margin)) (M6).
     double hit_margin = 1.0;
-    /// hit logits start at 0 and drop logits at their difference
-    /// (ImageModel::single_drop_logit)
+    /// If true, hit logits start at 0 and drop logits at the negative hit_margin
+    /// (ImageModel::single_drop_logit).
     bool one_logit = false;
-    double max_scale_m = 1000.0;  ///< initial standard deviations are clamped to this, but across gaps
-    double scale_factor = 1.0;    ///< times the mean distance to the 3 nearest neighbours
-    /// a disc on a surface reaches across the gap to the next scan lines, up to so wide a
-    /// one, where that is far wider than the distance to its neighbours on its own line;
-    /// 0 = discs are round (paper)
+    /// Upper bound of the initial standard deviations, metres. Does not limit discs that
+    /// reach across gaps (max_gap_m).
+    double max_scale_m = 1000.0;
+    /// Initial standard deviation, relative to the mean distance to the 3 nearest
+    /// neighbours.
+    double scale_factor = 1.0;
+    /// Largest gap between scan lines that discs on a surface may cover, metres. A disc
+    /// covers a gap if the gap is much wider than the distance between points on its own
+    /// scan line. 0 = discs are round (paper).
     double max_gap_m = 0.0;
-    /// 3D Gaussians: along the normal over in the plane; 1 = spheres, as 3D Gaussian
-    /// splatting starts
+    /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
+    /// plane. 1 = spheres, as in 3D Gaussian splatting.
     double thickness = 1.0;
-    bool second_returns = false;  ///< second returns of the log are points too
-    UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;  ///< (paper)
-    /// comma-separated kinds (object_kind()) or classes of moving boxes that become
-    /// actors of their own; all = every class, empty = none
+    bool second_returns = false;  ///< If true, second returns of the log also become surfels.
+    /// Treatment of moving objects without a label; the default is the paper's.
+    UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;
+    /// Comma-separated kinds (object_kind()) or classes of the moving boxes that become
+    /// actors; all = every class, empty = none.
     std::string actor_classes = "all";
-    /// moving boxes of other classes are left out; false = they belong to the background
-    /// (paper)
+    /// If true, moving boxes of other classes are excluded from training. If false, they
+    /// belong to the background (paper).
     bool mask_others = true;
-    /// comma-separated tracks that do, whatever their class and motion; empty = by class
+    /// Comma-separated track ids that become actors, regardless of class and motion;
+    /// empty = select by class.
     std::string actor_tracks;
-    /// the same of those that follow a gait where their points show one; empty = none
-    /// (paper)
+    /// Comma-separated kinds or classes of the actors that may get a walking gait, if
+    /// their points show one; empty = none (paper).
     std::string deform = "person,cyclist";
-    int actor_points = 8000;  ///< an actor has at most so many surfels
-    /// an actor with fewer is filled up with random points of its box; 0 = not (paper:
-    /// 8000)
+    int actor_points = 8000;  ///< Maximum number of surfels per actor.
+    /// Number of surfels up to which smaller actors are filled with random points in
+    /// their box; 0 = off (paper: 8000).
     int actor_pad_to = 0;
-    int actor_min_points = 20;  ///< a box with fewer points is masked instead
-    std::uint64_t seed = 1;     ///< of random orientations and points; a training takes train.seed
+    /// Minimum number of points in a box that becomes an actor. A box with fewer points
+    /// is masked.
+    int actor_min_points = 20;
+    std::uint64_t seed = 1;  ///< Seed for random orientations and points. Training uses train.seed.
     bool operator==(const InitialiseOptions&) const = default;
 };
 
-/// Where an instance is, or that it is absent.
+/// Pose of an instance, or its absence.
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
-    double time_s = 0.0;  ///< place_instances: the time at which its track is at world_from_model
-    double phase = 0.0;   ///< turns of its model's gait
-    PoseMotion motion{};  ///< during the sweep, about world_from_model
+    double time_s = 0.0;  ///< Time at which the track is at world_from_model; set by place_instances().
+    double phase = 0.0;   ///< Phase of the model's gait, in turns.
+    PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
 };
 
-/// What moves without a label: returns of training frames, within 40 m, that others see
-/// through, linked and placed as upright boxes of one size, x along a smooth path; seen
-/// in 6 frames, 0.6 m and 0.9 of its size far, no part of the sensor's vehicle. A size is
-/// a guess (size_guess) where one side was seen. What a label follows for a while is that
-/// box, its id, class and size, with more poses (n_before, n_after), to stand in its
-/// place; others are mover-0, mover-1, ... The same in all processes of a group. Each
-/// LiDAR is asked by itself: of a mover that several have seen the first one's track,
-/// unless another saw it half as long again.
+/// Finds moving objects without a label. Groups returns of training frames, within 40 m,
+/// that other frames see through. Links the groups over time and fits upright boxes of
+/// constant size, with x along a smooth path. A box is kept if it is seen in 6 frames,
+/// moves 0.6 m and 0.9 of its size, and is not part of the sensor's vehicle. If only one
+/// side was seen, the box size is a guess (size_guess).
+///
+/// If a moving object has a label for part of the time, the result is the labelled box
+/// with its id, class and size. It has additional poses before and after the labels
+/// (n_before, n_after) and replaces the labelled box. Other boxes are named mover-0,
+/// mover-1, ... All processes of a group get the same result. Each LiDAR is processed
+/// separately. If several LiDARs saw an object, the first track is kept, unless another
+/// track is more than 1.5 times as long.
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress = {}, const ProcessGroup& group = {});
 
-/// Boxes whose points and rays are not the background's: those that move
-/// (BoxTrack::moves), and the tracks asked for.
-/// @throws DataError for a box without a size or with a pose that is not finite,
-/// UsageError for an unknown track
+/// Returns the boxes whose points and rays do not belong to the background: boxes that
+/// move (BoxTrack::moves) and the tracks listed in actor_tracks.
+/// @throws DataError for a box without a size or with a pose that is not finite
+/// @throws UsageError for an unknown track
 std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options);
 
-/// Background surfels from the training frames of a log, in the recentred world. Order:
-/// kd (recursive object median along the longest axis), which software BVH builders
-/// without sorting need.
-/// @throws DataError where no training frame has a usable point
+/// Creates the background surfels from the training frames of a log, in the recentred
+/// world frame. The surfels are in kd order (recursive object median along the longest
+/// axis), because software BVH builders without sorting need it.
+/// @throws DataError if no training frame has a usable point
 Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions,
                               const InitialiseOptions& options, const Progress& progress = {});
 
-/// The background and one model and instance for every moving box of the wanted classes,
-/// or for the wanted tracks, in the frame of the box (Eq. 4-5). Points that lie in two
-/// boxes go into both models. Points come from training frames only. @throws DataError as
-/// initialise_background
-/// @param notes  output: which actors of InitialiseOptions::deform are rigid all the
-/// same, and why
+/// Creates the background, and one model and instance per actor, in the frame of the
+/// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the
+/// selected tracks. A point that lies in two boxes belongs to both models. Uses points of
+/// training frames only.
+/// @param notes output: each actor of InitialiseOptions::deform, with its stride or the
+/// reason why it is rigid
+/// @throws DataError as initialise_background()
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions,
                        const InitialiseOptions& options, const Progress& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
-/// Boxes that separate_boxes() leaves out of the background and no instance stands for:
-/// of an unwanted class, or with too few points. Their rays teach nothing and their
-/// returns are missing from what is rendered.
+/// Returns the boxes that separate_boxes() removes from the background but that have no
+/// instance: their class is not selected, or they have too few points. Rays through these
+/// boxes are not used in training, and renderings lack their returns.
 std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
                                    const InitialiseOptions& options);
-/// The same before there is a scene: those of unwanted classes alone.
+/// Returns the boxes of separate_boxes() whose class or track is not selected as an
+/// actor. Does not need a scene.
 std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options);
-/// Their tracks and classes in a few words, at most eight of them by name: "3
-/// (Pedestrian), 7 (Tram)".
+/// Lists tracks and classes of boxes, at most eight by name: "3 (Pedestrian), 7 (Tram)".
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
-/// Poses and motions of all instances in a sweep (pose_in_sweep()). A box is absent
-/// outside its first and last label.
+/// Computes poses and motions of all instances in a sweep (pose_in_sweep()). A box is
+/// absent before its first and after its last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep);
 
-/// Where actors are, by their tracks' names: centres of their boxes (relidar's world),
-/// taken as PoseTrack::at. Others are absent.
+/// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
+/// like PoseTrack::at(). Other actors are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
-/// The same with the actors where the caller has them. The sequence says how the sensor
-/// turns and where it is.
-/// @throws UsageError for a name that no instance has, naming the nearest
+/// Computes poses and motions of all instances from the caller's actor tracks. The
+/// sequence provides the motion and pose of the sensor.
+/// @throws UsageError for a name that no instance has; the message suggests the most
+/// similar name
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep, const ActorPoses& world_from_actor);
-/// All surfels of a scene at one moment, in the world: actors where they stand, bent as
-/// they walk then, their harmonics turned with them; absent ones are left out. @param
-/// placed [instances] @throws DataError for another number of poses
+/// Returns all surfels of a scene at one time, in the world frame. Actors are moved to
+/// their poses, bent to their gait phase, and their harmonics are rotated. Absent actors
+/// are left out.
+/// @param placed [instances] pose of each instance
+/// @throws DataError if the number of poses is wrong
 Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
 
-/// Recursive object-median order of points along the longest axis, split at (first +
+/// Sorts points by recursive object median along the longest axis, split at (first +
 /// last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
 
-/// Where training's extent-relative settings come from, metres: of an actor 4 x the
-/// diagonal of its box, else 3 x the 90th percentile of 2 |p - centre| over the model's
-/// surfels; 1 where it has none.
+/// Returns the extent of a model in metres; training multiplies extent-relative settings
+/// by it. For an actor it is 4 x the diagonal of its box. Otherwise it is 3 x the 90th
+/// percentile of 2 |p - centre| over the model's surfels. A model without surfels has
+/// extent 1.
 double model_extent(const Scene& scene, std::size_t model);
-/// The same of a box. @param half_size_m [3]
+/// Returns the extent of a box, 4 x its diagonal, as model_extent() does.
+/// @param half_size_m [3] half size of the box, metres
 double box_extent(const glm::vec3& half_size_m);
-/// The same of the background.
+/// Returns the extent of the background, as model_extent() does.
 double background_extent(const Scene& scene);
 
-/// Models, instances, blocks and sensor-level ray-drop of a scene, without its surfels.
+/// Returns models, instances, blocks and sensor drop probabilities of a scene, without
+/// its surfels.
 Scene layout_of(const Scene& scene);
 
 }  // namespace relidar

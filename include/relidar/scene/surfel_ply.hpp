@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels as a PLY file in the layout of 3D Gaussian splatting.
+// Reads and writes surfels as PLY files in the layout of 3D Gaussian splatting.
 #pragma once
 
 #include <filesystem>
@@ -12,23 +12,34 @@ struct Scene;
 struct Surfels;
 enum class Primitive;
 
-/// All surfels of a scene as PLY in the layout of 3D Gaussian splatting, every property a
-/// little-endian float:
-///   x y z, nx ny nz (the surfel's normal), f_dc_0..2, f_rest_0..44 (intensity in all three colours: value = 0.5 + basis . coefficients,
-///   f_rest_{15 c + k - 1} = coefficient k of colour c), opacity (logit), scale_0..2 (ln metres; the third, across a surfel, ln 1e-4),
-///   rot_0..3 (w x y z), then what the layout has no place for: hit_0..15 and drop_0..15 (coefficients of the two logits), model (index).
-/// Positions are in the frame of each surfel's model: actors stand at the origin. @throws
-/// DataError as for write_atomically
+/// Writes all surfels of a scene as PLY in the layout of 3D Gaussian splatting. Every
+/// property is a little-endian float:
+///
+///   x y z                 position
+///   nx ny nz              normal of the surfel
+///   f_dc_0..2             first coefficient of the three colours; all hold the intensity
+///   f_rest_0..44          f_rest_{15 c + k - 1} = coefficient k of colour c;
+///                         value = 0.5 + basis . coefficients
+///   opacity               logit
+///   scale_0..2            ln metres; the third, across a surfel, is ln 1e-4
+///   rot_0..3              quaternion w x y z
+///   hit_0..15, drop_0..15 coefficients of the two logits; not part of the original layout
+///   model                 index of the model; not part of the original layout
+///
+/// Positions are in the frame of the surfel's model, so actors are at the origin.
+/// @throws DataError for the reasons listed at write_atomically()
 void write_surfel_ply(const std::filesystem::path& path, const Scene& scene);
-/// The same of surfels that are in one frame, as freeze() makes them: without `model`, so
-/// that nobody takes them for a scene that can be read back. @param notes  comments
+/// Writes surfels that share one frame, for example from freeze(). Omits the property
+/// `model`, so that nobody mistakes the file for a scene that can be read back.
+/// @param notes comments in the file header
 void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels, const FileNotes& notes);
-/// Reads it back: bit-equal surfels, grouped by model, with the models, instances and
-/// sensor-level ray-drop of `layout`. Properties may come in any order and others may be
-/// there; nx ny nz, scale_2 of surfels and the second and third colour are not read.
-/// @param primitive  of the surfels in the file; not given: surfels
+/// Reads a scene written by write_surfel_ply(). The surfels are bit-equal and grouped by
+/// model. Models, instances and sensor drop probabilities come from `layout`. Properties
+/// may have any order, and additional properties are allowed. Ignores nx ny nz, scale_2
+/// of surfels, and the second and third colour.
+/// @param primitive primitive of the file; default: surfels
 /// @throws DataError for text or big-endian files, missing properties, sizes that do not
-/// match, values that are not finite
+/// match, or values that are not finite
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive = {});
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surfels and placed models on a device, as tracing kernels read them (docs/method.md
-// section 4).
+// Surfel records, models and instances on a device, as tracing kernels read them
+// (docs/method.md section 4).
 #ifndef RELIDAR_INCLUDED_SCENE_SURFELS_H
 #define RELIDAR_INCLUDED_SCENE_SURFELS_H
 #include "relidar/base/lang.h"
@@ -10,50 +10,50 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_SH_COEFFICIENTS 16
 #define RELIDAR_SH_FLOATS 48
 
-/// One surfel in its model's own frame, activated: 64 bytes, one cache line a hit.
-/// Never-hit surfels have opacity 0.
+/// Activated surfel in the frame of its model. It has 64 bytes, so that a hit reads
+/// one cache line. Surfels that cannot be hit have opacity 0.
 struct SurfelRecord {
-    vec3 mean;        // m
-    float opacity;    // sigma, 0..1
-    vec3 axis_u;      // a_u / s_u, 1/m
-    float intensity;  // channel values where SH are evaluated once a surfel
-    vec3 axis_v;      // a_v / s_v, 1/m
+    vec3 mean;        // Centre, metres.
+    float opacity;    // Opacity sigma, 0..1.
+    vec3 axis_u;      // First axis divided by its standard deviation, a_u / s_u, 1/m.
+    float intensity;  // Intensity; this and the two logits are used if SH are evaluated once per surfel.
+    vec3 axis_v;      // Second axis divided by its standard deviation, a_v / s_v, 1/m.
     float hit_logit;
-    vec3 normal;  // unit; of 3D Gaussians a_w / s_w, 1/m
+    vec3 normal;  // Unit normal of a surfel; a_w / s_w in 1/m for 3D Gaussians.
     float drop_logit;
 };
 RELIDAR_POINTER(Records, SurfelRecord);
 
-/// A model: a range of the scene's surfels. The table of models is in the order of their
-/// ranges, which hold all surfels.
+/// Model: a range of the surfels of a scene. The table of models is in the order of these
+/// ranges, which together contain all surfels.
 struct ModelEntry {
     uint first_surfel;
     uint n_surfels;
-    vec3 half_size;       // of its box, m; 0 = unbounded
-    float half_diagonal;  // length of half_size
-    uint first_more;      // entry of more_rows of its second placement
-    uint n_more;          // placements after the first one
+    vec3 half_size;       // Half size of the model's box, metres; 0 = unbounded.
+    float half_diagonal;  // Length of half_size.
+    uint first_more;      // Index in more_rows of the model's second instance.
+    uint n_more;          // Number of instances after the first one.
 };
 RELIDAR_POINTER(Models, ModelEntry);
 
-/// A model placed in the world.
+/// Instance: placement of a model in the world.
 struct InstanceEntry {
-    vec4 row0;  // model_from_world, rows of a 3x4 matrix
+    vec4 row0;  // First row of the 3x4 matrix model_from_world.
     vec4 row1;
     vec4 row2;
-    uint first_surfel;  // of the model, in the scene's surfel arrays
+    uint first_surfel;  // First surfel of the model in the surfel arrays of the scene.
     uint n_surfels;
-    // of its record gradients: a model's first placement has those of its surfels, others
-    // follow after all surfels
+    // First row of the instance's record gradients. The first instance of a model uses
+    // the rows of its surfels. The rows of further instances follow after all surfels.
     uint first_row;
-    uint moves;  // 1: what follows is not zero
-    // How the model moves during the sweep, in its own axes (docs/method.md section 4). A
-    // ray that is fired at time t meets the model clamp(t - middle_s, -half_span_s,
-    // half_span_s) after it was at model_from_world. 96 bytes: a row is loaded in pieces
-    // of 16.
-    vec3 velocity;   // m/s
-    float middle_s;  // from the sweep's reference time
-    vec3 turn_rate;  // rotation vector per second
+    uint moves;  // 1 if the motion below is not zero.
+    // Motion of the model during the sweep, in the axes of the model (docs/method.md
+    // section 4). A ray fired at time t meets the model at its position clamp(t -
+    // middle_s, -half_span_s, half_span_s) after model_from_world. The struct has 96
+    // bytes, because kernels load it in 16-byte pieces.
+    vec3 velocity;   // Velocity, m/s.
+    float middle_s;  // Middle of the motion, in seconds after the reference time of the sweep.
+    vec3 turn_rate;  // Turn rate: rotation vector per second.
     float half_span_s;
 };
 RELIDAR_POINTER(Instances, InstanceEntry);

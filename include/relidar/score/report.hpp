@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A self-contained HTML page about a training or an evaluation.
+// Writes a self-contained HTML report about a training or an evaluation.
 #pragma once
 
 #include <filesystem>
@@ -14,71 +14,76 @@
 
 namespace relidar {
 
-/// One picture row of the report: real, rendered, error.
+/// A row of images in the report: real, rendered, error.
 struct ReportFigure {
     std::string title;
-    std::vector<std::pair<std::string, Image>> images;  ///< caption, picture
+    std::vector<std::pair<std::string, Image>> images;  ///< caption and image
 };
 struct ReportCurve {
-    /// curves whose names share the part before '/' ("loss/total", "loss/depth") share a
-    /// chart
+    /// Name of the curve. Curves with the same part before '/' share a chart, for example
+    /// "loss/total" and "loss/depth".
     std::string name;
     std::vector<double> x, y;
 };
-/// Points of a scan in a view of the report.
+/// A point cloud in a 3D view of the report.
 struct ReportCloud {
-    std::string name;  ///< "real"
-    /// [n] about the sensor: x forward, y left, z up; those beyond 300 m are left out
+    std::string name;  ///< name, for example "real"
+    /// [n] in the sensor frame: x forward, y left, z up. Points beyond 300 m are left
+    /// out.
     std::vector<glm::vec3> position_m;
     std::vector<float> intensity;  ///< [n] 0..1
-    std::vector<float> error_m;    ///< [n] of the range, NaN where it is not known
+    std::vector<float> error_m;    ///< [n] range error; NaN if unknown
 };
-/// Clouds side by side that the reader turns together. Of large ones every n-th point is
-/// kept, so that a page has at most 8 MB.
+/// Point clouds side by side; the reader rotates all of them together. Large clouds are
+/// subsampled so that the page has at most 8 MB.
 struct ReportView {
     std::string title;
     std::vector<ReportCloud> clouds;
 };
-/// How something is spread over bands: a row a class, all its shares together 1.
+/// A chart of stacked bars: each row shows fractions that sum to 1.
 struct ReportBars {
     struct Row {
-        std::string name;           ///< "0 to 10 m"
-        double count = 0.0;         ///< of what the shares are of; a row without is left out
-        std::vector<double> share;  ///< [bands] 0..1
+        std::string name;           ///< name, for example "0 to 10 m"
+        double count = 0.0;         ///< number of samples; a row with 0 is left out
+        std::vector<double> share;  ///< [bands] fractions, 0..1
     };
     std::string title;
-    std::string note;                ///< one line
-    std::vector<std::string> bands;  ///< at most 5, from good to bad
+    std::string note;                ///< a line of explanation
+    std::vector<std::string> bands;  ///< names of at most 5 bands, from good to bad
     std::vector<Row> rows;
 };
-/// A metric that matters most, as a person calls it.
+/// An important metric, with a name for readers.
 struct ReportKeyMetric {
-    std::string metric;  ///< "strict/depth_medae_m"
-    std::string name;    ///< "Typical range error, m"
-    std::string hint;    ///< one line: what it says
+    std::string metric;  ///< name of the metric, for example "strict/depth_medae_m"
+    std::string name;    ///< name in the report, for example "Typical range error, m"
+    std::string hint;    ///< a line that explains the metric
 };
-/// A self-contained HTML page: no file or network beside it. First what a person wants to
-/// see: summary, views, figures, curves, bars, key metrics; everything else is folded. It
-/// holds script where there are views, and only then.
+/// Contents of a self-contained HTML page, which needs no other file and no network. The
+/// summary, views, figures, curves, bars and key metrics come first; all other parts are
+/// collapsed. The page has a script only if it has views.
 struct Report {
     std::string title;
-    std::string summary;  ///< one sentence: what, how good, how long
+    std::string summary;  ///< a sentence: what was done, the quality and the duration
     std::vector<ReportView> views;
     std::vector<ReportBars> bars;
-    std::vector<ReportKeyMetric> key_metrics;  ///< those that no column of metrics has are left out
+    /// metrics that are in no column of `metrics` are left out
+    std::vector<ReportKeyMetric> key_metrics;
     std::vector<std::pair<std::string, std::string>> facts;  ///< device, sizes, times
-    std::vector<ReportCurve> curves;  ///< log scale where positive and spanning more than 4x
-    /// the columns of metrics are scores of the same scans; false: none is better than
-    /// another
+    /// curves; the scale is logarithmic if all values are positive and span more than a
+    /// factor of 4
+    std::vector<ReportCurve> curves;
+    /// true: all columns of `metrics` score the same scans. false: the page does not mark
+    /// the best column.
     bool same_scans = true;
-    /// column title -> values, grouped by the part before '/'
+    /// title of the column and its values, which are grouped by the part before '/'
     std::vector<std::pair<std::string, MetricRow>> metrics;
-    /// table title -> kernel -> ms; shares of "total" or the sum
+    /// title of the table and the milliseconds of each kernel; percentages refer to
+    /// "total" or to the sum
     std::vector<std::pair<std::string, MetricRow>> timings_ms;
     std::vector<ReportFigure> figures;
 };
-/// Writes the page. @throws DataError where x and y of a curve differ in length, as for
-/// write_atomically
+/// Writes the report as an HTML page.
+/// @throws DataError if x and y of a curve differ in length, and like write_atomically()
 void write_report(const std::filesystem::path& path, const Report& report);
 
 }  // namespace relidar

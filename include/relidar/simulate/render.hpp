@@ -183,7 +183,7 @@ struct SensorChoice {
     /// measure what is there
     std::vector<Beam> beams = {};
     /// of one that does not spin: when it faces what; without `rays`, those of each scan
-    std::optional<FixedPattern> pattern = {};
+    std::optional<SensorPattern> pattern = {};
     RangeLimits limits = {};  ///< of measured ranges
     std::string name = "";
     int lidar = 0;  ///< of the log, which it is or in whose place it stands

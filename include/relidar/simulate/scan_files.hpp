@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rendered scans as files other tools open, each with what its format can carry of where,
-// when and by what it was made.
+// Writes rendered scans to files for other tools. Each file also stores the pose, the
+// time, the sensor and the run, as far as its format allows.
 #pragma once
 
 #include <cstdint>
@@ -28,80 +28,100 @@ struct RenderedScan;
 struct Run;
 struct SensorChoice;
 
-/// Names of the formats: extensions of a scan's files, and recordings of all scans, mcap
-/// and rosbag.
+/// Returns the names of all formats: the file extensions for single scans, and the
+/// recordings `mcap` and `rosbag`.
 std::vector<std::string> scan_formats();
-/// Whether a format is one file of all scans, which one process writes.
+/// Returns true if a format stores all scans in a single file. Only one process can write
+/// such a file.
 bool is_recording(const std::string& format);
 
-/// Frame of reference of points, and of the rays in npz and exr.
+/// Coordinate frame of points, and of the rays in npz and exr files.
 enum class PointFrame { sensor, world };
 
-/// What is written, and what the files say of themselves.
+/// Options for writing scans, and the metadata that the files contain.
 struct ScanFormat {
-    std::vector<std::string> formats{"npz"};  ///< of scan_formats()
+    std::vector<std::string> formats{"npz"};  ///< names of formats, see scan_formats()
     PointFrame frame = PointFrame::sensor;
-    /// sensor frame: of the scan's reference time for all rays, instead of each ray's
-    /// firing time
+    /// Only for the sensor frame. true: all points use the sensor frame at the scan's
+    /// reference time. false: each point uses the sensor frame at its ray's firing time.
     bool deskew = false;
-    std::vector<std::string> instance_names;  ///< "background" or the track, by instance
-    std::vector<std::string> only;            ///< what was rendered alone; empty: everything
-    std::optional<std::uint64_t> sample;      ///< seed of a sampled scan; none: the likeliest
+    std::vector<std::string> instance_names;  ///< names by instance: "background" or the track
+    std::vector<std::string> only;        ///< tracks that were rendered alone; empty: everything was rendered
+    std::optional<std::uint64_t> sample;  ///< random seed of a sampled scan; empty: the most likely scan
     Weather weather = {};
-    std::string run;  ///< its folder
+    std::string run;  ///< folder of the run
     std::string sensor;
     RangeLimits limits;
-    Pose offset;  ///< of the simulated sensor in the log's sensor frame, or in that of its trajectory
-    Pose vehicle_from_lidar;  ///< where the log's sensor is mounted: recordings have the vehicle, too
-    /// of the scans, see has_rolling_shutter(): rays are fired at their own times
+    Pose offset;  ///< pose of the simulated sensor in the frame of the log's sensor or of its trajectory
+    /// mounting of the log's sensor, because recordings also contain the vehicle frame
+    Pose vehicle_from_lidar;
+    /// Rays are fired at different times. See has_rolling_shutter().
     bool rolling_shutter = true;
-    /// of the sensor's clouds in recordings; names of others of its topics begin with it
+    /// Topic of the sensor's point clouds in recordings. The names of its other topics
+    /// begin with this topic.
     std::string topic = "/lidar/points";
-    std::string frame_id = "lidar";  ///< of the sensor in recordings
-    std::vector<BoxTrack> actors;    ///< where they are: boxes of recordings; relidar's world
-    glm::dvec3 world_offset_m{0.0};  ///< Sequence::world_offset_m
-    std::string trajectory;          ///< file it was driven by; empty: it went along with the log's sensor
+    std::string frame_id = "lidar";  ///< frame id of the sensor in recordings
+    /// tracks of the actors in relidar's world frame; written as boxes in recordings
+    std::vector<BoxTrack> actors;
+    glm::dvec3 world_offset_m{0.0};  ///< see Sequence::world_offset_m
+    /// trajectory file that moved the sensor; empty: it followed the log's sensor
+    std::string trajectory;
     Config config;
 };
-/// Of a run by a sensor where the log's own one was: npz, in the sensor's frame.
+/// Returns the default format for scans of a run: npz in the sensor frame, with the
+/// sensor at the poses of the log's sensor.
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
-/// Whether all points of a scan are in one frame: that of the world, or the sensor's at
-/// the scan's time (recordings: at the stamp), because they are brought there or because
-/// all rays are fired at that time.
+/// Returns true if all points of a scan share one frame. This is the world frame, or the
+/// sensor frame at the scan's time (in recordings: at the stamp). It is true if the
+/// points are converted or if all rays are fired at that time.
 bool is_deskewed(const ScanFormat& format);
-/// Gives a sensor the names that recordings have it by: topic /lidar/NAME/points, of
-/// topic_word(NAME), and the frame NAME; of an empty name /lidar/points and lidar. @param
-/// name  of the log's LiDAR or of a rig's sensor
+/// Sets the topic and the frame id of a sensor in recordings. The topic is
+/// /lidar/NAME/points, with topic_word(NAME), and the frame id is NAME. An empty name
+/// gives /lidar/points and lidar.
+/// @param name  name of the log's LiDAR or of the rig's sensor
 void name_in_recordings(ScanFormat& format, const std::string& name);
-/// A name as a word of a topic: what topics cannot have is _.
+/// Converts a name to a word of a topic. Characters that topics do not allow become _.
 std::string topic_word(const std::string& name);
 
-/// Scans of one sensor, or of those of a rig that scan together, in one file for each
-/// kind that formats name, which appears when it is finished:
-///   mcap    scans.mcap for Foxglove: foxglove.PointCloud (x y z intensity time instance ring return, channels) on each sensor's topic, /tf
-///           and /tf_static foxglove.FrameTransforms, /actors foxglove.SceneUpdate with a box each
-///   rosbag  rosbag.mcap, a bag of ROS 2: on each sensor's topic sensor_msgs/PointCloud2 (x y z intensity time ring, channels), on
-///           TOPIC_xyzircaedt the same with Autoware's point type, in the sensor's frame alone; /tf, /tf_static, /odom nav_msgs/Odometry,
-///           /clock; /actors vision_msgs/Detection3DArray, /actors_autoware autoware_perception_msgs/TrackedObjects
-/// Frames are world -> base_link, the log's vehicle, on /tf, every 10 ms of a sweep and
-/// wherever its path has a pose; and base_link -> each sensor on /tf_static. A cloud's
-/// stamp is that of its first ray, times of points count from there. A point in the
-/// sensor's frame at its own time comes to the world by the transforms of that time; with
-/// ScanFormat::deskew by those of the stamp. Each box on /actors has the time at which
-/// the sensor faces it, those on /actors_autoware that of the cloud, with velocities. A
-/// scan is logged when its last ray is fired, behind the transforms that it needs.
+/// Writes recordings: a file for each recording format, with all scans of a sensor or
+/// of the sensors of a rig. A file gets its final name when it is finished.
+///   mcap    scans.mcap, for Foxglove
+///     topic of each sensor  foxglove.PointCloud (x y z intensity time instance ring
+///                           return, channels)
+///     /tf, /tf_static       foxglove.FrameTransforms
+///     /actors               foxglove.SceneUpdate with a box for each actor
+///   rosbag  rosbag.mcap, a bag of ROS 2
+///     topic of each sensor  sensor_msgs/PointCloud2 (x y z intensity time ring, channels)
+///     TOPIC_xyzircaedt      the same with Autoware's point type; only in the sensor frame
+///     /tf, /tf_static, /clock
+///     /odom                 nav_msgs/Odometry
+///     /actors               vision_msgs/Detection3DArray
+///     /actors_autoware      autoware_perception_msgs/TrackedObjects
+/// Transforms: world -> base_link (the log's vehicle) on /tf, every 10 ms of a sweep and
+/// at every pose of its path; base_link -> each sensor on /tf_static.
+///
+/// Times: the stamp of a cloud is the time of its first ray, and the times of points are
+/// relative to it. A point in the sensor frame at its own time is converted to the world
+/// by the transforms of that time, or, with ScanFormat::deskew, by the transforms of the
+/// stamp. Each box on /actors has the time at which the sensor faces it. Boxes on
+/// /actors_autoware have the time of the cloud, and velocities. A scan is logged at the
+/// time of its last ray, after the transforms that it needs.
 class ScanRecordings {
 public:
-    /// Removes an earlier rendering from the folder, which is there.
-    /// @param sensors  one at least; what all of them share is that of the first
-    /// @throws UsageError for names that two topics or frames share, or that ROS does not
-    /// take; DataError as write_atomically()
+    /// Creates the recordings in an existing folder. Removes the files of an earlier
+    /// rendering from it.
+    /// @param sensors  formats of the sensors, at least one; settings common to all
+    /// sensors are read from the first
+    /// @throws UsageError if two topics or frames have the same name, or if ROS does not
+    /// allow a name
+    /// @throws DataError like write_atomically()
     ScanRecordings(std::filesystem::path folder, std::vector<ScanFormat> sensors);
-    /// @param scans  one of each sensor, taken together @throws DataError for times that
-    /// fall or that a file cannot have
+    /// Appends the scans of a sweep to the recordings.
+    /// @param scans  a scan for each sensor, all of the same sweep
+    /// @throws DataError if times decrease or a file cannot store them
     void write(std::span<const RenderedScan> scans);
     void finish();
-    /// Of the files.
+    /// Returns the names of the files.
     std::vector<std::string> names() const;
 
 private:
@@ -109,39 +129,50 @@ private:
     std::shared_ptr<Impl> impl_;
 };
 
-/// Scans of one sensor written one by one into a folder, and scans.json, which says what
-/// they are. Files of one scan are FOLDER/frame_000123.<format>:
-///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns], instance [rows,columns] int32, -1 where nothing was
-///        met, and instance_names [instances] its meaning, texts; directions, origin [rows,columns,3];
-///        with sensor.returns = 2 range_2, intensity_2 [rows,columns], 0 where there is no second return, and in weather source_2;
-///        each of RenderedScan::channels by its name, [rows,columns] or of vectors [rows,columns,3];
-///        unseen, RenderedScan::unseen_share where it is known;
-///        pose [4,4] world_from_sensor at time_s; time_s, frame_number, frame, deskewed, sensor, run, units
-///   exr  the images as float channels, notes as string attributes
-///   png  range, intensity, drop probability as one picture, notes as text
-///   ply, pcd, bin  points of returned rays (drop_prob < 0.5); ply and pcd with ring, time and instance,
-///        with second returns return, 1 or 2, and with the scan's channels, see write_ply(); notes as comments
-/// and of all scans together, when the last one is written, the recordings: see
-/// ScanRecordings.
+/// Writes the scans of a sensor to a folder one by one, and a summary file scans.json.
+/// The files of a scan are FOLDER/frame_000123.<format>:
+///   npz  range, median_range, intensity, drop_prob, weight, time, ring [rows,columns];
+///        instance [rows,columns] int32, -1 if nothing was hit;
+///        instance_names [instances], the names of the instances;
+///        directions, origin [rows,columns,3];
+///        with sensor.returns = 2: range_2, intensity_2 [rows,columns], 0 if there is no
+///        second return, and in weather source_2;
+///        each of RenderedScan::channels by its name, [rows,columns], or for vectors
+///        [rows,columns,3];
+///        unseen: RenderedScan::unseen_share, if it is known;
+///        pose [4,4] world_from_sensor at time_s;
+///        time_s, frame_number, frame, deskewed, sensor, run, units
+///   exr  the images as float channels, metadata as string attributes
+///   png  range, intensity and drop probability as a single image, metadata as text
+///   ply, pcd, bin
+///        points of returned rays (drop_prob < 0.5); ply and pcd also have ring, time,
+///        instance, the scan's channels and, with second returns, return (1 or 2), see
+///        write_ply(); metadata as comments
+/// Recordings contain all scans and are completed after the last one, see ScanRecordings.
 class ScanFolder {
 public:
-    /// Makes the folder where it is missing, and removes an earlier rendering from it.
-    /// @throws UsageError for an unknown format, naming the nearest; DataError where the
-    /// folder cannot be written
+    /// Creates the folder if it does not exist, and removes the files of an earlier
+    /// rendering from it.
+    /// @throws UsageError for an unknown format; the message suggests the most similar
+    /// one
+    /// @throws DataError if the folder cannot be written
     ScanFolder(std::filesystem::path folder, ScanFormat format);
-    /// Of a process that writes some of the scans of a rendering, in a folder that
-    /// another one has made: removes nothing.
-    /// @throws UsageError for a recording, which one process writes; else as above
+    /// Opens a folder that another process has created, to write some of the scans of the
+    /// same rendering. Removes no files.
+    /// @throws UsageError for a recording, because only one process can write it;
+    /// otherwise like the constructor
     static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
-    /// Writes the files of one scan. @param frame  its number @throws DataError as
-    /// write_atomically()
+    /// Writes the files of a scan.
+    /// @param frame  number of the frame
+    /// @throws DataError like write_atomically()
     void write(int frame, const RenderedScan& scan);
-    /// Writes scans.json and gives recordings their names: to be called after the last
+    /// Writes scans.json and gives recordings their final names. Call it after the last
     /// scan.
     void finish();
     const std::filesystem::path& path() const { return folder_; }
-    /// What scans.json says of the scans written so far, JSON without a line break each;
-    /// and takes what other processes have written.
+    /// Returns the entries of scans.json for the scans written so far. Each entry is JSON
+    /// without line breaks. set_entries() replaces them, for example by entries that
+    /// other processes have written.
     const std::vector<std::string>& entries() const { return entries_; }
     void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
@@ -152,33 +183,36 @@ private:
     std::filesystem::path folder_;
     ScanFormat format_;
     std::vector<std::string> entries_;
-    std::vector<ChannelInfo> channels_;  ///< of the scans, beside the basic ones
-    /// shared so that a folder can be moved; none of a process that joins
+    std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
+    /// A shared pointer, so that a ScanFolder can be moved. Null in a process that uses
+    /// joining().
     std::shared_ptr<ScanRecordings> recordings_;
 
-    bool wants(const std::string& format) const;  ///< one of ScanFormat::formats
+    /// returns true if `format` is one of ScanFormat::formats
+    bool wants(const std::string& format) const;
     void summarise() const;
 };
 
-/// What the npz of a scan holds, in that order. @param frame  its number
+/// Returns the arrays of a scan's npz file, in the order of the file.
+/// @param frame  number of the frame
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format);
 
-/// Names of the files of an earlier rendering in a folder, which a new ScanFolder would
-/// remove.
+/// Returns the names of the files of an earlier rendering in a folder. Creating a
+/// ScanFolder there would remove them.
 std::vector<std::filesystem::path> scans_in(const std::filesystem::path& folder);
 
-/// Pictures of an image: ranges in false colours that run with the square root of the
-/// range, since near things are what a picture is for; intensities and drop probabilities
-/// in gray. Pixels that do not return are dark gray.
+/// Returns a picture of an image. range_picture() uses false colours, scaled by the
+/// square root of the range so that near objects have more contrast. Intensities and drop
+/// probabilities are gray. Pixels without a return are dark gray.
 Image range_picture(const RangeImage& image, double max_range_m);
 Image intensity_picture(const RangeImage& image);
 Image drop_picture(const RangeImage& image);
-/// Range, intensity and drop probability stacked.
+/// Returns range, intensity and drop probability stacked in a single picture.
 Image scan_picture(const RenderedScan& scan);
-/// By how much a stack() enlarges an image vertically: a LiDAR row is taller than its
-/// column is wide.
+/// Returns the factor by which stack() enlarges an image vertically. The rows of a LiDAR
+/// are farther apart than its columns.
 int picture_stretch(const RangeImage& image);
-/// [rows*columns] 1 where a pixel returned, else 0
+/// Returns [rows*columns] 1 for returned pixels, otherwise 0.
 std::vector<float> returned_pixels(const RangeImage& image);
 
 }  // namespace relidar

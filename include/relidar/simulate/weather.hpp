@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fog, rain and snow between a sensor and what it sees: light that is lost on the way,
-// and returns of what hangs or falls in the air; water on the ground, which darkens it
-// and mirrors what stands on it; the sun and reflectors, whose light blinds a sensor.
-// Powers are relative: a surface of reflectivity rho at R metres returns rho / R^2 in
-// clear air, rho exp(-2 alpha R) / R^2 in weather. (Not in the paper; docs/method.md has
-// the models and their sources.)
+// Weather models for LiDAR: fog, rain and snow attenuate light and cause returns of their
+// own. Water on the ground darkens it and mirrors objects. Sunlight and stray light of
+// reflectors cause false returns. Powers are relative: a surface with reflectivity rho at
+// R metres returns rho / R^2 in clear air, and rho exp(-2 alpha R) / R^2 in weather. (Not
+// in the paper; docs/method.md has the models and their sources.)
 #pragma once
 
 #include <cstdint>
@@ -17,160 +16,182 @@ namespace relidar {
 
 class Random;
 
-/// Where the sun stands, and how much of it arrives.
+/// Position of the sun and its illuminance.
 struct Sun {
     double azimuth_deg = 0.0;  ///< from the x axis of the dataset's world towards its y axis
     double elevation_deg = 0.0;
-    double klux = 0.0;  ///< on what faces it; 100 on a clear day; 0: there is none
+    double klux = 0.0;  ///< illuminance of a surface that faces the sun; 100 on a clear day; 0: no sun
 
     bool operator==(const Sun&) const = default;
 };
 
-/// What is in the air, on the ground and in the sky, everywhere alike.
+/// State of the weather. It is the same everywhere in the scene.
 struct Weather {
-    double fog_visibility_m = std::numeric_limits<double>::infinity();  ///< where 5 % of the light is left
-    double rain_mm_h = 0.0;                                             ///< millimetres of water an hour
-    double snow_mm_h = 0.0;                                             ///< the same, melted
-    double wet_mm = 0.0;  ///< depth of the water on level ground
+    /// distance at which 5 % of the light is left
+    double fog_visibility_m = std::numeric_limits<double>::infinity();
+    double rain_mm_h = 0.0;  ///< rain rate in millimetres of water per hour
+    double snow_mm_h = 0.0;  ///< snow rate in millimetres of melted water per hour
+    double wet_mm = 0.0;     ///< depth of the water on level ground
     Sun sun = {};
-    /// that a retro-reflector of one square degree lends rays one degree beside it: the
-    /// reflectivity that its stray light looks like, the median over beams
+    /// Strength of blooming: the apparent reflectivity of the stray light that a
+    /// retro-reflector of one square degree causes in rays one degree away from it.
+    /// Median over beams.
     double bloom = 0.0;
 
     bool clear() const { return *this == Weather{}; }
     bool operator==(const Weather&) const = default;
 };
 
-/// Reads "fog=VISIBILITY_m", "rain=MM_PER_H", "snow=MM_PER_H", "wet=MILLIMETRES",
-/// "sun=AZIMUTH:ELEVATION" in degrees or "sun=AZIMUTH:ELEVATION:KLUX" (without: 100),
-/// "bloom=REFLECTIVITY" (or "bloom": 1.2e-4), or several with commas between; "clear" or
-/// nothing is clear air, dry ground and no sun.
-/// @throws UsageError for other words, for numbers that are no weather, and for rain and
-/// snow at once
+/// Parses weather from text. Words are separated by commas; "clear" or an empty text
+/// means clear air, dry ground and no sun.
+///   fog=VISIBILITY_m
+///   rain=MM_PER_H
+///   snow=MM_PER_H
+///   wet=MILLIMETRES
+///   sun=AZIMUTH:ELEVATION[:KLUX]   degrees; default 100 klux
+///   bloom[=REFLECTIVITY]           default 1.2e-4
+/// @throws UsageError for an unknown word, for a number out of range, and for rain
+/// together with snow
 Weather parse_weather(const std::string& text);
-/// As parse_weather() reads it; "clear" for clear air.
+/// Converts weather to text that parse_weather() can read. Returns "clear" for clear air.
 std::string to_text(const Weather& weather);
-/// @throws UsageError as parse_weather() for the same numbers
+/// Checks the values of the weather.
+/// @throws UsageError for the same values as parse_weather()
 void check_weather(const Weather& weather);
 
-/// What of a sensor decides how it takes weather. Its wavelength is 905 nm; near infrared
-/// light of others is weakened alike by particles as large as these.
+/// Properties of a sensor that determine its behaviour in weather. The wavelength is 905
+/// nm. Other near-infrared wavelengths behave the same, because fog, rain and snow
+/// particles are much larger than the wavelength.
 struct WeatherSensor {
     double divergence_rad = 0.003;  ///< full divergence of the beams
-    double aperture_m = 0.01;       ///< width of a beam where it leaves the sensor
-    double pulse_s = 6e-9;          ///< full width of the pulse at half of its peak
-    double separation_m = 0.5;      ///< returns nearer to each other are one
-    double min_range_m = 0.0;       ///< nothing nearer is a return; of the air nothing nearer than 1 m
+    double aperture_m = 0.01;       ///< width of a beam at the sensor
+    double pulse_s = 6e-9;          ///< full width of the pulse at half maximum
+    double separation_m = 0.5;      ///< returns closer to each other are merged into one
+    /// minimum range of a return; for returns from the air, the minimum is at least 1 m
+    double min_range_m = 0.0;
     double max_range_m = 80.0;
-    double darkest = 0.5 / 255.0;  ///< half a step of the sensor's intensities
+    double darkest = 0.5 / 255.0;  ///< half a quantisation step of the sensor's intensities
     /// Reflectivity below which nothing is returned at any range, because receivers are
     /// less sensitive to near targets (sensitivity-time control). 0: weakest() is the
     /// only threshold.
     double weakest_reflectivity = 0.0;
 
-    /// Power of the weakest return that is one: of the darkest surface where the range
-    /// ends.
+    /// Returns the minimum power of a return: the power of the darkest surface at the
+    /// maximum range.
     double weakest() const { return darkest / (max_range_m * max_range_m); }
-    /// Power that a surface, the air, a drop or noise needs at a range to be reported.
-    /// Mirrored and stray light need weakest().
+    /// Returns the minimum power of a return at a range, for surfaces, fog, particles and
+    /// noise. For mirrored and stray light the minimum is weakest().
     double threshold(double range_m) const;
 };
 
-/// Why there is a point: the values of the channel `source`.
+/// Cause of a point: values of the channel `source`.
 enum class PointSource : std::int32_t {
     nothing = -1,
     surface = 0,
     fog = 1,
     rain = 2,
     snow = 3,
-    /// a surface that wet ground mirrors: as far behind the ground as the light went on
-    /// from there
+    /// A surface that is mirrored by wet ground. Its point is below the ground, at the
+    /// total path length of the light.
     mirror = 4,
-    noise = 5,    ///< nothing: light of the sun that looks like a return
-    blooming = 6  ///< stray light of a retro-reflector elsewhere
+    noise = 5,    ///< no object: sunlight that looks like a return
+    blooming = 6  ///< stray light of a retro-reflector in another direction
 };
 
-/// A return of a ray.
+/// A possible return of a ray.
 struct Echo {
-    double range_m = 0.0;  ///< along the ray; 0: there is none
-    /// that a surface in clear air would have to return as much; of a surface 0..1
+    double range_m = 0.0;  ///< range along the ray; 0: no return
+    /// Reflectivity of a surface that would return the same power in clear air. 0..1 for
+    /// a surface.
     double reflectivity = 0.0;
     PointSource source = PointSource::nothing;
-    double through_water = 1.0;  ///< share of it that water on the way leaves; 1 of what look() returns
+    /// fraction of the light that is left after water on its path; 1 in results of look()
+    double through_water = 1.0;
 };
 
-/// What a sensor with one or two returns says of a ray; and what look() is told of it
-/// beside, of which it returns nothing.
+/// Returns of a ray, for a sensor with one or two returns. It is the input and the result
+/// of Air::look(). The result contains only `strongest` and `second`.
 struct RayEchoes {
     Echo strongest, second;
-    Echo mirrored = {};  ///< by wet ground
-    Echo stray = {};     ///< of a retro-reflector
-    /// angle between ray and sun; infinite where no sun is seen
+    Echo mirrored = {};  ///< surface that is mirrored by wet ground
+    Echo stray = {};     ///< stray light of a retro-reflector
+    /// Angle between ray and sun. Infinite if the sun is not visible.
     double from_sun_rad = std::numeric_limits<double>::infinity();
 };
 
-/// Share of the light that a metre takes away, 1/m: alpha of exp(-alpha R).
+/// Returns the extinction coefficient alpha in 1/m: the transmission over R metres is
+/// exp(-alpha R).
 double extinction(const Weather& weather);
 
-/// Share of light that a smooth surface of water mirrors (Fresnel, not polarised, n =
-/// 1.33).
-/// @param cosine  of the angle of incidence in air, 0..1
+/// Returns the fraction of light that a smooth water surface reflects (Fresnel,
+/// unpolarised, n = 1.33).
+/// @param cosine  cosine of the angle of incidence in air, 0..1
 double mirrored_by_water(double cosine);
-/// What ground under a film of water returns towards the light, over what it returns dry
-/// (Lekner and Dorf 1988): light passes the surface twice, and what the ground scatters
-/// is kept in the film by total reflection until it leaves or is absorbed:
-///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a dull surface's light) / n^2
-/// @param albedo  of the dry ground, 0..1
+/// Returns the ratio of the light that wet ground and dry ground return to the source
+/// (Lekner and Dorf 1988). Light passes the water surface twice. The light that the
+/// ground scatters is kept in the film by total reflection until it leaves or is
+/// absorbed:
+///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a diffuse surface's light) / n^2
+/// @param cosine  cosine of the angle of incidence in air, 0..1
+/// @param albedo  albedo of the dry ground, 0..1
 double wet_over_dry(double cosine, double albedo);
-/// Share of the ground that a film covers: all of it where the water is as deep as the
-/// texture of asphalt, 1 mm (an assumption).
+/// Returns the fraction of the ground that is covered by a film of water. It is 1 if the
+/// water is at least as deep as the texture of asphalt, 1 mm (an assumption).
 double film_share(double wet_mm);
 
-/// How the noise of a receiver scatters in the light of the sun, by shot noise in a
-/// matched filter: the standard deviation of what it adds to powers. Radiance that
-/// arrives is 5 E (1 deg / angle)^2 1/sr off a dusty window, E / pi times the albedo of
-/// the surface, which is taken to face the sun, and E over its solid angle where its disc
-/// is in view.
-/// @param from_sun_rad  angle between ray and sun @param albedo  of the surface that the
-/// ray meets, 0: none
-/// @param sees_sky  whether nothing is between
+/// Returns the noise of a receiver in sunlight: the standard deviation that shot noise in
+/// a matched filter adds to powers. Three sources contribute radiance:
+/// - light scattered by a dusty window: 5 E (1 deg / angle)^2 1/sr;
+/// - light reflected by the surface: E / pi times its albedo, as if it faces the sun;
+/// - the solar disc, if it is in view: E divided by its solid angle.
+/// @param from_sun_rad  angle between ray and sun
+/// @param albedo  albedo of the surface that the ray hits; 0: none
+/// @param sees_sky  true if nothing is between the sensor and the sky
 double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_rad, double albedo,
                  bool sees_sky);
-/// How often noise rises above a level of so many standard deviations, per metre of
-/// range: that of Gaussian noise through a matched filter, exp(-level^2 / 2) / (2 sqrt(3)
-/// tau) a second (Rice 1945; RCA Electro-Optics Handbook 1974).
+/// Returns how often noise exceeds a threshold, per metre of range. For Gaussian noise
+/// through a matched filter the rate is exp(-level^2 / 2) / (2 sqrt(3) tau) per second
+/// (Rice 1945; RCA Electro-Optics Handbook 1974).
+/// @param level  threshold in standard deviations
 double false_returns_per_m(const WeatherSensor& sensor, double level);
 
-/// What falls: N(D) = N0 exp(-Lambda D) particles per cubic metre and millimetre of
-/// diameter D, as water.
+/// Size distribution of rain or snow: N(D) = N0 exp(-Lambda D) particles per cubic metre
+/// and per millimetre of diameter D. D is the diameter of the melted particle.
 struct Particles {
     PointSource source = PointSource::nothing;
-    double per_m3_mm = 0.0;     ///< N0; 0: nothing falls
+    double per_m3_mm = 0.0;     ///< N0; 0: no particles
     double slope_per_mm = 1.0;  ///< Lambda
-    double widening = 1.0;      ///< diameter over that of the same as water
+    double widening = 1.0;      ///< ratio of the diameter of the particle to its melted diameter
     double reflectivity = 0.0;
 };
-/// Those of rain or snow, by the water that falls in an hour.
+/// Returns the particles of rain or snow for the precipitation rate of the weather.
 Particles falling_in(const Weather& weather);
 
-/// What comes back from the air along any ray of a sensor, and what the air leaves of
-/// surfaces.
-///   fog:        power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx,  r = R + x,  p(x) = cos^2(pi x / (c tau)), |x| <= c tau / 2,
-///               from 1 m on; beta of each stretch of c tau / 2 is drawn, log-normal with mean 1 times 0.046 / visibility
-///   drop, flake: power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R) the width of the beam; those of N(D) = N0 exp(-Lambda D) per
-///               cubic metre and millimetre that are bright enough, a Poisson process along the beam
-///   noise:      what rises above the weakest power, a Poisson process along the ray, whatever is there
+/// Simulates the effect of the air along a ray: returns from fog, rain, snow and noise,
+/// and the attenuation of surfaces.
+///   fog          power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx
+///                  r = R + x,  p(x) = cos^2(pi x / (c tau)),  |x| <= c tau / 2,  r >= 1 m;
+///                  beta is drawn for each interval of length c tau / 2:
+///                  log-normal with mean 0.046 / visibility
+///   drop, flake  power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2
+///                  B(R): width of the beam; the particles of N(D) = N0 exp(-Lambda D) per
+///                  cubic metre and millimetre that are bright enough, a Poisson process
+///                  along the beam
+///   noise        peaks above the minimum power: a Poisson process along the ray that does
+///                  not depend on the objects there
 class Air {
 public:
-    /// @throws UsageError as check_weather()
+    /// Precomputes tables for a weather and a sensor.
+    /// @throws UsageError like check_weather()
     Air(const Weather& weather, const WeatherSensor& sensor);
     bool clear() const { return weather_.clear(); }
     double max_range_m() const { return sensor_.max_range_m; }
-    /// What is seen along a ray: of surfaces and what is in front of them the strongest
-    /// return; and as second the last one, or where the strongest is the last the next
-    /// strongest, if they are as far apart as the sensor needs. What is too weak is none.
-    /// @param surfaces  what the ray returns in clear air @param free_m  how far it goes
-    /// before it is blocked
+    /// Returns what the sensor measures along a ray. The strongest return comes from
+    /// surfaces or from the air in front of them. The second is the last return, or the
+    /// next strongest if the strongest is also the last. Both must be at least
+    /// `separation_m` apart. Returns that are too weak are left out.
+    /// @param surfaces  returns of the ray in clear air
+    /// @param free_m  distance after which the ray is blocked
     RayEchoes look(const RayEchoes& surfaces, double free_m, std::uint64_t seed) const;
 
 private:
@@ -178,8 +199,9 @@ private:
     const WeatherSensor sensor_;
     const Particles falling_;
     const double alpha_;
-    std::vector<double> fog_power_;  // [k] mean power from nearest + k steps
-    std::vector<double> particles_;  // [k] how many are bright enough on the way up to there, on average
+    std::vector<double> fog_power_;  // [k] mean power at the nearest range plus k steps
+    // [k] expected number of bright particles between the nearest range and there
+    std::vector<double> particles_;
 
     struct Candidate;
     double nearest_m() const;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The training loop: initialise, then sample a frame, render, compare, differentiate,
-// step. It can stop and continue.
+// Training: initialises a scene, then repeats these steps: sample a frame, render it,
+// compare it with the measured scan, compute gradients, update the parameters. Training
+// can be stopped and resumed.
 #pragma once
 
 #include <array>
@@ -28,206 +29,236 @@ namespace relidar {
 struct Checkpoint;
 struct Run;
 
-/// One line of the log.
+/// Entry of the training log.
 struct TrainProgress {
     int iteration = 0;
     int n_iterations = 0;
-    double seconds = 0.0;  ///< since training started
+    double seconds = 0.0;  ///< Seconds since training started.
     double iterations_per_second = 0.0;
     double eta_s = 0.0;
-    std::array<double, kLossTerms> terms{};  ///< weighted, mean over the iterations since the last line
+    /// Weighted loss terms, averaged over the iterations since the previous entry.
+    std::array<double, kLossTerms> terms{};
     double loss = 0.0;
     std::uint32_t n_surfels = 0;
-    /// sums over the densifications since the last line; `before` and `after` are of the
-    /// last one
+    /// Sums over the densifications since the previous entry. `before` and `after` refer
+    /// to the last densification.
     DensifyReport densified;
 };
 
-/// Poses as training corrected them (train.refine_poses). prepare_log() has registered
-/// them before: it places a held-out scan by its own points on the planes of the training
-/// scans; nothing else of training looks at it. What gradients then add at a held-out
-/// pose comes from what the neighbouring sweeps see that were fired between, or, without
-/// a rolling shutter, from the corrections before and after, interpolated. Where the
-/// sensor was registered, all boxes went along; gradients leave them where refine_poses
-/// names no actors.
+/// Poses that training has corrected (train.refine_poses), for both training and held-out
+/// scans.
+///
+/// prepare_log() registers the poses before training. It places a held-out scan by
+/// matching its points with the planes of the training scans. Training uses held-out
+/// scans for nothing else. Gradients correct a held-out pose only indirectly. With a
+/// rolling shutter, they come from rays of neighbouring sweeps fired between the poses.
+/// Without one, the corrections before and after are interpolated. Registration of the
+/// sensor also moves all boxes. Gradients change boxes only if refine_poses includes
+/// actors.
 struct RefinedPoses {
     PoseTrack world_from_vehicle;
     std::vector<BoxTrack> boxes;
 };
 
-/// What training leaves behind. Log and times count from the first start, whatever the
-/// number of interruptions.
+/// Result of a training. Log and times count from the first start, across all
+/// interruptions.
 struct TrainResult {
     Scene scene;
-    std::optional<RefinedPoses> poses;  ///< to render the scene with; nothing where the log's own were kept
-    Coverage coverage;                  ///< of its training frames
+    /// Corrected poses, to render the scene with; nullopt if training kept the poses of
+    /// the log.
+    std::optional<RefinedPoses> poses;
+    Coverage coverage;  ///< Coverage of the training frames.
     std::vector<TrainProgress> log;
-    KernelTimes times;  ///< of this session
+    KernelTimes times;  ///< Kernel times of this session.
     double initialise_s = 0.0;
     double train_s = 0.0;
     std::uint64_t peak_device_bytes = 0;
-    int iterations = 0;        ///< done
-    bool interrupted = false;  ///< before the last one
+    int iterations = 0;        ///< Number of completed iterations.
+    bool interrupted = false;  ///< True if training stopped before the last iteration.
 };
 
-/// Called with every line of the log, a few iterations after the one at which it ends.
-/// Returning false stops training after the current iteration; the result holds the scene
-/// so far.
+/// Callback for each entry of the training log, called a few iterations after the entry's
+/// last iteration. If it returns false, training stops after the current iteration and
+/// returns the current scene.
 using ProgressCallback = std::function<bool(const TrainProgress&)>;
 
-/// How a training that may take days starts and stops.
+/// Checkpoints, callbacks and stop condition of a training that may take days.
 struct TrainSession {
-    /// folder they go to, as train.checkpoint_* say and where training stops early;
-    /// empty: none
+    /// Folder for checkpoints; empty = no checkpoints. They are written as
+    /// train.checkpoint_* specifies, and when training stops early.
     std::filesystem::path checkpoints;
-    const Checkpoint* start = nullptr;  ///< continue from here; null: from the beginning
-    std::function<bool()> stop;         ///< asked after every iteration; true stops training
-    /// one line about what the log does not say: a full disk under a checkpoint, boxes
-    /// that become no actor
+    const Checkpoint* start = nullptr;  ///< Checkpoint to resume from; null = start from the beginning.
+    std::function<bool()> stop;         ///< Polled after every iteration; training stops if it returns true.
+    /// Callback for one-line notes that are not in the training log, such as a full disk
+    /// or a box that does not become an actor.
     std::function<void(const std::string&)> note;
-    /// of the initialisation, before the first line of the log; what it throws ends
-    /// training
+    /// Progress of the initialisation, before the first log entry. An exception from this
+    /// callback ends training.
     Progress progress = {};
-    StageTimes* stages = nullptr;  ///< "initialise", "train", "drops" (the sensor's own), "coverage"
+    /// Times of the stages "initialise", "train", "drops" (drop probabilities of the
+    /// sensor) and "coverage".
+    StageTimes* stages = nullptr;
 };
 
-/// How a log is prepared.
+/// Callbacks and process group for the preparation of a log.
 struct PrepareSession {
-    std::function<void(const std::string&)> tell;  ///< one line about each estimate, as soon as it is made
-    std::function<bool()> stop;                    ///< asked now and then; true ends it
-    Progress progress = {};                        ///< of what takes longer than a moment
-    StageTimes* stages = nullptr;                  ///< "register", "calibrate", "movers"
-    ProcessGroup group = {};                       ///< processes that prepare the same log
+    /// Callback for one line about each estimate, as soon as it is available.
+    std::function<void(const std::string&)> tell;
+    std::function<bool()> stop;    ///< Polled from time to time; preparation stops if it returns true.
+    Progress progress = {};        ///< Progress of long-running steps.
+    StageTimes* stages = nullptr;  ///< Times of the stages "register", "calibrate" and "movers".
+    ProcessGroup group = {};       ///< Processes that prepare the same log together.
 };
 
-/// Estimates what the log does not say and training needs from the start, in this order,
-/// as the settings ask: poses of the sensor (train.refine_poses), offsets and responses
-/// of its beams (sensor.calibrate), tracks of what moves without a label
-/// (init.unlabelled_movers). From training frames alone, but for the poses of held-out
-/// ones; the same for the same log and settings, so that a resumed training prepares its
-/// log anew, and in all processes of a group, of which the first one alone tells.
-/// @throws Error with exit code 130 where stopped; DataError where more than 5 % of the
-/// scans do not find their place among the others and train.allow_lost_scans is not set;
-/// UsageError where a log without poses is not to be registered
+/// Estimates data that a log lacks and that training needs from the start. The settings
+/// select the steps, in this order: poses of the sensor (train.refine_poses), offsets and
+/// responses of its beams (sensor.calibrate), tracks of moving objects without a label
+/// (init.unlabelled_movers).
+///
+/// Uses only training frames, except for the poses of held-out frames. The result is
+/// deterministic, so that a resumed training prepares the log again. All processes of a
+/// group get the same result, but only the first process calls `tell`.
+/// @throws Error with exit code 130 if stopped
+/// @throws DataError if more than 5 % of the scans cannot be registered and
+/// train.allow_lost_scans is not set
+/// @throws UsageError if the log has no poses and the settings do not register it
 void prepare_log(Sequence& sequence, const Split& split, const Config& config, PrepareSession session = {});
 
-/// The log that config.dataset describes, with rolling shutter where config.sensor wants
-/// it. @throws as load_sequence()
-/// @param most_scans  DatasetOptions::most_scans
+/// Loads the log that config.dataset describes, with a rolling shutter if config.sensor
+/// enables it.
+/// @param most_scans see DatasetOptions::most_scans
+/// @throws errors of load_sequence()
 Sequence load_log(const Config& config, const Progress& progress = {}, int most_scans = 0);
 
-/// Trains a scene on the training frames of a log, prepared by prepare_log().
-/// @throws UsageError where the session's start does not fit (check_resumable); DataError
-/// where there is nothing to train on, where a loss is not finite, naming iteration,
-/// frame and term, or a parameter, naming array and row; DeviceError on the device's
-/// failures. Checkpoints already written stay
+/// Trains a scene on the training frames of a log that prepare_log() has prepared. If an
+/// error occurs, checkpoints already written are kept.
+/// @throws UsageError if the session's start does not match the settings (see
+/// check_resumable())
+/// @throws DataError if there is no training frame
+/// @throws DataError if a loss is not finite; the message names iteration, frame and term
+/// @throws DataError if a parameter is not finite; the message names array and row
+/// @throws DeviceError if the device fails
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config,
                   const ProgressCallback& progress, const TrainSession& session = {});
 
-/// How held-out scans are placed.
+/// Callbacks of place_held_out().
 struct PlaceSession {
     Progress progress = {};
-    std::function<bool()> stop = {};  ///< asked before each scan; true ends it with nothing changed
+    /// Polled before each scan; if it returns true, placement ends and no pose changes.
+    std::function<bool()> stop = {};
 };
 
-/// What placing them has changed: scans that found their place, and by how much they
-/// moved.
+/// Result of place_held_out(): number of held-out scans, number of placed scans, and how
+/// far they moved.
 struct HeldOutPlacement {
     std::size_t scans = 0, placed = 0;
     double median_m = 0.0, largest_m = 0.0;
 };
 
-/// Places each held-out scan of a run, whose sequence has its scans, on the trained
-/// scene, which stays (place_scan() in relidar/log/registration.hpp): training has moved
-/// the poses around it, and it did not go along. Nothing but the pose of its frame is
-/// found from its returns. LiDARs that sweep together are placed together. Nothing
-/// happens if the settings do not register the sensor (train.refine_poses), or for 3D
-/// Gaussians, which have no normals. Sets Run::held_out_placed, unless it was stopped:
-/// then nothing is placed.
+/// Places each held-out scan of a run on the trained scene (place_scan() in
+/// relidar/log/registration.hpp). The run's sequence must contain the scans. This is
+/// needed because training corrected the neighbouring poses but not those of held-out
+/// scans. It changes only the pose of the held-out frame; the scene stays unchanged.
+/// LiDARs that sweep together are placed together.
+///
+/// Does nothing if the settings do not register the sensor (train.refine_poses), or for
+/// 3D Gaussians, which have no normals. Sets Run::held_out_placed unless it was stopped.
+/// If stopped, no scan is placed.
 HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& session = {});
 
-/// How a ray-drop network is trained.
+/// Checkpoints, callbacks and stop condition for the training of a ray-drop network.
 struct RefineSession {
-    Progress progress = {};                                ///< of the rendering of the training frames
-    std::function<void(const RefineProgress&)> step = {};  ///< called after each step
-    std::function<bool()> stop = {};                       ///< asked after each frame and step; true ends it
-    /// folder that checkpoints of the network go to: after each epoch, as
-    /// train.checkpoint_minutes says and where training stops early; empty: none. Whoever
-    /// has saved the network removes them
+    Progress progress = {};                                ///< Progress of rendering the training frames.
+    std::function<void(const RefineProgress&)> step = {};  ///< Callback after each training step.
+    /// Polled after each frame and each step; training stops if it returns true.
+    std::function<bool()> stop = {};
+    /// Folder for checkpoints of the network; empty = no checkpoints. They are written
+    /// after each epoch, as train.checkpoint_minutes specifies, and when training stops
+    /// early. The caller removes them after it has saved the network.
     std::filesystem::path checkpoints = {};
-    const Checkpoint* start = nullptr;  ///< continue from here; null: from the beginning
-    /// one line about a checkpoint that could not be written
+    const Checkpoint* start = nullptr;  ///< Checkpoint to resume from; null = start from the beginning.
+    /// Callback for one-line notes about checkpoints that could not be written.
     std::function<void(const std::string&)> note = {};
-    StageTimes* stages = nullptr;  ///< "network's images", "network"
+    StageTimes* stages = nullptr;  ///< Times of the stages "network's images" and "network".
 };
 
-/// Folder of a network's checkpoints below that of its scene's.
+/// Subfolder for checkpoints of the ray-drop network, inside the checkpoint folder of the
+/// scene.
 inline constexpr const char* kRefineCheckpoints = "drop_network";
 
-/// Trains config.refine's network on the training frames of a run whose sequence has its
-/// scans, rendered once with the sensor's nominal rays; those of a scan would tell what
-/// returned. A training that continues renders them again, and ends with the network it
-/// would have had without the stop, to the last bit on one device. @return nothing where
-/// stopped
-/// @throws DataError where no training frame has an image, or none has a dropped ray; as
-/// check_refine_resumable() for the session's start
+/// Trains the network of config.refine on the training frames of a run. The run's
+/// sequence must contain the scans. The frames are rendered once with the nominal rays of
+/// the sensor, because the measured rays of a scan reveal which rays returned. A resumed
+/// training renders the frames again. Its result is bit-identical to an uninterrupted
+/// training on the same device.
+/// @return empty network if stopped
+/// @throws DataError if no training frame has an image, or if no training frame has a
+/// dropped ray
+/// @throws errors of check_refine_resumable() if the session resumes from a checkpoint
 DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& session = {});
 
-/// Whether the training of a network may continue with this run, whose sequence has the
-/// scans of its training frames: scene, log and the settings that images and network
-/// depend on (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must be the
-/// checkpoint's.
-/// @throws UsageError naming the setting, DataError naming the part of log or scene that
-/// differs
+/// Checks that the training of a ray-drop network can resume with this run. The run's
+/// sequence must contain the scans of its training frames. Scene, log and the relevant
+/// settings (refine.*, image.*, sensor.*, init.*, render.range, train.seed) must match
+/// the checkpoint.
+/// @throws UsageError if a setting differs; the message names the setting
+/// @throws DataError if the log or scene differs; the message names the differing part
 void check_refine_resumable(const Checkpoint& checkpoint, const Run& run);
-/// Gives a config those settings as a network's checkpoint has them. @throws UsageError
-/// for one that this version does not know
+/// Copies the relevant settings from the checkpoint of a ray-drop network into a config.
+/// @throws UsageError for a setting that this version does not know
 void take_refine_settings(const Checkpoint& checkpoint, Config& config);
 
-/// How it is learnt how intensities scatter.
+/// Callbacks of learn_scatter().
 struct ScatterSession {
     Progress progress = {};
-    std::function<bool()> stop = {};  ///< asked before each frame; true ends it
+    std::function<bool()> stop = {};  ///< Polled before each frame; learning stops if it returns true.
 };
 
-/// How the intensities of each LiDAR scatter about those that the scene of a run, whose
-/// sequence has its scans, renders for some of its training frames. @return [lidars] an
-/// empty one where a LiDAR has too few returns; none where stopped
+/// Learns how the measured intensities of each LiDAR scatter around the rendered
+/// intensities. Renders the scene of the run for some training frames. The run's sequence
+/// must contain the scans.
+/// @return [lidars], with an empty entry for a LiDAR that has too few returns; empty
+/// vector if stopped
 std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run,
                                             const ScatterSession& session = {});
 
-/// How actors are trained on.
+/// Callbacks of train_actors().
 struct ActorSession {
-    std::function<void(int step, int n_steps)> step = {};  ///< called after each step
-    std::function<bool()> stop = {};                       ///< asked after each step; true ends it
+    std::function<void(int step, int n_steps)> step = {};  ///< Callback after each training step.
+    std::function<bool()> stop = {};  ///< Polled after each step; training stops if it returns true.
 };
 
-/// Trains the actors of a run whose scene is in blocks and whose sequence has its scans,
-/// blocks.actor_epochs times on each training frame that sees one. A block's training
-/// knows nothing of what lies behind its actors beyond its own sweeps' surroundings: here
-/// they learn before the background of all blocks, which stays as it is. Rays are those
-/// that come near an actor's box; of the background takes part what lies along them. The
-/// number of surfels stays.
-/// @return whether it came to its end @throws DataError as read_blocks(), and where a
-/// loss is not finite
+/// Trains the actors of a run whose scene is divided into blocks. The run's sequence must
+/// contain the scans. Uses each training frame that sees an actor blocks.actor_epochs
+/// times.
+///
+/// This is needed because the training of one block knows nothing beyond the surroundings
+/// of its own sweeps. Here the actors are trained in front of the combined background of
+/// all blocks, which stays unchanged. Only rays near an actor's box are used, with the
+/// background surfels along these rays. The number of surfels stays constant.
+/// @return true if training finished, false if it was stopped
+/// @throws DataError as read_blocks(), or if a loss is not finite
 bool train_actors(Device& device, Run& run, const ActorSession& session = {});
 
-/// Gives a run what training has made of its log: the scene, where the log has looked,
-/// and the poses where training has corrected them. They are moved out of the result.
+/// Moves the results of a training into a run: the scene, the coverage and, if training
+/// corrected them, the poses.
 void take_result(Run& run, TrainResult& result);
 
-/// Whether a training may continue with this log and these settings. train.iterations may
-/// be raised: the learning rates continue where the longer schedule stands at that
-/// iteration. train.log_every, train.checkpoint_*, refine.*, render.*, eval.* and
-/// trace.chunk are free.
-/// @throws UsageError naming the setting, DataError naming the part of the log that
-/// differs
+/// Checks that a training can resume with this log and these settings. train.iterations
+/// may be increased; the learning rates then continue on the longer schedule at the
+/// current iteration. These settings may differ: dataset.path, dataset.sequence,
+/// dataset.poses, dataset.memory_mib, train.frame_memory_mib, train.log_every,
+/// train.checkpoint_minutes, sensor.grid, sensor.grid_method, refine.*, render.* and
+/// trace.chunk.
+/// @throws UsageError if a setting differs; the message names the setting
+/// @throws DataError if the log differs; the message names the differing part
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
                      const Config& config);
-/// A setting of two configs that differs and is not free in that sense; empty: none.
+/// Returns the first setting that differs between two configs and that check_resumable()
+/// does not allow to differ. Returns an empty string if there is none.
 std::string differing_setting(const Config& config, const Config& other);
-/// The log up to a checkpoint. @throws DataError where the checkpoint is not one of
-/// training
+/// Returns the training log up to a checkpoint.
+/// @throws DataError if the checkpoint is not a training checkpoint
 std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Config& config);
 
 }  // namespace relidar

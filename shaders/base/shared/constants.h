@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The specialisation constants of all kernels: name and id, here alone. A shader declares
-// one by RELIDAR_CONSTANT(type, name, value) (common/kernel.glsl), the host sets it as
-// ConstantId::name (src/gpu/kernel.hpp), `relidar-dev pipelines` prints it by its name.
+// Names and ids of the specialisation constants of all kernels. A shader declares one
+// with RELIDAR_CONSTANT(type, name, value) (base/kernel.glsl). The host sets it as
+// ConstantId::name (src/gpu/kernel.hpp). `relidar-dev pipelines` prints it by name.
 #ifndef RELIDAR_INCLUDED_BASE_SHARED_CONSTANTS_H
 #define RELIDAR_INCLUDED_BASE_SHARED_CONSTANTS_H
 
@@ -17,16 +17,16 @@
     X(COALESCED_ATOMICS, 7u)   /* 1: neighbouring lanes add the floats of one hit; 0: each lane those of its own */ \
     X(SINGLE_DROP_LOGIT, 8u)   /* 1: hit logits are 0, whatever the scene holds */ \
     X(PRIMITIVE, 9u)           /* number of a row of relidar/scene/primitives.h */ \
-    X(GEOMETRY, 10u)           /* 1: blended normal and distortion too */ \
+    X(NORMAL, 10u)             /* 1: blended normal too */ \
     X(KEY_WORDS, 11u)          /* 32-bit words of a sort key */ \
-    X(UNTIL_DONE, 12u)         /* 1: a single workgroup goes on until nothing is left */ \
-    X(STAGED, 13u)             /* 1: threads of a workgroup move harmonics together, through shared memory */ \
-    X(PER_FLOAT, 14u)          /* 1: one thread a float; 0: a row */ \
+    X(UNTIL_DONE, 12u)         /* 1: a single workgroup repeats until no work is left */ \
+    X(STAGED, 13u)             /* 1: threads of a workgroup move harmonics together through shared memory */ \
+    X(PER_FLOAT, 14u)          /* 1: one thread per float; 0: one thread per row */ \
     X(TAPS, 15u)               /* weights of a convolution for two channels: 1 or 9 */ \
-    X(PIXELS, 16u)             /* pixels of a thread */ \
-    X(LANES, 17u)              /* of a subgroup */ \
-    X(LIKELIHOOD, 18u)         /* 1: likelihood of measured ranges too */ \
-    X(MODE, 19u)               /* 1: the heaviest surface of each ray too */
+    X(PIXELS, 16u)             /* pixels per thread */ \
+    X(LANES, 17u)              /* lanes of a subgroup */ \
+    X(LIKELIHOOD, 18u)         /* 1: also compute the likelihood of measured ranges */ \
+    X(MODE, 19u)               /* 1: also compute the heaviest surface of each ray */
 // clang-format on
 
 #endif

@@ -15,20 +15,17 @@ struct BlendState {
     float transmittance;
     float remaining;  // share of the loss that is not blended yet, including the background
     float lost;       // rounding error of `remaining`
-    float first_t;    // distance of the ray's first hit (this and later fields: only with geometry)
-    float before;     // sum of w (t - first_t) over the blended hits
-    float moment;     // the same sum over all hits of the ray
 };
 
 /// Returns g . c of a hit, the derivative of the loss with respect to the hit's weight.
-float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit, BlendState state) {
-    vec3 c = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
-    float shade = g.depth * hit.t + g.weight + g.intensity * c.x + g.hit_logit * c.y + g.drop_logit * c.z;
-    if (LIKELIHOOD != 0u) shade += ray_geometry.likelihood * range_kernel(hit.t);
-    if (GEOMETRY == 0u) return shade;
-    shade += ray_geometry.distortion *
-             distortion_by_weight(state.transmittance, hit.t - state.first_t, state.before, state.moment);
-    return shade + dot(ray_geometry.normal, facing_normal(scene, ray, hit.instance, hit.surfel));
+float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
+    vec3 channels = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
+    float shade = 0.0;
+#define RELIDAR_SHADE(name, built, value, input, slope, meaning) \
+    if (built) shade += g.name * (value);
+    RELIDAR_BLENDED_VALUES(RELIDAR_SHADE)
+#undef RELIDAR_SHADE
+    return shade;
 }
 
 /// Blends the first n hits of the buffer front to back, and subtracts their share of the
@@ -39,10 +36,9 @@ void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendSt
         float alpha = min(hit.alpha, scene.alpha_max);
         chunk_transmittance[i] = state.transmittance;
         chunk_w[i] = alpha * state.transmittance;
-        chunk_shade[i] = shade_of(scene, ray, g, hit, state) - state.shift;
+        chunk_shade[i] = shade_of(scene, ray, g, hit) - state.shift;
         add_compensated(state.remaining, state.lost, -chunk_w[i] * chunk_shade[i]);
         state.transmittance *= 1.0 - alpha;
-        if (GEOMETRY != 0u) state.before += chunk_w[i] * (hit.t - state.first_t);
     }
 }
 #endif

@@ -1,10 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums the gradients of hits by surfel, in the order of rays, without atomics. So the
-// result is the same in every run. The hits are sorted by row. A thread processes a block
-// of 32 hits and adds the sum of each row that lies within the block. Partial sums of
-// rows that begin in an earlier block or continue in the next block are stored in `parts`
-// for backward/gather_heads. Input: scene, upstream, rendered, d_geometry, hits, rows,
-// slots, n_hits. Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
+// Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the
+// same in every run. Hits come sorted by row; a thread takes a block of 32 and adds the
+// sum of each row that lies in it. What it has of a row that began earlier or goes on is
+// left in `parts`, for backward/gather_heads. Input: scene, upstream, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: parts.
+// Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -23,8 +22,7 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
     entered_instance = kNoInstance;  // the cached ray is a different one
     ray_basis_instance = kNoInstance;
-    if (WITH_GEOMETRY)
-        take_ray(scene, h.ray, params.d_geometry.at[h.ray], params.rendered.at[h.ray].transmittance);
+    if (LIKELIHOOD != 0u) take_measured(scene, h.ray);
     HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
                                  row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];

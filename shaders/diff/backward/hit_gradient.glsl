@@ -5,7 +5,7 @@
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 
-#include "geometry.glsl"
+#include "../traversal/likelihood.glsl"
 
 /// Contribution of a hit to the record gradient of its surfel, lane by lane, and to the
 /// gradient of its ray in the model's frame.
@@ -39,13 +39,14 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
     vec3 origin = entered_origin, direction = entered_direction;
     SurfelHit hit;
     intersect(record, origin, direction, hit);
-    float d_t = g.depth * w;
-    if (GEOMETRY != 0u) d_t += ray_geometry.distortion * distortion_by_t(w, min(hit.alpha, scene.alpha_max));
-    if (LIKELIHOOD != 0u) d_t += ray_geometry.likelihood * w * range_kernel_by_t(hit.t);
+    float d_t = 0.0, nowhere = 0.0;
+    vec3 d_channel = vec3(0.0);
+#define RELIDAR_SEND(name, built, value, input, slope, meaning) \
+    if (built) input += g.name * w * (slope);
+    RELIDAR_BLENDED_VALUES(RELIDAR_SEND)
+#undef RELIDAR_SEND
+    if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
-    if (GEOMETRY != 0u)
-        d.d_normal += w * facing_side(record.normal, direction) * entered_vector(scene, ray_geometry.normal);
-    vec3 d_channel = w * vec3(g.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : g.hit_logit, g.drop_logit);
     // Lanes 7, 11, 15: the gradient of the channels, or the rotation of the SH direction
     // (scene/activate_vjp, backward/pose_blocks).
     vec3 others = d_channel;

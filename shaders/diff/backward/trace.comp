@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass (Eq. 9; M7, M8): casts the same rays again, or uses the hits that the
-// forward pass has stored, front to back. Adds the gradient of every hit to its surfel's
-// record gradient, or writes a record of the hit for backward/gather. One thread per ray.
-// Input: scene, rendered, upstream, kept, geometry, d_geometry, first_hit. Accumulated:
-// d_records, d_sh (if SH are evaluated per hit). Output: touched, d_rays, hits, rows.
+// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward
+// pass kept, front to back, and adds the gradient of every hit to its surfel's record
+// gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
+// Input: scene, rendered, upstream, kept, first_hit. Accumulated:
+// d_records, d_sh (where SH are evaluated a hit). Output: touched, d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and
-// is correct. The background needs no separate term, because the final value from which
-// Eq. 9 subtracts includes it.
+// is right. The background needs no term of its own: it is in the final value that Eq. 9
+// subtracts from.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -87,16 +87,6 @@ void load_kept_hits(uint first, uint n) {
         append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
 }
 
-/// Adds the contribution of a ray's geometry. Distortion is quadratic in the weights, so
-/// the shares of all hits sum to twice its value.
-void start_geometry(uint ray_index, inout BlendState state) {
-    RenderedGeometry q = params.geometry.at[ray_index];
-    if (LIKELIHOOD != 0u) state.remaining += ray_geometry.likelihood * q.likelihood;
-    if (GEOMETRY == 0u) return;
-    state.moment = q.moment;
-    state.remaining += 2.0 * ray_geometry.distortion * q.distortion + dot(ray_geometry.normal, q.normal);
-}
-
 /// Adds the gradients of the first n hits of the buffer, last hit first. If rows are
 /// exchanged, all lanes of a subgroup must call it.
 /// @param slot  slot of the first hit's record
@@ -119,12 +109,16 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
 }
 
 /// Returns the initial blending state of a ray.
-BlendState start_blending(uint ray_index, RenderedRay final, RayGradient g) {
-    precise float remaining = g.depth * final.depth;
-    remaining += g.weight * final.weight + g.intensity * final.intensity + g.hit_logit * final.hit_logit +
-                 g.drop_logit * final.drop_logit;
-    BlendState state = BlendState(0.0, 1.0, remaining, 0.0, 0.0, 0.0, 0.0);
-    if (WITH_GEOMETRY) start_geometry(ray_index, state);
+BlendState start_blending(RenderedRay final, RayGradient g) {
+#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +g.name* final.name
+    precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
+#undef RELIDAR_REMAINS
+    remaining += g.depth * final.depth;
+    BlendState state = BlendState(0.0, 1.0, remaining, 0.0);
+#define RELIDAR_REMAINS(name, built, value, input, slope, meaning) \
+    if (built) state.remaining += g.name * final.name;
+    RELIDAR_LOSS_VALUES(RELIDAR_REMAINS)
+#undef RELIDAR_REMAINS
     return state;
 }
 
@@ -133,9 +127,7 @@ BlendState start_blending(uint ray_index, RenderedRay final, RayGradient g) {
 /// sum to 1. The shift is the value of the nearest hit in the buffer. It prevents small
 /// differences of large numbers.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
-    Hit nearest = hit_at(0u);
-    state.first_t = nearest.t;
-    state.shift = shade_of(scene, ray, g, nearest, state);
+    state.shift = shade_of(scene, ray, g, hit_at(0u));
     add_compensated(state.remaining, state.lost, -state.shift * final.weight);
     add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
 }
@@ -146,7 +138,7 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, in
 /// @return number of blended hits: final.n_hits, or fewer if the search does not find
 /// them again
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
-    BlendState state = start_blending(ray_index, final, g);
+    BlendState state = start_blending(final, g);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
     Key after = first_key(scene);
     going = going && final.n_hits > 0u;
@@ -181,16 +173,14 @@ void empty_slots(uint ray_index, uint first, uint n) {
         params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
-/// Sets ray_geometry to the gradient of this ray. Initialises the gradient of the ray
-/// with the gradient of its point.
-/// @return true if a hit can have a gradient
-bool take_geometry(uint ray_index, RenderedRay final) {
-    take_ray(params.scene, ray_index, params.d_geometry.at[ray_index], final.transmittance);
-    bool explains = LIKELIHOOD != 0u && ray_geometry.likelihood != 0.0;
-    if (GEOMETRY == 0u) return explains;
-    d_ray_origin = ray_geometry.point;
-    d_ray_direction = ray_geometry.range * ray_geometry.point;
-    return explains || ray_geometry.distortion != 0.0 || ray_geometry.normal != vec3(0.0);
+/// Whether any blended value has a gradient.
+bool has_gradient(RayGradient g) {
+    bool any_gradient = false;
+#define RELIDAR_HAS(name, built, value, input, slope, meaning) \
+    any_gradient = any_gradient || (built && g.name != 0.0);
+    RELIDAR_BLENDED_VALUES(RELIDAR_HAS)
+#undef RELIDAR_HAS
+    return any_gradient;
 }
 
 void main() {
@@ -205,11 +195,9 @@ void main() {
     d_ray_direction = vec3(0.0);
     ray_basis_instance = kNoInstance;
     RayGradient g = params.upstream.at[i];
-    bool any_gradient =
-        g.depth != 0.0 || g.weight != 0.0 || g.intensity != 0.0 || g.hit_logit != 0.0 || g.drop_logit != 0.0;
     RenderedRay final = params.rendered.at[i];
-    if (WITH_GEOMETRY) any_gradient = take_geometry(i, final) || any_gradient;
-    uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && any_gradient);
+    if (LIKELIHOOD != 0u) take_measured(params.scene, i);
+    uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && has_gradient(g));
     if (!inside) return;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);
     if (is_null(params.d_rays)) return;

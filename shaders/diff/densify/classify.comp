@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides what happens to each surfel (docs/method.md section 6). Drops a surfel if it is
-// invalid, faint, too large or outside its actor's box. Otherwise the surfel grows by its
-// gradient (clone or split), grows by its opacity (share), or is kept. One thread per
-// surfel of any model. Input: surfels, statistics, models, extents. Output: action,
-// weight. Accumulated: counters.
+// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel,
+// faint, too large or outside its actor's box; else it grows by its gradient (clone or
+// split), or stays. One thread a surfel of any model. Input:
+// surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -39,7 +38,7 @@ bool is_surfel(uint i, vec4 q, vec3 scale) {
 
 /// Returns true if two random points of the surfel are both outside the model's box.
 bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
-    if (params.bounded == 0u || !(half_size.x > 0.0)) return false;
+    if (!(half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1],
                      params.surfels.mean.at[3 * i + 2]);
     mat3 r = rotation_matrix(q);
@@ -81,9 +80,7 @@ void main() {
     float opacity = 1.0 / (1.0 + exp(-params.surfels.opacity_logit.at[i]));
     float max_scale = max(scale.x, scale.y);
     if (has_third_scale()) max_scale = max(max_scale, scale.z);
-    bool by_gradient = params.growth == RELIDAR_DENSIFY_BY_GRADIENT;
-    uint action =
-        by_gradient ? grow_by_gradient(i, max_scale, params.extents.at[model]) : RELIDAR_DENSIFY_KEEP;
+    uint action = grow_by_gradient(i, max_scale, params.extents.at[model]);
     // A split surfel is tested with the scale of its halves.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = verdict(i, model, q, scale, opacity, max_scale);
@@ -93,9 +90,6 @@ void main() {
     } else if (action != RELIDAR_DENSIFY_KEEP) {
         weight = 1u;
         count(model, action == RELIDAR_DENSIFY_CLONE ? RELIDAR_DENSIFY_CLONES : RELIDAR_DENSIFY_SPLITS, 1u);
-    } else if (params.growth == RELIDAR_DENSIFY_BY_OPACITY) {
-        action = RELIDAR_DENSIFY_SHARE;
-        weight = max(uint(opacity * 255.0 + 0.5), 1u);
     }
     params.action.at[i] = action;
     params.weight.at[i] = weight;

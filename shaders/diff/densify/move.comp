@@ -13,7 +13,7 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
     uint action = params.action.at[i];
-    bool changed = action == RELIDAR_DENSIFY_SPLIT || action == RELIDAR_DENSIFY_SHARE;
+    bool changed = action == RELIDAR_DENSIFY_SPLIT;
     for (uint row = 0u; row < params.n_rows.at[i]; ++row) {
         bool zero = params.fresh != 0u && (changed || row > 0u);
         uint target = (params.starts.at[i] + row) * params.stride;

@@ -1,19 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the values of surfels that were split or shared. Kernel densify/move has
-// written copies of the original to their rows before. One thread per surfel of the old
-// order. Input: action, n_rows, starts. In place: surfels.
-//
-// Split: moves each half to a random point of the surfel, in its plane (3D Gaussians:
-// along all three axes), and divides its scales by 1.6.
-//
-// Share among N ("3D Gaussian Splatting as Markov Chain Monte Carlo", NeurIPS 2024,
-// adapted to surfels): the opacity becomes s' = 1 - (1 - s)^(1/N), so that N copies
-// transmit as much as the original. The scales are multiplied by sqrt(s / sum_{i=1..N} (1
-// - (1 - s')^i) / i), so that the blended copies have the same integral over the plane.
-// The paper sums over one axis with 1 / sqrt(k + 1). Here the factor is 1 / (k + 1), the
-// area of a Gaussian to the power k + 1 relative to the surfel. The inner alternating sum
-// has a closed form. 3D Gaussians use the same formula, because across a ray they are
-// Gaussians over a plane with proportional scales.
+// Values of split surfels, where densify/move has put copies of the original. One thread
+// a surfel of the old order. Input: action, n_rows, starts. In place: surfels. Each half is
+// at a random point of the surfel, in its plane, scales / 1.6; of a 3D Gaussian along all
+// three axes.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -42,28 +31,9 @@ void split(uint row) {
     add_to_scales(row, -log(1.6));
 }
 
-void share(uint row, uint n) {
-    float logit = params.surfels.opacity_logit.at[row];
-    float log_through = -max(logit, 0.0) - log(1.0 + exp(-abs(logit)));  // ln(1 - s)
-    float step_log = log_through / float(n);                             // ln(1 - s')
-    float sum = 0.0;
-    for (uint i = 1u; i <= n; ++i) sum += (1.0 - exp(float(i) * step_log)) / float(i);
-    float log_factor = 0.5 * log((1.0 - exp(log_through)) / sum);
-    float shared_logit =
-        max(log(1.0 - exp(step_log)) - step_log, log(params.min_opacity / (1.0 - params.min_opacity)));
-    params.surfels.opacity_logit.at[row] = shared_logit;
-    add_to_scales(row, log_factor);
-}
-
 void main() {
     uint i = thread_index();
     if (i >= params.n_surfels) return;
-    uint action = params.action.at[i];
-    if (action != RELIDAR_DENSIFY_SPLIT && action != RELIDAR_DENSIFY_SHARE) return;
-    uint n = params.n_rows.at[i];
-    for (uint k = 0u; k < n; ++k) {
-        uint row = params.starts.at[i] + k;
-        if (action == RELIDAR_DENSIFY_SPLIT) split(row);
-        else share(row, n);
-    }
+    if (params.action.at[i] != RELIDAR_DENSIFY_SPLIT) return;
+    for (uint k = 0u; k < params.n_rows.at[i]; ++k) split(params.starts.at[i] + k);
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: blends the hits of sorted lists (blend.glsl). One thread per ray. Leaves
-// a ray to forward/trace if its list is unfit: too short, or closed too early because of
-// hits that were reported twice. Input: scene (records, instances, sh, targets; rays if
-// SH are evaluated per hit or with geometry), lists. Output: rendered, kept, geometry,
+// Forward pass: blends the hits of sorted lists (blend.glsl). One thread a ray. Leaves a
+// ray to forward/trace where its list is unfit: too short, or closed too early by hits
+// that were reported twice. Input: scene (records, instances, sh, targets; rays where SH
+// are evaluated a hit or normals are blended), lists. Output: rendered, kept, surfaces,
 // lists.lengths. Accumulated: n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -13,9 +13,9 @@
 #include "../traversal/keys.glsl"
 #include "../traversal/ray.glsl"
 #include "../traversal/shading.glsl"
-#include "../traversal/facing_normal.glsl"
 #include "../traversal/likelihood.glsl"
 #include "../../base/compensated.glsl"
+#include "facing_normal.glsl"
 #include "surfaces.glsl"
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 // Forward pass: collects hits chunk by chunk, nearest first, and blends them
-// (blend.glsl). One thread per ray. After forward/blend, renders only the rays with unfit
-// lists. Input: scene (rays, records, instances, sh, acceleration structure, targets),
-// lists.lengths. Output: rendered, kept, geometry. Accumulated: scene.pass_cap_count,
+// (blend.glsl). One thread a ray; after forward/blend, of the rays whose lists are unfit
+// alone. Input: scene (rays, records, instances, sh, acceleration structure, targets),
+// lists.lengths. Output: rendered, kept, surfaces. Accumulated: scene.pass_cap_count,
 // n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"
-#include "../traversal/facing_normal.glsl"
 #include "../traversal/likelihood.glsl"
 #include "../../base/compensated.glsl"
+#include "facing_normal.glsl"
 #include "surfaces.glsl"
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"

@@ -67,7 +67,10 @@ void main() {
     vec4 terms = vec4(0.0);
     if (i < params.n_rays) {
         DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
-        RayGradient g = RayGradient(0.0, 0.0, 0.0, 0.0, 0.0);
+        RayGradient g;
+#define RELIDAR_START(name, built, value, input, slope, meaning) g.name = 0.0;
+        RELIDAR_BLENDED_VALUES(RELIDAR_START)
+#undef RELIDAR_START
         if (target.weight > 0.0) terms = ray_terms(params.rendered.at[i], target, g);
         params.upstream.at[i] = g;
     }

@@ -28,17 +28,16 @@ struct BackwardParams {
     RELIDAR_OF(Floats, Harmonics) d_sh;  // accumulated [n,3,16], if SH are evaluated per hit
     // Output [n] 1 for surfels that have a hit with a gradient, or address 0.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
-    RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // output [n_rays,6] d_origin, d_direction, or address 0
-    RELIDAR_OF(Uints, FirstHits) first_hit;         // input [n_rays] slot of each ray's first hit (gather)
-    HitRecords hits;                                // output [capacity] (gather)
-    RELIDAR_OF(Uints, HitRows) rows;                // output [capacity] (gather)
+    // output [n_rays,6] d_origin, d_direction, or address 0
+    RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
+    RELIDAR_OF(Uints, FirstHits) first_hit;  // input [n_rays] slot of each ray's first hit (gather)
+    HitRecords hits;                         // output [capacity] (gather)
+    RELIDAR_OF(Uints, HitRows) rows;         // output [capacity] (gather)
     // input [ceil(n/2),n_kept,2] of n threads, hits in the order in which the forward
     // pass blended them
     Hits kept;
-    RenderedGeometries geometry;   // input [n_rays], if the kernel is built with geometry
-    GeometryGradients d_geometry;  // input [n_rays], if the kernel is built with geometry
-    uint n_kept;                   // hits stored per ray; later hits are searched again
-    uint capacity;                 // slots of `hits`; hits in later slots are added with atomics
+    uint n_kept;    // hits stored per ray; later hits are searched again
+    uint capacity;  // slots of `hits`; hits in later slots are added with atomics
     uint n_rows;
     uint with_turn;  // 1: d_records also gets the rotation of SH directions, if SH are evaluated per hit
 };
@@ -58,8 +57,6 @@ struct GatherParams {
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit
     RELIDAR_OF(Uints, MostHits) most_hits;          // maximum [1] of n_hits
-    RenderedRays rendered;                          // input [n_rays], if the kernel is built with geometry
-    GeometryGradients d_geometry;                   // input [n_rays], if the kernel is built with geometry
     uint capacity;
     uint n_rows;
 };

@@ -13,7 +13,6 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_KEEP 1
 #define RELIDAR_DENSIFY_CLONE 2  // kept, with a copy next to it
 #define RELIDAR_DENSIFY_SPLIT 3  // replaced by two smaller surfels
-#define RELIDAR_DENSIFY_SHARE 4  // kept, with copies; together they have the original opacity
 
 // Counters per model, one uint each.
 #define RELIDAR_DENSIFY_KEPT 0     // survivors, including growing surfels
@@ -25,11 +24,6 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_SPLITS 6   // surfels that should be split
 #define RELIDAR_DENSIFY_WEIGHT 7   // sum of weights
 #define RELIDAR_DENSIFY_COUNTERS 8
-
-// Criterion for the growth of a surfel.
-#define RELIDAR_DENSIFY_BY_NOTHING 0
-#define RELIDAR_DENSIFY_BY_GRADIENT 1
-#define RELIDAR_DENSIFY_BY_OPACITY 2
 
 /// Parameters of densify/observe.comp, which adds one batch to the statistics.
 struct ObserveParams {
@@ -54,7 +48,7 @@ struct ClassifyParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, GradientSums) gradient_sum;  // input [n]
     RELIDAR_OF(Uints, SeenBatches) n_seen;          // input [n]
-    RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SHARE
+    RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SPLIT
     // output [n] share in the growth, 0 for a surfel that does not grow
     RELIDAR_OF(Uints, GrowthWeights) weight;
     RELIDAR_OF(Uints, DensifyCounters) counters;  // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
@@ -66,8 +60,6 @@ struct ClassifyParams {
     // others are split
     float clone_extent_share;
     float gradient_threshold;  // surfels with a larger mean gradient norm grow
-    uint growth;               // RELIDAR_DENSIFY_BY_*
-    uint bounded;              // 1: drop surfels outside the box of the model
     uint n_surfels;
     uint n_models;
     uint key;  // key of the random numbers
@@ -98,14 +90,13 @@ struct MoveParams {
     uint fresh;  // 1: rows of new surfels, and of surfels whose values change, become zero (moments)
 };
 
-/// Parameters of densify/spawn.comp, which computes the values of split and shared
-/// surfels. Their new rows hold copies of the old values.
+/// Values of split surfels in their new places, which hold copies of the old ones
+/// (densify/spawn.comp).
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, in the new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] in the old order
     RELIDAR_OF(Uints, RowCounts) n_rows;       // input [n]
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n]
-    float min_opacity;                         // lower bound of the opacity of shared surfels
     uint n_surfels;                            // number before densification
     uint key;
 };
@@ -115,15 +106,6 @@ struct ResetOpacityParams {
     RELIDAR_OF(Floats, OpacityLogits) opacity_logit;  // in place [n]
     float max_logit;
     uint n_surfels;
-};
-
-/// Parameters of densify/jitter.comp, which adds noise to the means.
-struct JitterParams {
-    SurfelPointers surfels;  // in place: means
-    float amount;            // standard deviation, in units of the surfel's scales
-    float faint_opacity;     // opacity at which the noise is halved
-    uint n_surfels;
-    uint key;
 };
 
 RELIDAR_SHARED_END

@@ -103,9 +103,4 @@ vec3 world_vector(TraceScene scene, vec3 g) {
     if (m.moves != 0u) v = turned_by(entered_turn, g);
     return m.row0.xyz * v.x + m.row1.xyz * v.y + m.row2.xyz * v.z;
 }
-
-/// Turns a vector of the world into the entered instance's model.
-vec3 entered_vector(TraceScene scene, vec3 d) {
-    return turned_by(-entered_turn, model_vector(scene.instances.at[entered_instance], d));
-}
 #endif

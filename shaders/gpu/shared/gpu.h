@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Building blocks that know nothing of rays or surfels: prefix sums, a stable radix sort,
-// a copy. Sums and sort give the same result in every run; their workgroups have 256
-// threads and take a tile of 4096 elements each.
+// Parameters of general-purpose kernels: prefix sums, a stable radix sort and a copy.
+// Sums and sort give the same result in every run. Their workgroups have 256 threads and
+// process a tile of 4096 elements each.
 #ifndef RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #define RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #include "relidar/base/lang.h"
@@ -10,43 +10,43 @@ RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_TILE_THREADS 256u
 #define RELIDAR_TILE_SIZE 4096u
-#define RELIDAR_SORT_BITS 8u      // of a digit
-#define RELIDAR_SORT_DIGITS 256u  // values of a digit, each the business of one thread
+#define RELIDAR_SORT_BITS 8u      // Bits of a digit.
+#define RELIDAR_SORT_DIGITS 256u  // Number of values of a digit; each is handled by one thread.
 
 /// Exclusive prefix sum (gpu/scan_sums.comp, scan_write.comp).
 struct ScanParams {
-    RELIDAR_OF(Uints, ScanCounts) counts;  // input: element i is counts[offset + i * stride]
-    // scan_sums: output [tiles]; scan_write: input, prefix sums of them, or address 0 =
-    // one tile
+    RELIDAR_OF(Uints, ScanCounts) counts;  // Input: element i is counts[offset + i * stride].
+    // Sums of the tiles, [tiles]: output of scan_sums. Input of scan_write as prefix
+    // sums; address 0 = one tile.
     RELIDAR_OF(Uints, ScanTileSums) tile_sums;
-    RELIDAR_OF(Uints, ScanPrefix) prefix;  // output [n] of scan_write; may be `counts` where stride is 1
-    RELIDAR_OF(Uints, ScanTotal) total;    // output [1] of scan_write: sum of all; address 0 = not wanted
+    RELIDAR_OF(Uints, ScanPrefix) prefix;  // Output of scan_write, [n]; may be `counts` if stride is 1.
+    RELIDAR_OF(Uints, ScanTotal) total;    // Output of scan_write, [1]: total sum; address 0 = not needed.
     uint n;
     uint offset;
     uint stride;
 };
 
-/// One pass of a stable sort by a digit (gpu/radix_count.comp, radix_scan.comp,
+/// Pass of a stable sort by a digit (gpu/radix_count.comp, radix_scan.comp,
 /// radix_scatter.comp).
 struct RadixSortParams {
-    // input [1]: how many there are, at most capacity count; address 0 = capacity
+    // Input, [1]: number of keys, limited by the capacity; address 0 = capacity.
     RELIDAR_OF(Uints, SortCount) n_keys;
-    RELIDAR_OF(Uints, SortKeys) keys;           // input [n,KEY_WORDS] low word first
-    RELIDAR_OF(Uints, SortOrder) order;         // input [n], or address 0 = 0, 1, 2, ...
-    RELIDAR_OF(Uints, SortKeys) sorted_keys;    // output
-    RELIDAR_OF(Uints, SortOrder) sorted_order;  // output
-    // [digits,tiles] keys of a digit in a tile; after radix_scan: those in the tiles
-    // before
+    RELIDAR_OF(Uints, SortKeys) keys;           // Input: keys, [n,KEY_WORDS], low word first.
+    RELIDAR_OF(Uints, SortOrder) order;         // Input: original indices, [n]; address 0 = 0, 1, 2, ...
+    RELIDAR_OF(Uints, SortKeys) sorted_keys;    // Output: sorted keys.
+    RELIDAR_OF(Uints, SortOrder) sorted_order;  // Output: original indices of the sorted keys.
+    // Number of keys with each digit in each tile, [digits,tiles]; after radix_scan the
+    // number in all earlier tiles.
     RELIDAR_OF(Uints, DigitCounts) counts;
-    RELIDAR_OF(Uints, DigitTotals) totals;  // [digits] keys of a digit
+    RELIDAR_OF(Uints, DigitTotals) totals;  // Number of keys with each digit, [digits].
     uint capacity;
-    uint shift;  // of the digit, a multiple of RELIDAR_SORT_BITS
+    uint shift;  // Bit position of the digit, a multiple of RELIDAR_SORT_BITS.
 };
 
-/// A copy whose time is taken (gpu/copy.comp).
+/// Copy for bandwidth measurements (gpu/copy.comp).
 struct CopyParams {
-    RELIDAR_OF(Vec4s, CopySource) from;  // input [n]
-    RELIDAR_OF(Vec4s, CopyTarget) to;    // output [n]
+    RELIDAR_OF(Vec4s, CopySource) from;  // Input: source vectors, [n].
+    RELIDAR_OF(Vec4s, CopyTarget) to;    // Output: copied vectors, [n].
     uint n;
 };
 

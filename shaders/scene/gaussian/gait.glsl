@@ -1,33 +1,36 @@
 // SPDX-License-Identifier: Apache-2.0
-// How a surfel of an actor that walks takes part in its gait (docs/method.md M10): at a
-// phase p of the gait it is there by exp(sharpness^2 (cos 2 pi (p - phase) - 1)) and has
+// Motion of a surfel of a walking actor (docs/method.md M14). At a phase p of the gait,
+// its opacity is multiplied by exp(sharpness^2 (cos 2 pi (p - phase) - 1)), and it is
 // moved by swing sin 2 pi (p - phase). Include after shared/scene.h.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAIT_GLSL
 
 struct Gait {
     float sharpness;
-    vec3 swing;  // m
-    float sine;  // of 2 pi (p - phase)
+    vec3 swing;  // amplitude, m
+    float sine;  // sine of 2 pi (p - phase)
     float cosine;
-    float presence;  // factor of the opacity
+    float presence;  // factor on the opacity
 };
 
 const float kTurn = 6.283185307;
 
-/// @param at  phase of the model, turns; below 0: it is rigid, and its surfels rest
+/// Returns the gait of a surfel at a phase.
+/// @param at  phase of the model in turns; below 0: the model is rigid, and its surfels
+/// do not move
 Gait gait_of(Floats gaits, uint surfel, float at) {
     if (is_null(gaits) || at < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 1.0);
     uint i = 5u * surfel;
     float off = at - gaits.at[i];
-    off = kTurn * (off - round(off));  // within half a turn, where sine and cosine are good
+    off = kTurn * (off - round(off));  // wraps to half a turn, because sine and cosine are accurate there
     float sharpness = gaits.at[i + 1u], cosine = cos(off);
     return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cosine,
                 exp(sharpness * sharpness * (cosine - 1.0)));
 }
 
-/// Gradient of the five parameters.
-/// @param d_mean  of where it has moved to @param d_presence  of its presence
+/// Computes the gradient of the five gait parameters.
+/// @param d_mean  gradient of the moved mean
+/// @param d_presence  gradient of the presence
 void gait_vjp(Gait g, vec3 d_mean, float d_presence, out float d_gait[5]) {
     d_gait[0] = -kTurn * (g.cosine * dot(g.swing, d_mean) -
                           g.sharpness * g.sharpness * g.sine * g.presence * d_presence);

@@ -1,26 +1,31 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a ray meets a 3D Gaussian (M9): at the point of largest density along it, the
-// nearest to the mean in the frame whose unit is the standard deviation, the rows A =
-// (a_u / s_u, a_v / s_v, a_w / s_w) of the record. With a = A (mean - o), b = A d:
+// Intersection of a ray with a 3D Gaussian (M9) and its derivative. The hit is the point
+// of highest density along the ray. It is the point nearest to the mean in the frame
+// whose unit is the standard deviation. The rows of A = (a_u / s_u, a_v / s_v, a_w / s_w)
+// are in the record. With a = A (mean - o), b = A d:
 //   t = a.b / b.b,  q = A (o + t d - mean),  G = exp(-|q|^2 / 2)
-// and its derivative. As for surfels, q is computed from t as it was rounded: the point
-// at t lies in the ellipsoid of alpha >= alpha_min and so in every proxy of it, which is
-// why no traversal loses it. What rounding leaves of q along b, where density does not
-// change, is taken out for at most kForgiven_m along the ray, half of the proxies'
-// margin: without it the rounding of 50 m, some 3e-6 m, would be noise in the opacity of
-// Gaussians thinner than 1e-4 m.
+// As for surfels, q is computed from the rounded t. The point at t then is in the
+// ellipsoid of alpha >= alpha_min, and so in every proxy of it. Therefore no traversal
+// loses the hit.
+//
+// Along b the density does not change, so a remainder of q along b is only rounding
+// error. It is removed, for at most kForgiven_m along the ray, which is half of the
+// margin of the proxies. Otherwise the rounding at 50 m, about 3e-6 m, would add noise to
+// the opacity of Gaussians thinner than 1e-4 m.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 
 const float kForgiven_m = 5e-5;
 
-/// A vector in standard deviations.
+/// Converts a vector to units of standard deviations.
 vec3 whitened(SurfelRecord s, vec3 v) {
     return vec3(exact_dot(s.axis_u, v), exact_dot(s.axis_v, v), exact_dot(s.normal, v));
 }
 
-/// @param origin, direction  ray in the model frame, m; direction of unit length
-/// @return false where anything is not finite
+/// Intersects a ray with a 3D Gaussian.
+/// @param origin  origin of the ray, model frame, m
+/// @param direction  direction of the ray, model frame, unit length
+/// @return false if a value is not finite
 bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
     precise vec3 to_mean = s.mean - origin;
     vec3 b = whitened(s, direction);
@@ -39,10 +44,11 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
     return length2 > 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// q is at right angles to b, so |q|^2 does not change with t:
-///   dalpha = -alpha q . dq as if t stood still,  dt = (b . da - (q + t b) . db) / b.b
+/// Derivative of intersect_gaussian(). q is perpendicular to b, so |q|^2 does not change
+/// with t:
+///   dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
 /// @param d_t      dL/dt at fixed alpha
-/// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
+/// @param d_alpha  dL/d(sigma G); 0 if alpha was clamped
 SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit,
                                          float d_t, float d_alpha) {
     SurfelHitGradient g;

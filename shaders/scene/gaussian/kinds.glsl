@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which primitive a kernel is built for, and what its row in relidar/scene/primitives.h
-// says of it.
+// The primitive for which a kernel is built, and its properties from the table in
+// relidar/scene/primitives.h.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_KINDS_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_KINDS_GLSL
 #include "relidar/scene/primitives.h"
 RELIDAR_CONSTANT(uint, PRIMITIVE, 0u);
 
-// kPrimitive_surfel, ...
+// Defines a constant for each primitive: kPrimitive_surfel, ...
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     const uint kPrimitive_##name = number;
 RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)
 #undef RELIDAR_PRIMITIVE
 
-const uint kProxy_rectangle = 2u, kProxy_icosahedron = 20u;  // triangles of each
+const uint kProxy_rectangle = 2u, kProxy_icosahedron = 20u;  // number of triangles of each proxy
 
 bool has_third_scale() {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Real spherical harmonics up to degree 3 in the ordering and signs of 3D Gaussian
+// Real spherical harmonics up to degree 3, with the order and signs of 3D Gaussian
 // splatting, and their gradient with respect to the direction. value = 0.5 +
 // basis(direction) . coefficients.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SH_GLSL
@@ -14,7 +14,7 @@ const float kSh3[7] = float[](-0.5900435899266435, 2.890611442640554, -0.4570457
 
 uint sh_count(uint degree) { return (degree + 1u) * (degree + 1u); }
 
-/// Basis functions of a unit direction; entries beyond the degree are 0.
+/// Computes the basis functions for a unit direction. Entries beyond the degree are 0.
 void sh_basis(vec3 d, uint degree, out float basis[16]) {
     for (int k = 0; k < 16; ++k) basis[k] = 0.0;
     basis[0] = kSh0;
@@ -40,8 +40,8 @@ void sh_basis(vec3 d, uint degree, out float basis[16]) {
     basis[15] = kSh3[6] * x * (xx - 3.0 * yy);
 }
 
-/// dL/d(direction) from dL/d(basis). The polynomials are differentiated as written; the
-/// direction is not renormalised here.
+/// Returns dL/d(direction) from dL/d(basis). Differentiates the polynomials as written
+/// and does not include the normalisation of the direction.
 vec3 sh_basis_vjp(vec3 d, uint degree, float d_basis[16]) {
     vec3 g = vec3(0.0);
     if (degree < 1u) return g;

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a ray meets a surfel (M1, M2), and the derivative of that (M8). `precise` keeps t
-// and alpha the same numbers in every kernel. Kernels call intersect() of primitive.glsl.
+// Intersection of a ray with a surfel (M1, M2), and its derivative (M8). `precise` makes
+// t and alpha identical in every kernel. Kernels call intersect() of primitive.glsl.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 
-/// Where a ray meets a primitive, in the frame of the record.
+/// Intersection of a ray with a primitive, in the frame of the record.
 struct SurfelHit {
     float t;        // m along the ray
-    float u, v, w;  // in standard deviations; w is a 3D Gaussian's, 0 on a surfel's plane
+    float u, v, w;  // in standard deviations; w is only for 3D Gaussians and is 0 for surfels
     float alpha;    // sigma G, not clamped
 };
 
@@ -16,8 +16,10 @@ float exact_dot(vec3 a, vec3 b) {
     return sum;
 }
 
-/// @param origin, direction  ray in the model frame, m
-/// @return false where the ray lies in the plane (n . d = 0) or anything is not finite
+/// Intersects a ray with a surfel.
+/// @param origin  origin of the ray, model frame, m
+/// @param direction  direction of the ray, model frame
+/// @return false if the ray is in the plane (n . d = 0) or a value is not finite
 bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
     precise vec3 to_mean = s.mean - origin;
     precise float facing = exact_dot(s.normal, direction);
@@ -33,19 +35,20 @@ bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Gradient of a record, in its layout.
+/// Gradient of a record, in the same layout, and of the ray.
 struct SurfelHitGradient {
     vec3 d_mean;
     vec3 d_axis_u;
     vec3 d_axis_v;
     vec3 d_normal;
     float d_opacity;
-    vec3 d_origin;  // of the ray, model frame
+    vec3 d_origin;  // origin of the ray, model frame
     vec3 d_direction;
 };
 
+/// Derivative of intersect_surfel().
 /// @param d_t      dL/dt at fixed u, v
-/// @param d_alpha  dL/d(sigma G); 0 where alpha was clamped
+/// @param d_alpha  dL/d(sigma G); 0 if alpha was clamped
 SurfelHitGradient intersect_surfel_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
                                        float d_alpha) {
     SurfelHitGradient g;

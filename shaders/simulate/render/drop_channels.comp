@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Inputs of a ray-drop network. Each is a function of the ray alone, and none depends on
-// the sensor's yaw. One thread a ray. Input: rays, measured, channels. Output: samples.
+// Computes the inputs of a ray-drop network. Each input depends only on the ray, and none
+// on the yaw of the sensor. One thread per ray. Input: rays, measured, channels.
+// Output: samples.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/render.h"
 RELIDAR_PARAMS(DropChannelsParams);
 
-const float kLeastProbability = 1e-4;  // of either answer: logits stay within 9.2
+// clamps the probability of a drop or a return, so that logits are within 9.2
+const float kLeastProbability = 1e-4;
 
 float channel_of(uint i, uint channel) {
     MeasuredRay m = params.measured.at[i];

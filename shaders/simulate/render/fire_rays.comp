@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The rays of a sensor in the world, each fired from where the sensor is at its time. One
-// thread a ray. Input: rays, poses. Output: fired.
+// Computes the rays of a sensor in the world frame, each from the sensor's pose at its
+// firing time. One thread per ray. Input: rays, poses. Output: fired.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The points of the rays that return, side by side in the order of the rays, in the frame
-// that the sensor's poses are given in. One thread a ray. Input: rays, measured, poses,
-// marks, places. Output: points, asked.
+// Writes the points of the returned rays without gaps, in the order of the rays and in
+// the frame of the sensor's poses. Also writes the ranges of n_asked rays. One thread per
+// ray. Input: rays, measured, poses, marks, places. Output: points, asked.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -9,7 +9,7 @@
 #include "sensor_way.glsl"
 RELIDAR_PARAMS(GatherPointsParams);
 
-/// floor(k n_rays / n_asked), in 32 bits.
+/// Returns floor(k n_rays / n_asked) without overflow in 32 bits.
 uint asked_ray(uint k) {
     return k * (params.n_rays / params.n_asked) + k * (params.n_rays % params.n_asked) / params.n_asked;
 }

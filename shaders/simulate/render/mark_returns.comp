@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which rays of a scan return: they met something, and are not dropped more likely than
-// the threshold says. A network brings nothing back that the sensor cannot see (1 stays
-// 1). One thread a ray. Input: measured, drop_prob. Output: marks.
+// Marks the rays of a scan that return: they have hit something, and their drop
+// probability is below the threshold. A probability of 1 means that the sensor cannot see
+// the surface; a network does not change it. One thread per ray. Input: measured,
+// drop_prob. Output: marks.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -3,7 +3,7 @@
 // them, and whether anything returns,
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))  (M6),   1 if the ray met nothing within the sensor's limits
 // A ray with a drop_prob of 1 never returns: this kernel alone decides which rays can.
-// One thread a ray. Input: rays, fired, rendered, geometry, beams, response. Output:
+// One thread a ray. Input: rays, fired, rendered, surfaces, beams, response. Output:
 // measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -11,8 +11,8 @@
 #include "../shared/render.h"
 RELIDAR_PARAMS(MeasureRaysParams);
 
-/// How bright the sensor reports the same surface at a range: linear between the entries,
-/// constant beyond them.
+/// Returns the intensity factor at a range. It is linear between the entries of the
+/// response and constant beyond them.
 float fall_at(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
@@ -25,7 +25,8 @@ float fall_at(float range_m) {
     return before.y;
 }
 
-/// Range of the image before the beam's offset. @param mode_m  of the heaviest surface
+/// Returns the range of the image before the beam's offset is added.
+/// @param mode_m  range of the surface with the largest weight
 /// @param normalised  D / W
 float chosen_range(RenderedRay r, float mode_m, float normalised) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return r.depth;
@@ -37,12 +38,14 @@ float chosen_range(RenderedRay r, float mode_m, float normalised) {
 float measured_range(float surface_m, SensorBeam beam) {
     return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m;
 }
-/// As RangeLimits::contains().
+/// Returns true if a range is within the sensor's limits. Same as
+/// RangeLimits::contains().
 bool within_limits(float range_m) {
     return range_m > 0.0 && range_m >= params.min_range_m && range_m <= params.max_range_m;
 }
 
-/// Cosine between a ray and the blended normal of what it met; 0 without a normal.
+/// Returns the cosine between a ray and the blended normal of the surfaces it hit, or 0
+/// without a normal.
 float incidence(vec3 normal, vec3 direction) {
     float size = length(normal);
     return size > 0.0 ? clamp(-dot(normal, direction) / size, 0.0, 1.0) : 0.0;
@@ -52,12 +55,12 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_rays) return;
     RenderedRay r = params.rendered.at[i];
-    RenderedGeometry geometry = params.geometry.at[min(i, params.n_geometry - 1u)];
+    RenderedSurface surface = params.surfaces.at[min(i, params.n_surfaces - 1u)];
     uint channel = params.rays.at[i].channel;
     SensorBeam beam = SensorBeam(0.0, 1.0, 0.0);
     if (channel < params.n_beams) beam = params.beams.at[channel];
     bool dominated = r.median_depth > 0.0, is_met = r.weight >= params.min_weight;
-    float normalised = r.depth / r.weight, chosen_m = chosen_range(r, geometry.mode, normalised);
+    float normalised = r.depth / r.weight, chosen_m = chosen_range(r, surface.mode, normalised);
     float surface_m = dominated ? r.median_depth : chosen_m;
     MeasuredRay m;
     m.range_m = measured_range(chosen_m, beam);
@@ -69,7 +72,7 @@ void main() {
     m.drop_prob =
         1.0 - (is_met && within_limits(m.range_m) && within_limits(m.median_range_m) ? returns : 0.0);
     m.weight = r.weight;
-    m.incidence = is_met ? incidence(geometry.normal, params.fired.at[i].direction) : 0.0;
+    m.incidence = is_met ? incidence(surface.normal, params.fired.at[i].direction) : 0.0;
     m.instance = is_met ? r.instance : RELIDAR_NO_INSTANCE;
     params.measured.at[i] = m;
 }

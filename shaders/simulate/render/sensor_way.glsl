@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a sensor is when a ray is fired: between two poses, and beyond the first and last
-// one, it moves along a straight line and turns about one axis, at even speed. Include
-// after ../shared/render.h.
+// Computes the pose of a sensor at the firing time of a ray. Between two poses, and
+// beyond the first and last one, the sensor moves along a straight line and rotates about
+// one axis, both at constant speed. Include after ../shared/render.h.
 #ifndef RELIDAR_INCLUDED_SIMULATE_RENDER_SENSOR_WAY_GLSL
 #define RELIDAR_INCLUDED_SIMULATE_RENDER_SENSOR_WAY_GLSL
 #include "../../base/rotation.glsl"
 #include "../../scene/gaussian/quaternion.glsl"
 
 struct Firing {
-    vec3 position;  // of the pose before
-    vec3 moved;     // since then
-    vec3 turn;      // rotation vector, since then
-    mat3 rotation;  // of the pose before
+    vec3 position;  // position of the previous pose
+    vec3 moved;     // translation since the previous pose
+    vec3 turn;      // rotation vector since the previous pose
+    mat3 rotation;  // rotation of the previous pose
 };
 
 Firing firing_at(SensorPoses poses, uint n_poses, float time_offset_s) {

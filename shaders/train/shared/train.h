@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batches of rays.
+// Parameters of the kernels for batches of rays and for pose gradients.
 #ifndef RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
 #define RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
 #include "../../diff/shared/trace.h"
 
 RELIDAR_SHARED_BEGIN
 
-// as wide as the eight rays of a tile that a processor traces together
-// (traversal/ray.glsl)
+// As wide as a tile of eight rays, which a CPU traces together (traversal/ray.glsl).
 #define RELIDAR_COLUMN_GROUP 4u
 
-/// Some columns of a frame, whole and one beside the other, as an image of their own:
-/// groups of RELIDAR_COLUMN_GROUP neighbours, each column_stride times its width behind
-/// the one before (train/columns.glsl), from first_column on. The frame wraps around.
+/// Copies columns of a frame next to each other as a new image. The columns are groups of
+/// RELIDAR_COLUMN_GROUP neighbours. The distance between two groups is column_stride
+/// times their width, starting at first_column (train/columns.glsl). The frame wraps
+/// around.
 struct GatherColumnsParams {
     Rays rays;              // input [rows,columns]
     Targets targets;        // input [rows,columns]
@@ -25,48 +25,48 @@ struct GatherColumnsParams {
     uint n_columns;
 };
 
-/// A ray's place among the poses of the sensor: it moves with (1 - s) of knot `left` and
-/// s of the next one.
+/// Position of a ray between poses of the sensor: it moves with (1 - s) of knot `left`
+/// and s of the next knot.
 struct RayPlace {
     uint left;
     float s;
 };
 RELIDAR_POINTER(RayPlaces, RayPlace);
 
-/// A pose of the sensor and its correction, world.
+/// A pose of the sensor and its correction, world frame.
 struct PoseKnot {
-    vec3 position;     // uncorrected, m
-    vec3 translation;  // m
-    vec3 rotation;     // rotation vector, rad
+    vec3 position;     // uncorrected position, m
+    vec3 translation;  // correction of the position, m
+    vec3 rotation;     // correction of the rotation: rotation vector, rad
 };
 RELIDAR_POINTER(PoseKnots, PoseKnot);
 
-/// A frame's rays as the corrected poses have them.
+/// Computes the rays of a frame for the corrected poses.
 struct MoveRaysParams {
     Rays rays;         // input [n_rays]
     RayPlaces places;  // input [n_rays]
-    PoseKnots knots;   // input, those of this frame
+    PoseKnots knots;   // input: the knots of this frame
     Rays moved;        // output [n_rays]
     uint n_rays;
 };
 
 #define RELIDAR_KNOT_WORKGROUP 256
 
-/// Gradients of rays as gradients of the knots' corrections. Ray k of the batch is entry
-/// first_ray + k * ray_stride of `moved`, and of `places` too unless it was gathered from
-/// a window of columns.
+/// Converts gradients of rays to gradients of the knots' corrections. Ray k of the batch
+/// is entry first_ray + k * ray_stride of `moved`. It is the same entry of `places`,
+/// unless the batch is a copy of columns.
 struct KnotGradientsParams {
     Rays moved;                                     // input
-    RayPlaces places;                               // input, of the whole frame
+    RayPlaces places;                               // input: places of the full frame
     PoseKnots knots;                                // input
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // input [n_rays,6]
-    // output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation), sums over the rays of
-    // a workgroup
+    // output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation); each row is the sum
+    // over the rays of a workgroup
     RELIDAR_OF(Floats, KnotGradientRows) rows;
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    uint columns;  // of the frame; 0 = the batch is no copy of columns
+    uint columns;  // columns of the frame; 0: the batch is not a copy of columns
     uint first_column;
     uint column_stride;
     uint n_columns;

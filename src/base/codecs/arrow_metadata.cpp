@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tables of a flatbuffer are read by field number: field n stands in entry n of the
-// table's vtable, after its two sizes.
+// Reads the tables of a flatbuffer by field number. Entry n of a table's vtable, after
+// its two sizes, has the offset of field n.
 #include "base/codecs/arrow_metadata.hpp"
 
 #include <cstring>
@@ -13,10 +13,11 @@
 namespace relidar::arrow {
 namespace {
 
-constexpr flatbuffers::uoffset_t kMostTables = 10000;  // of a file: datasets have tens of columns
+// Maximum number of tables in a file; datasets have tens of columns.
+constexpr flatbuffers::uoffset_t kMostTables = 10000;
 constexpr std::size_t kLongestName = 200;
 
-// Numbers of Arrow's unions and enums.
+// Values of Arrow's unions and enums.
 constexpr std::uint8_t kTypeInt = 2, kTypeFloat = 3, kTypeUtf8 = 5;
 constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
@@ -25,7 +26,7 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
     throw DataError(fmt::format("malformed metadata ({}), expected an Arrow IPC file", what));
 }
 
-/// A flatbuffer in memory of its own: the verifier speaks of alignment within it.
+/// Aligned copy of a flatbuffer, because the verifier checks alignment.
 struct Bytes {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
@@ -45,7 +46,7 @@ private:
     }
 };
 
-/// A table, each field verified when it is read.
+/// Table of a flatbuffer. Each field is verified when it is read.
 class Table {
 public:
     static Table root(Bytes& bytes) {
@@ -73,8 +74,8 @@ public:
         if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName) malformed("name");
         return text->str();
     }
-    /// A vector of structs: 4 bytes of length, then the structs, which need not be
-    /// aligned.
+    /// Returns a vector of structs. It has a length of 4 bytes, followed by the structs,
+    /// which need not be aligned.
     template <class Struct>
     std::vector<Struct> structs(int field) const {
         const std::uint8_t* vector = verified_vector(field, sizeof(Struct));
@@ -101,7 +102,9 @@ private:
     Table(Bytes& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) malformed("table");
-        bytes.verifier.EndTable();  // its depth is bounded by the code that reads it
+        // The nesting depth need not be tracked, because the code that reads tables
+        // limits it.
+        bytes.verifier.EndTable();
     }
 
     static flatbuffers::voffset_t entry(int field) { return flatbuffers::voffset_t(4 + 2 * field); }
@@ -150,7 +153,7 @@ Field field_of(const Table& table) {
     return field;
 }
 
-/// Bodies are compressed buffer by buffer, by one codec.
+/// Returns the codec that compresses each buffer of a batch.
 Codec codec_of(const Table& batch) {
     const std::optional<Table> compression = batch.table(3);
     if (!compression) return Codec::none;

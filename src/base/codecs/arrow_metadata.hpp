@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What an Arrow IPC file says of itself: the footer at its end and the message before
-// each record batch, both flatbuffers. Field numbers are those of Arrow's public format
-// (File.fbs, Schema.fbs, Message.fbs). Nothing is read that was not verified to lie in
-// the buffer.
+// Parses the metadata of Arrow IPC files: the footer at the end of the file, and the
+// message before each record batch. Both are flatbuffers. Field numbers are those of
+// Arrow's public format (File.fbs, Schema.fbs, Message.fbs). All data is verified to be
+// inside the buffer before it is read.
 #pragma once
 
 #include <cstdint>
@@ -16,13 +16,13 @@ namespace relidar::arrow {
 enum class Kind { integer, floating, text };
 enum class Codec { none, lz4_frame, zstd };
 
-/// A column: its values, or where it is encoded by a dictionary, those of the dictionary
+/// Column of a table. A dictionary-encoded column has the type of the dictionary's values
 /// and the type of the indices.
 struct Field {
     struct Type {
         Kind kind = Kind::text;
-        int bits = 0;            ///< 8, 16, 32 or 64; 0 of text
-        bool is_signed = false;  ///< of an integer
+        int bits = 0;            ///< Bits per number: 8, 16, 32 or 64; 0 for text.
+        bool is_signed = false;  ///< True for signed integers.
     };
     std::string name;
     Type type;
@@ -32,20 +32,20 @@ struct Field {
     };
     std::optional<Dictionary> dictionary;
 
-    /// Buffers of this column in a record batch: validity, values; of text validity,
-    /// offsets, characters.
+    /// Number of buffers of this column in a record batch: validity and values. Text has
+    /// validity, offsets and characters.
     std::size_t count_buffers() const { return type.kind == Kind::text && !dictionary ? 3 : 2; }
 };
 
-/// Where a record batch lies in the file: the message, then the body.
+/// Position of a record batch in the file: the message, then the body.
 struct Block {
     std::int64_t offset;
-    std::int32_t metadata_bytes;  ///< of the message, with the 8 bytes before it
+    std::int32_t metadata_bytes;  ///< Size of the message, including the 8 bytes before it.
     std::int32_t padding;
     std::int64_t body_bytes;
 };
 
-/// Rows of a column in a record batch.
+/// Number of rows of a column in a record batch.
 struct Node {
     std::int64_t length;
     std::int64_t null_count;
@@ -63,7 +63,8 @@ struct Footer {
 };
 
 struct RecordBatch {
-    /// whose values it holds; nothing where it holds rows of the table
+    /// Id of the dictionary whose values the batch holds; nullopt if the batch holds rows
+    /// of the table.
     std::optional<std::int64_t> dictionary;
     std::int64_t length = 0;
     std::vector<Node> nodes;
@@ -71,10 +72,13 @@ struct RecordBatch {
     Codec codec = Codec::none;
 };
 
-/// @param bytes  of the flatbuffer @throws DataError without the file's name: what is
-/// wrong
+/// Parses the footer of a file.
+/// @param bytes flatbuffer of the footer
+/// @throws DataError with the reason, without the file name
 Footer parse_footer(std::string_view bytes);
-/// @param bytes  of the message's flatbuffer @throws as parse_footer
+/// Parses the message of a record batch.
+/// @param bytes flatbuffer of the message
+/// @throws DataError as parse_footer()
 RecordBatch parse_batch(std::string_view bytes);
 
 }  // namespace relidar::arrow

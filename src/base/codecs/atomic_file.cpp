@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A file appears under its name complete, or not at all: written to a temporary name in
-// the same folder, flushed to the disk, renamed, and the folder flushed too, so that a
-// power cut leaves the old file or the new one.
+// Writes files atomically: writes to a temporary name in the same folder, flushes the
+// file, renames it and flushes the folder. After a power failure, either the old or the
+// new file exists.
 #include <relidar/base/files.hpp>
 
 #include <algorithm>
@@ -25,12 +25,12 @@ namespace fs = std::filesystem;
 using export_detail::system_message;
 
 [[noreturn]] void fail(const fs::path& path, std::string why) {
-    // one line a failure, whatever a library's message holds
+    // Messages of libraries may have several lines; an error message has one line.
     std::replace(why.begin(), why.end(), '\n', ' ');
     throw DataError(fmt::format("writing '{}': {}", path.string(), why));
 }
 
-/// Removes the temporary file unless it got its final name.
+/// Removes the temporary file, unless it was renamed to its final name.
 struct TemporaryFile {
     fs::path path;
     bool renamed = false;
@@ -40,8 +40,9 @@ struct TemporaryFile {
     }
 };
 
-/// Where the bytes go: a link is followed, so that it stays a link; anything that is no
-/// regular file is refused (renaming onto a device would replace it).
+/// Returns the path to write to. Follows a link, so that it stays a link. Rejects targets
+/// that are not regular files, because renaming a file onto a device would replace the
+/// device.
 fs::path final_path(const fs::path& path) {
     if (!path.has_filename()) fail(path, "the path names no file");
     std::error_code error;
@@ -65,7 +66,7 @@ void call_writer(const fs::path& path, const fs::path& temporary,
     try {
         write(temporary);
     } catch (const Error& error) {
-        // a device that fails while the data is fetched is not a file error
+        // A device that fails while the data is downloaded is not a file error.
         if (error.code() != ExitCode::data) throw;
         fail(path, error.what());
     } catch (const std::bad_alloc&) {
@@ -83,8 +84,8 @@ void flush_file(const fs::path& path, const fs::path& temporary) {
     if (result != 0) fail(path, "flushing to disk: " + system_message(error));
 }
 
-/// Makes the rename durable. Folders that cannot be opened for reading, and file systems
-/// without folder flush, are let be.
+/// Flushes the folder, so that the rename survives a power failure. Ignores folders that
+/// cannot be opened for reading, and file systems that cannot flush folders.
 void flush_folder(const fs::path& path) {
     const int folder = ::open(path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;
@@ -97,7 +98,7 @@ void flush_folder(const fs::path& path) {
 }  // namespace
 
 fs::path temporary_path(const fs::path& path) {
-    static std::atomic<unsigned> count{0};  // two threads may write the same name
+    static std::atomic<unsigned> count{0};  // Two threads may write to the same name.
     return path.parent_path() / fmt::format(".{}.tmp-{}-{}", path.filename().string(), ::getpid(), count++);
 }
 
@@ -113,16 +114,17 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
 }
 
 void remove_temporaries(const fs::path& folder) {
-    static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");  // as temporary_path makes them
+    // Pattern of the names that temporary_path() creates.
+    static const std::regex kTemporary(R"(\..+\.tmp-[0-9]+-[0-9]+)");
     std::error_code failed;
-    std::vector<fs::path> found;
+    std::vector<fs::path> temporary_paths;
     for (const auto& entry : fs::directory_iterator(folder, failed)) {
         const bool is_ours =
             entry.is_regular_file(failed) || (entry.is_directory(failed) && !entry.is_symlink(failed));
         if (is_ours && std::regex_match(entry.path().filename().string(), kTemporary))
-            found.push_back(entry.path());
+            temporary_paths.push_back(entry.path());
     }
-    for (const fs::path& path : found) fs::remove_all(path, failed);
+    for (const fs::path& path : temporary_paths) fs::remove_all(path, failed);
 }
 
 void write_text(const fs::path& path, const std::string& text) { export_detail::write_file(path, text); }

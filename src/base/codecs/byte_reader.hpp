@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records of recordings: little-endian numbers, and bytes behind their length.
+// Reads binary records: little-endian numbers, and bytes with a length prefix.
 #pragma once
 
 #include <bit>
@@ -16,7 +16,8 @@ namespace relidar::bag {
 
 static_assert(std::endian::native == std::endian::little, "numbers are taken as they lie");
 
-/// Never reads beyond its bytes. @throws DataError where they end too early
+/// Reads values in order and never beyond the end of the bytes.
+/// @throws DataError if there are not enough bytes
 class ByteReader {
 public:
     explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}
@@ -34,7 +35,7 @@ public:
         at_ += std::size_t(n);
         return part;
     }
-    /// Bytes behind their length of 4 bytes.
+    /// Returns bytes with a length prefix of 4 bytes.
     std::string_view sized() { return take(number<std::uint32_t>()); }
     std::size_t at() const { return at_; }
     std::size_t left() const { return bytes_.size() - at_; }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Common Data Representation, as ROS 2 serialises messages.
+// Writes Common Data Representation (CDR), the serialisation format of ROS 2 messages.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,8 @@
 
 namespace relidar::scan_files {
 
-/// Little-endian: every number at a multiple of its size, counted behind the first four
-/// bytes.
+/// Little-endian CDR writer. Each number is aligned to a multiple of its size, counted
+/// from the fifth byte.
 class Cdr {
 public:
     template <class T>

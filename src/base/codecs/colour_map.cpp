@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scalar range images as pictures. Colours are interpolated linearly between the stops
-// below. "turbo" is a rainbow of our own in the manner of that map (dark indigo, blue,
-// cyan, green, yellow, orange, dark red), near to far; "heat" is for errors.
+// Converts scalar range images to colour images by linear interpolation between the
+// colours below. "turbo" resembles the map of that name (dark indigo, blue, cyan, green,
+// yellow, orange, dark red) from near to far. "heat" is for errors.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -38,8 +38,8 @@ constexpr std::array<Colour, 16> kTurbo{{
 }};
 constexpr std::array<Colour, 2> kGray{{{0, 0, 0}, {255, 255, 255}}};
 constexpr std::array<Colour, 4> kHeat{{{0, 0, 0}, {210, 0, 0}, {255, 220, 0}, {255, 255, 255}}};
-constexpr Colour kNoValue{44, 44, 48};    // dark gray: nothing there
-constexpr std::uint8_t kSeparator = 128;  // gray
+constexpr Colour kNoValue{44, 44, 48};    // Dark gray for pixels without a value.
+constexpr std::uint8_t kSeparator = 128;  // Gray value of the line between images.
 constexpr int kSeparatorRows = 2;
 
 std::span<const Colour> stops_of(const std::string& map) {
@@ -49,7 +49,8 @@ std::span<const Colour> stops_of(const std::string& map) {
     throw UsageError(fmt::format("colour map '{}', expected turbo, gray or heat", map));
 }
 
-/// @param t [0, 1]
+/// Interpolates between the colours of a map.
+/// @param t position in the map, [0, 1]
 Colour interpolate(std::span<const Colour> stops, double t) {
     const double position = t * double(stops.size() - 1);
     const std::size_t low = std::min(std::size_t(position), stops.size() - 2);
@@ -76,7 +77,7 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
     if (!std::isfinite(low) || !std::isfinite(high))
         throw DataError(fmt::format("colouring an image: range {} to {}, expected finite values", low, high));
     const std::span<const Colour> stops = stops_of(map);
-    // a constant image takes the lowest colour
+    // A constant image gets the lowest colour.
     const double span = high > low ? double(high) - double(low) : 1.0;
 
     Image image{rows, columns, {}};

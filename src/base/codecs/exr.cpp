@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenEXR images of float channels, ZIP compressed. Encoded in memory: OpenEXR writes its
-// line table in a destructor, which cannot report a full disk, so the writing proper is
-// left to our own file functions.
+// Writes OpenEXR images of float channels with ZIP compression. Encodes the image in
+// memory, because OpenEXR writes its line table in a destructor, which cannot report a
+// full disk. Our file functions then write the bytes.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 
@@ -22,7 +22,7 @@
 namespace relidar {
 namespace {
 
-/// What OpenEXR writes to instead of a file.
+/// Memory stream that OpenEXR writes to instead of a file.
 class MemoryStream : public OPENEXR_IMF_NAMESPACE::OStream {
 public:
     MemoryStream() : OStream("memory") {}
@@ -69,7 +69,7 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
         const std::size_t stride = sizeof(float);
         for (const auto& [name, values] : channels) {
             header.channels().insert(name, imf::Channel(imf::FLOAT));
-            // OpenEXR only reads from it
+            // OpenEXR only reads the values.
             char* base = reinterpret_cast<char*>(const_cast<float*>(values.data()));
             buffer.insert(name, imf::Slice(imf::FLOAT, base, stride, stride * std::size_t(columns)));
         }

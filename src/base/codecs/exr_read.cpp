@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// OpenEXR images of scan lines. The header is read here first, by the published layout of
-// the file: OpenEXR allocates what a header asks for before it looks whether so much can
-// be there.
+// Reads OpenEXR scan-line images. Parses the header before OpenEXR does, by the published
+// file layout, because OpenEXR allocates the memory that a header requests without
+// checking whether the file can have so much data.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -28,13 +28,15 @@ namespace imf = OPENEXR_IMF_NAMESPACE;
 
 constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800,
                         kParts = 0x1000;
-constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;  // bytes
-constexpr std::size_t kMostInflated = 1032;    // deflate's own bound: a larger image is a lie
-constexpr std::size_t kAlwaysFits = 16 << 20;  // bytes of an image that nobody has to prove
-// that OpenEXR unpacks, by compression
+constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;  // Maximum length in bytes.
+// Maximum compression ratio of deflate; a larger image is impossible.
+constexpr std::size_t kMostInflated = 1032;
+// Images up to this size in bytes are accepted without a check of the compression ratio.
+constexpr std::size_t kAlwaysFits = 16 << 20;
+// Number of rows that OpenEXR decompresses together, by compression method.
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
-/// The bytes of a header in turn.
+/// Reads the bytes of a header in order.
 class ExrHeader {
 public:
     explicit ExrHeader(const std::string& file) : file_(file) {}
@@ -49,7 +51,7 @@ public:
         at_ += n;
         return std::string_view(file_).substr(at_ - n, n);
     }
-    /// Up to a zero byte.
+    /// Returns a name that ends with a zero byte.
     std::string name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
@@ -66,57 +68,59 @@ private:
     std::size_t at_ = 0;
 };
 
-constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;  // 500 MB as rays and their scan
+constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;  // 500 MB of memory as rays with their scan.
 
-/// What a header promises.
-struct Promise {
+/// Image description from a header.
+struct ImageHeader {
     std::int64_t rows = 0, columns = 0, rows_at_once = 1;
     std::vector<std::string> channels;
     std::map<std::string, std::string> notes;
 };
 
-void read_window(std::string_view bytes, Promise& promise) {
+void read_window(std::string_view bytes, ImageHeader& image_header) {
     if (bytes.size() != 16) throw DataError(fmt::format("dataWindow of {} bytes, expected 16", bytes.size()));
     std::int32_t corner[4];
     std::memcpy(corner, bytes.data(), sizeof corner);
-    promise.columns = std::int64_t(corner[2]) - corner[0] + 1;
-    promise.rows = std::int64_t(corner[3]) - corner[1] + 1;
-    constexpr std::int32_t kFarthest = 1 << 29;  // of a corner: what the library counts with ints
+    image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
+    image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
+    // Limit of a corner coordinate, because OpenEXR computes with ints.
+    constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
             throw DataError(
                 fmt::format("a corner of dataWindow at {}, expected one within {}", c, kFarthest));
 }
 
-void read_compression(std::string_view bytes, Promise& promise) {
+void read_compression(std::string_view bytes, ImageHeader& image_header) {
     const std::size_t kind =
         bytes.empty() ? std::size(kRowsAtOnce) : std::size_t(static_cast<unsigned char>(bytes[0]));
     if (kind >= std::size(kRowsAtOnce)) throw DataError("its compression is unknown");
-    promise.rows_at_once = kRowsAtOnce[kind];
+    image_header.rows_at_once = kRowsAtOnce[kind];
 }
 
-void read_channels(std::string_view bytes, Promise& promise) {
+void read_channels(std::string_view bytes, ImageHeader& image_header) {
     const std::string list(bytes);
     ExrHeader items(list);
     for (std::string name = items.name(); !name.empty(); name = items.name()) {
-        items.bytes(8);  // type and linearity, which OpenEXR checks
+        items.bytes(8);  // Type and linearity, which OpenEXR checks.
         const std::int32_t x = items.number(), y = items.number();
         if (x != 1 || y != 1)
             throw DataError(
                 fmt::format("channel '{}' has every {} x {}th pixel, expected all", excerpt(name), x, y));
-        if (std::find(promise.channels.begin(), promise.channels.end(), name) != promise.channels.end())
+        if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
+            image_header.channels.end())
             throw DataError(fmt::format("channel '{}' occurs twice", excerpt(name)));
-        promise.channels.push_back(name);
-        if (promise.channels.size() > kMostChannels)
+        image_header.channels.push_back(name);
+        if (image_header.channels.size() > kMostChannels)
             throw DataError(fmt::format("more than {} channels", kMostChannels));
     }
     if (!items.at_end())
         throw DataError("its list of channels ends before the bytes that it is said to have");
 }
 
-/// Whether an attribute has the bytes that its type needs. OpenEXR reads these, whatever
-/// size is told, and would go on in the middle of something else: there it finds sizes
-/// that nobody has looked at.
+/// Checks that an attribute has the number of bytes that its type needs. OpenEXR ignores
+/// the stored size, and would continue at a wrong position, where sizes have not been
+/// checked.
 void check_layout(const std::string& name, const std::string& type, std::string_view bytes) {
     static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
                                                                    {"box2f", 16},
@@ -146,7 +150,7 @@ void check_layout(const std::string& name, const std::string& type, std::string_
         throw DataError(fmt::format("attribute '{}' of type '{}' has {} bytes, expected {}", excerpt(name),
                                     type, bytes.size(), known->second));
     if (type == "chlist") {
-        Promise of_others;
+        ImageHeader of_others;
         read_channels(bytes, of_others);
     }
     if (type == "stringvector") {
@@ -170,10 +174,10 @@ void check_kind(ExrHeader& header) {
     if (version & kParts) throw DataError("several images in one file, expected one");
 }
 
-Promise read_header(const std::string& file) {
+ImageHeader read_header(const std::string& file) {
     ExrHeader header(file);
     check_kind(header);
-    Promise promise;
+    ImageHeader image_header;
     std::set<std::string> seen;
     for (std::string name = header.name(); !name.empty(); name = header.name()) {
         const std::string type = header.name();
@@ -182,47 +186,48 @@ Promise read_header(const std::string& file) {
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
-        if (type == "idmanifest" || type == "preview" || type == "bytes")  // they hold sizes of their own
+        // These types contain sizes that are not checked here.
+        if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(
                 fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));
         check_layout(name, type, bytes);
-        if (name == "dataWindow") read_window(bytes, promise);
-        if (name == "compression") read_compression(bytes, promise);
-        if (name == "channels") read_channels(bytes, promise);
-        if (type == "string" && bytes.size() <= kLongestNote) promise.notes[name] = bytes;
+        if (name == "dataWindow") read_window(bytes, image_header);
+        if (name == "compression") read_compression(bytes, image_header);
+        if (name == "channels") read_channels(bytes, image_header);
+        if (type == "string" && bytes.size() <= kLongestNote) image_header.notes[name] = bytes;
     }
     if (!seen.contains("dataWindow") || !seen.contains("channels"))
         throw DataError("its header has no dataWindow, or no channels");
-    return promise;
+    return image_header;
 }
 
-/// Whether the file can hold what its header promises.
-void check_promise(const Promise& promise, std::size_t file_bytes) {
-    const std::int64_t rows = promise.rows, columns = promise.columns;
-    if (rows <= 0 || columns <= 0 || promise.channels.empty())
+/// Checks that the file is large enough for the image that its header describes.
+void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
+    const std::int64_t rows = image_header.rows, columns = image_header.columns;
+    if (rows <= 0 || columns <= 0 || image_header.channels.empty())
         throw DataError(fmt::format("{} x {} pixels, {} channels, expected some of each", rows, columns,
-                                    promise.channels.size()));
+                                    image_header.channels.size()));
     if (rows > std::int64_t(kMaxPixels) / columns)
         throw DataError(fmt::format("{} x {} pixels, expected at most {}", rows, columns, kMaxPixels));
     const std::int64_t unpacked =
-        (rows + promise.rows_at_once - 1) / promise.rows_at_once * promise.rows_at_once;
-    // bytes, half precision
-    const std::size_t least = std::size_t(unpacked * columns) * promise.channels.size() * 2;
+        (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
+    // Minimum size in bytes, with half precision.
+    const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
     if (least > std::max(kAlwaysFits, kMostInflated * file_bytes))
         throw DataError(fmt::format("{} x {} pixels of {} channels are impossible in a file of {} bytes",
-                                    rows, columns, promise.channels.size(), file_bytes));
+                                    rows, columns, image_header.channels.size(), file_bytes));
 }
 
-/// What OpenEXR reads from instead of a file.
+/// Memory stream that OpenEXR reads instead of a file.
 class MemoryInput : public imf::IStream {
 public:
     explicit MemoryInput(const std::string& bytes) : IStream("memory"), bytes_(bytes) {}
 
     bool read(char out[], int n) override {
-        const std::size_t wanted = std::size_t(std::max(n, 0));
-        if (wanted > bytes_.size() - std::min(position_, bytes_.size())) throw DataError("it is truncated");
-        std::memcpy(out, bytes_.data() + position_, wanted);
-        position_ += wanted;
+        const std::size_t n_bytes = std::size_t(std::max(n, 0));
+        if (n_bytes > bytes_.size() - std::min(position_, bytes_.size())) throw DataError("it is truncated");
+        std::memcpy(out, bytes_.data() + position_, n_bytes);
+        position_ += n_bytes;
         return position_ < bytes_.size();
     }
     std::uint64_t tellg() override { return position_; }
@@ -234,16 +239,16 @@ private:
 };
 
 ExrImage decode(const std::string& file) {
-    Promise promise = read_header(file);
-    check_promise(promise, file.size());
+    ImageHeader image_header = read_header(file);
+    check_image_size(image_header, file.size());
     MemoryInput stream(file);
     imf::InputFile input(stream);
     if (!input.isComplete()) throw DataError("it is truncated");
-    ExrImage image{int(promise.rows), int(promise.columns), {}, std::move(promise.notes)};
+    ExrImage image{int(image_header.rows), int(image_header.columns), {}, std::move(image_header.notes)};
     const auto window = input.header().dataWindow();
     imf::FrameBuffer buffer;
     const std::size_t stride = sizeof(float), row = stride * std::size_t(image.columns);
-    for (const std::string& name : promise.channels) {
+    for (const std::string& name : image_header.channels) {
         std::vector<float>& values = image.channels[name];
         values.resize(std::size_t(image.rows) * std::size_t(image.columns));
         buffer.insert(name, imf::Slice::Make(imf::FLOAT, values.data(), window, stride, row));
@@ -259,9 +264,10 @@ ExrImage read_exr(const std::filesystem::path& path) {
     try {
         return decode(read_file(path));
     } catch (const DataError& error) {
-        const std::string said = error.what();
-        throw DataError(said.starts_with(path.string()) ? said : fmt::format("{}: {}", path.string(), said));
-    } catch (const std::exception& error) {  // of OpenEXR
+        const std::string message = error.what();
+        throw DataError(message.starts_with(path.string()) ? message
+                                                           : fmt::format("{}: {}", path.string(), message));
+    } catch (const std::exception& error) {  // Exceptions of OpenEXR.
         throw DataError(fmt::format("{}: {}", path.string(), excerpt(error.what())));
     }
 }

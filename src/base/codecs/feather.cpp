@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// An Arrow IPC file: "ARROW1", messages, footer, 4 bytes of the footer's length,
-// "ARROW1". A compressed buffer begins with 8 bytes of its uncompressed length; -1 there
-// says that it is not compressed after all.
+// Reads Arrow IPC files: "ARROW1", messages, footer, 4 bytes with the footer's length,
+// "ARROW1". A compressed buffer begins with 8 bytes with its uncompressed length; -1
+// means that it is not compressed.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
@@ -24,9 +24,10 @@ using arrow::Kind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// for each byte of the file: lz4 comes to 255 bytes, zstd on equal values farther
+// Maximum number of rows and of text bytes for each byte of the file. lz4 has a ratio of
+// up to 255, and zstd a higher one for equal values.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
-constexpr std::size_t kPadding = 64;  // writers may fill buffers up to this
+constexpr std::size_t kPadding = 64;  // Writers may pad buffers by up to this number of bytes.
 
 template <class T>
 T load(std::string_view bytes, std::size_t at) {
@@ -35,7 +36,7 @@ T load(std::string_view bytes, std::size_t at) {
     return value;
 }
 
-/// A part of some bytes; negative numbers are none.
+/// Returns a part of the bytes. Rejects negative numbers.
 std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t n, const char* what) {
     if (offset < 0 || n < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(n) > bytes.size() - std::uint64_t(offset))
@@ -55,7 +56,8 @@ std::string_view footer_of(std::string_view bytes) {
     return part(bytes, end - n, n, "a footer");
 }
 
-/// A message is marked by 0xFFFFFFFF and the length of its flatbuffer.
+/// Returns the record batch of a block. A message begins with 0xFFFFFFFF and the length
+/// of its flatbuffer.
 Batch batch_at(std::string_view bytes, const arrow::Block& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message = part(bytes, block.offset, block.metadata_bytes, "a message");
@@ -67,8 +69,8 @@ Batch batch_at(std::string_view bytes, const arrow::Block& block) {
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-/// A buffer of a batch, at least n_bytes. Its uncompressed length must be those, up to
-/// padding, before anything is allocated.
+/// Returns a buffer of a batch with at least n_bytes. Its uncompressed length must match,
+/// except for padding, before memory is allocated.
 std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(at);
     std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");
@@ -90,7 +92,7 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     return bytes;
 }
 
-/// Rows of a column in a batch, none of them missing.
+/// Returns the number of rows of a column in a batch. Rejects missing values.
 std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffer) {
     if (node >= batch.layout.nodes.size() || last_buffer >= batch.layout.buffers.size())
         throw DataError(fmt::format("a record batch of {} columns and {} buffers, expected more",
@@ -110,7 +112,7 @@ void push_as(std::vector<T>& values, const Batch& batch, const Feather::Column& 
     for (std::size_t i = 0; i < n; ++i) values.push_back(convert(load<Stored>(bytes, i * sizeof(Stored))));
 }
 
-/// Values of integers of any width.
+/// Appends integers of any width.
 template <class T>
 void append_integers(std::vector<T>& values, const Batch& batch, const Feather::Column& column,
                      const Field::Type& type) {
@@ -145,11 +147,12 @@ void append_floats(std::vector<double>& values, const Batch& batch, const Feathe
                                [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
-/// Text i lies between offsets i and i + 1. @param most  bytes of it that are believed
+/// Appends texts. Text i is stored between offsets i and i + 1.
+/// @param most maximum number of text bytes
 void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node,
                   std::size_t first_buffer, std::size_t most) {
     const std::size_t n = rows_of(batch, node, first_buffer + 2);
-    if (n == 0) return;  // writers leave the offsets of no rows out
+    if (n == 0) return;  // Writers omit the offsets if there are no rows.
     const std::string offsets = buffer_of(batch, first_buffer + 1, (n + 1) * sizeof(std::int32_t));
     const auto offset = [&](std::size_t i) { return load<std::int32_t>(offsets, i * sizeof(std::int32_t)); };
     for (std::size_t i = 0; i < n; ++i)
@@ -163,8 +166,8 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
-/// Rows of all batches. @throws DataError where they are more than the file is believed
-/// to hold
+/// Returns the number of rows of all batches.
+/// @throws DataError if there are more rows than the file size allows
 std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
     std::size_t rows = 0;
     for (const Batch& batch : batches) {
@@ -190,7 +193,7 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
             at.node += 1;
             at.buffer += n_buffers;
         }
-        std::int64_t left = std::int64_t(bytes_.size());  // blocks do not overlap
+        std::int64_t left = std::int64_t(bytes_.size());  // Blocks do not overlap.
         const auto read = [&](const std::vector<arrow::Block>& blocks, std::vector<Batch>& batches) {
             for (const arrow::Block& block : blocks) {
                 batches.push_back(batch_at(bytes_, block));

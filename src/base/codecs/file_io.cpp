@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bytes to and from files; see file_io.hpp. C streams rather than C++ ones, because they
-// report errno.
+// Writes and reads bytes of files. Uses C streams instead of C++ streams, because C
+// streams report errno.
 #include "file_io.hpp"
 
 #include <algorithm>

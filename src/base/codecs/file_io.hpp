@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bytes to and from files, with every failure noticed: short writes, failed flushes,
-// files that shrink while read. Messages name only what failed; write_atomically and the
-// readers add path and purpose. Private to export.
+// Writes and reads bytes of files, and detects every failure: short writes, failed
+// flushes, files that shrink during reading. Messages contain only the failed operation;
+// write_atomically() and the readers add path and purpose. Private to base/codecs.
 #pragma once
 
 #include <bit>
@@ -17,8 +17,8 @@ namespace relidar::export_detail {
 
 static_assert(std::endian::native == std::endian::little, "every format written here is little-endian");
 
-/// A file opened for writing. Destruction without close() leaves the file as it is,
-/// unflushed data lost.
+/// File opened for writing. If close() was not called, the destructor leaves the file as
+/// it is, and buffered data is lost.
 class OutputFile {
 public:
     explicit OutputFile(const std::filesystem::path& path);
@@ -28,23 +28,25 @@ public:
 
     void write(const void* data, std::size_t n_bytes);
     void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
-    /// Flushes and closes. @throws DataError where the system could not take all bytes
+    /// Flushes and closes the file.
+    /// @throws DataError if the system could not write all bytes
     void close();
 
 private:
     std::FILE* file_ = nullptr;
 };
 
-/// Writes a whole file through write_atomically.
+/// Writes a complete file with write_atomically().
 void write_file(const std::filesystem::path& path, std::string_view bytes);
 
-/// A whole file. @throws DataError naming the path
+/// Reads a complete file.
+/// @throws DataError naming the path
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
-/// A note of a file as one line of its header.
+/// Formats a metadata entry as one line of a file header.
 std::string note_line(const std::pair<std::string, std::string>& note);
 
-/// Message of a system error number, as strerror.
+/// Returns the message of a system error number, like strerror.
 std::string system_message(int error);
 
 }  // namespace relidar::export_detail

@@ -19,7 +19,7 @@ namespace {
 static_assert(std::endian::native == std::endian::little, "MCAP is little-endian");
 
 constexpr std::string_view kMagic("\x89MCAP0\r\n", 8);
-/// Codes of records.
+/// Codes of MCAP records.
 enum Code : std::uint8_t {
     kHeader = 1,
     kFooter = 2,
@@ -112,7 +112,7 @@ void McapWriter::add_message(std::uint16_t channel, std::uint64_t time_ns, std::
     chunk_first_ns_ = std::min(chunk_first_ns_, time_ns), chunk_last_ns_ = std::max(chunk_last_ns_, time_ns);
     std::string body;
     append(body, channel), append(body, std::uint32_t(n_messages_.at(channel)++));
-    append(body, time_ns), append(body, time_ns);  // logged and published
+    append(body, time_ns), append(body, time_ns);  // Log time and publish time of the message.
     body += message;
     chunk_ += record(kMessageRecord, body);
 }
@@ -123,14 +123,14 @@ void McapWriter::end_chunk() {
     std::string body;
     append(body, chunk_first_ns_), append(body, chunk_last_ns_), append(body, std::uint64_t(chunk_.size()));
     append(body, std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(chunk_.size()))));
-    append_text(body, "");  // not compressed: floats of a scan give little
+    append_text(body, "");  // Not compressed, because the floats of a scan compress poorly.
     append(body, std::uint64_t(chunk_.size()));
     put(record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
-    std::string places;  // of the indices by channel, as the chunk's own index has them
+    std::string index_positions;  // Positions of the message indices by channel, for the chunk index.
     for (const auto& [channel, messages] : chunk_index_) {
-        append(places, channel), append(places, written_);
+        append(index_positions, channel), append(index_positions, written_);
         std::string index, entries;
         for (const Indexed& message : messages)
             append(entries, message.time_ns), append(entries, message.offset);
@@ -140,7 +140,7 @@ void McapWriter::end_chunk() {
     std::string index;
     append(index, chunk_first_ns_), append(index, chunk_last_ns_), append(index, begin),
         append(index, end - begin);
-    append_text(index, places);
+    append_text(index, index_positions);
     append(index, written_ - end), append_text(index, ""), append(index, std::uint64_t(chunk_.size()));
     append(index, std::uint64_t(chunk_.size()));
     chunk_indices_ += record(kChunkIndex, index);
@@ -155,14 +155,15 @@ std::string McapWriter::statistics() const {
     std::uint64_t n_messages = 0;
     for (const auto& [channel, n] : n_messages_) append(counts, channel), append(counts, n), n_messages += n;
     append(body, n_messages), append(body, n_schemas_), append(body, std::uint32_t(n_messages_.size()));
-    append(body, std::uint32_t(0)), append(body, n_metadata_), append(body, n_chunks_);  // no attachments
+    // Number of attachments.
+    append(body, std::uint32_t(0)), append(body, n_metadata_), append(body, n_chunks_);
     append(body, n_messages ? first_ns_ : std::uint64_t(0)), append(body, last_ns_);
     append_text(body, counts);
     return record(kStatistics, body);
 }
 
-/// Records of the summary, which begins where the file ends now, in groups of one code
-/// each.
+/// Returns the records of the summary, which starts at the current end of the file.
+/// Records of the same code form a group.
 std::string McapWriter::summary(std::vector<Group>& groups) const {
     std::string bytes;
     const auto add = [&](Code code, const std::string& records) {
@@ -177,7 +178,7 @@ std::string McapWriter::summary(std::vector<Group>& groups) const {
 void McapWriter::close() {
     end_chunk();
     std::string end, footer;
-    append(end, std::uint32_t(0));  // no checksum of everything: chunks have theirs
+    append(end, std::uint32_t(0));  // No checksum of the complete file, because chunks have checksums.
     put(record(kDataEnd, end));
     const std::uint64_t begin = written_;
     std::vector<Group> groups;

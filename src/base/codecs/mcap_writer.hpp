@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The container format MCAP (mcap.dev/spec): messages of several channels in order of
-// time, in chunks, with an index at the end, so that a reader can seek. What messages
-// hold is the caller's business.
+// Writes MCAP files (mcap.dev/spec): messages of several channels in time order, in
+// chunks, with an index at the end for seeking. The caller defines the content of the
+// messages.
 #pragma once
 
 #include <cstdint>
@@ -14,43 +14,47 @@
 
 namespace relidar::scan_files {
 
-/// Writes one file, piece by piece.
+/// Writer of an MCAP file.
 class McapWriter {
 public:
-    using Values = std::map<std::string, std::string>;  ///< by name
+    using Values = std::map<std::string, std::string>;  ///< Values by name.
 
-    /// @param profile  "ros2" where messages are ROS 2's, else empty @throws DataError as
-    /// all that write
+    /// Creates the file.
+    /// @param profile "ros2" for messages of ROS 2, otherwise empty
+    /// @throws DataError if the file cannot be written; all other functions that write
+    /// throw it too
     McapWriter(std::filesystem::path path, std::string_view profile);
 
-    /// Schemas and channels come before all messages. @return the id
+    /// Adds a schema or a channel. Both must precede all messages.
+    /// @return id of the schema or channel
     std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
     std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
                               const Values& metadata = {});
     void add_metadata(std::string_view name, const Values& values);
     void add_message(std::uint16_t channel, std::uint64_t time_ns, std::string_view message);
-    /// Ends the chunk of the messages since the last one: a reader loads it as a whole.
+    /// Ends the chunk with the messages since the last chunk. Readers load a chunk as a
+    /// unit.
     void end_chunk();
-    /// Writes what a reader looks for first. Nothing may follow.
+    /// Writes the summary and the footer, which readers read first. No data may follow.
     void close();
 
 private:
     struct Indexed {
-        std::uint64_t time_ns, offset;  ///< in the chunk
+        std::uint64_t time_ns, offset;  ///< Offset of the message in the chunk.
     };
     struct Group {
-        std::uint8_t code;             ///< of its records
-        std::uint64_t begin, n_bytes;  ///< in the file
+        std::uint8_t code;             ///< Code of the records in the group.
+        std::uint64_t begin, n_bytes;  ///< Position and size of the group in the file.
     };
 
     std::filesystem::path path_;
     std::ofstream file_;
     std::uint64_t written_ = 0;
-    std::string schemas_, channels_, chunk_indices_, metadata_indices_;  ///< records of the summary
+    std::string schemas_, channels_, chunk_indices_, metadata_indices_;  ///< Records of the summary.
     std::uint16_t n_schemas_ = 0;
     std::uint32_t n_chunks_ = 0, n_metadata_ = 0;
-    std::map<std::uint16_t, std::uint64_t> n_messages_;  ///< of each channel
-    std::uint64_t first_ns_ = UINT64_MAX, last_ns_ = 0;  ///< of all messages
+    std::map<std::uint16_t, std::uint64_t> n_messages_;  ///< Number of messages of each channel.
+    std::uint64_t first_ns_ = UINT64_MAX, last_ns_ = 0;  ///< First and last time of all messages.
 
     std::string chunk_;
     std::map<std::uint16_t, std::vector<Indexed>> chunk_index_;

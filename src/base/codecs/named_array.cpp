@@ -29,7 +29,7 @@ NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dt
     return array;
 }
 
-/// IEEE 754 half precision.
+/// IEEE 754 half-precision number.
 struct Half {
     std::uint16_t bits;
 
@@ -90,9 +90,10 @@ std::vector<Out> values_of(const NamedArray& array) {
     return function(array);
 }
 
-/// UTF-8 as Unicode's numbers. What is no UTF-8 becomes U+FFFD, byte by byte.
+/// Converts UTF-8 to Unicode code points. Replaces each byte that is not valid UTF-8 by
+/// U+FFFD.
 std::u32string code_points(std::string_view utf8) {
-    // shorter forms are forbidden
+    // Smallest code point for each length; overlong encodings are invalid.
     constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {
@@ -139,7 +140,7 @@ std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std
         empty = empty || extent == 0;
         overflow = __builtin_mul_overflow(product, extent, &product) || overflow;
     }
-    if (empty) return 0;  // an extent of 0 makes any other extent legal
+    if (empty) return 0;  // If one extent is 0, the other extents may have any value.
     if (overflow) return std::nullopt;
     return product;
 }

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What npz and safetensors need to know of an array before they trust it. Private to
-// export.
+// Checks of arrays that npz and safetensors share. Private to base/codecs.
 #pragma once
 
 #include <cstddef>
@@ -12,14 +11,17 @@
 
 namespace relidar::export_detail {
 
-/// Bytes an element of a type takes; 0 for a type NamedArray does not know.
+/// Returns the bytes per element of a type; 0 for a type that NamedArray does not
+/// support.
 std::size_t item_size(std::string_view dtype);
 
-/// Bytes of an array of a shape; nothing where that exceeds the address space.
+/// Returns the number of bytes of an array with this shape; nullopt if it exceeds the
+/// address space.
 std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std::size_t item_size);
 
-/// @throws DataError for an array without name, of unknown type, or whose bytes do not
-/// fill its shape
+/// Checks the name, type and size of an array.
+/// @throws DataError if the array has no name or an unknown type, or if the number of
+/// bytes does not match its shape
 void check_array(const NamedArray& array);
 
 }  // namespace relidar::export_detail

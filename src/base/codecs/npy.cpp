@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The .npy header as numpy writes it:
+// Writes and parses the .npy header in numpy's format:
+//
 //   {'descr': '<f4', 'fortran_order': False, 'shape': (66, 1030), }
-// Only what NamedArray can hold is accepted; big-endian, Fortran order, text, structs and
-// objects are refused by name.
+//
+// Accepts only types that NamedArray supports. Rejects big-endian numbers, Fortran order,
+// structs and objects with a specific message.
 #include "npy.hpp"
 
 #include <charconv>
@@ -22,7 +24,7 @@ namespace {
 constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
 constexpr std::size_t kAlignment = 64;
 
-/// Reads the one dict a header may hold, left to right.
+/// Parses the dict of a header from left to right.
 class HeaderParser {
 public:
     explicit HeaderParser(std::string_view text) : text_(text) {}
@@ -89,7 +91,7 @@ private:
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
         if (error != std::errc()) refuse("holds an impossible shape");
         text_.remove_prefix(std::size_t(end - text_.data()));
-        accept('L');  // Python 2 wrote long integers so
+        accept('L');  // Python 2 writes long integers with this suffix.
         return value;
     }
     std::vector<std::size_t> tuple() {
@@ -128,10 +130,10 @@ std::string npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    if (array.shape.size() == 1) shape.pop_back();  // (n,) is a tuple, (n) is not
+    if (array.shape.size() == 1) shape.pop_back();  // In Python, (n,) is a tuple, but (n) is not.
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);
-    constexpr std::size_t kPrefix = 10;  // magic, version, length
+    constexpr std::size_t kPrefix = 10;  // Magic, version and length.
     const std::size_t total = (kPrefix + dict.size() + 1 + kAlignment - 1) / kAlignment * kAlignment;
     dict.resize(total - kPrefix - 1, ' ');
     dict += '\n';

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The .npy header, one entry of an npz file: magic, version, and a Python dict of type,
-// order and shape. Private to export.
+// Writes and parses .npy data, the format of each array in an npz file: magic, version,
+// and a Python dict with type, order and shape. Private to base/codecs.
 #pragma once
 
 #include <cstddef>
@@ -11,11 +11,11 @@
 
 namespace relidar::export_detail {
 
-/// Header (version 1.0) of an array, padded to a multiple of 64 bytes.
+/// Returns the header (version 1.0) of an array, padded to a multiple of 64 bytes.
 std::string npy_header(const NamedArray& array);
 
-/// Array from the bytes of a .npy file: versions 1 to 3, little-endian, row-major.
-/// @throws DataError for anything else, saying what it is
+/// Parses the bytes of a .npy file of versions 1 to 3, little-endian and row-major.
+/// @throws DataError with the reason if the file has any other form
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes);
 
 }  // namespace relidar::export_detail

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// npz as numpy.savez and numpy.savez_compressed write it: zip entries stored or deflated,
-// zip64 fields included. The central directory is what counts; every offset and size is
-// checked against the file before it is used, and the checksum after.
+// Reads npz files of numpy.savez and numpy.savez_compressed: stored or deflated zip
+// entries, including zip64 fields. Uses the central directory. Every offset and size is
+// checked against the file before it is used, and the checksum afterwards.
 #include <relidar/base/arrays.hpp>
 
 #include <algorithm>
@@ -27,10 +27,11 @@ constexpr std::uint32_t kEnd64Signature = 0x06064b50, kLocator64Signature = 0x07
 constexpr std::size_t kLocalSize = 30, kCentralSize = 46, kEndSize = 22, kEnd64Size = 56, kLocator64Size = 20;
 constexpr std::uint16_t kZip64Extra = 1;
 constexpr std::uint32_t kSee64 = 0xFFFFFFFF;
-constexpr std::size_t kMaxExpansion = 1032;  // deflate's own bound: a larger size is a lie
-constexpr std::size_t kPiece = 1 << 30;      // zlib counts in 32 bits
+// Maximum compression ratio of deflate; a larger size is impossible.
+constexpr std::size_t kMaxExpansion = 1032;
+constexpr std::size_t kPiece = 1 << 30;  // zlib counts bytes with 32 bits.
 
-/// The bytes of the archive, read with a bounds check.
+/// Bytes of the archive, with bounds checks.
 struct Archive {
     std::vector<std::byte> bytes;
 
@@ -55,8 +56,8 @@ struct Directory {
     std::uint64_t n_entries = 0, size = 0, offset = 0;
 };
 
-/// Position of the end record: the last one whose comment reaches exactly to the end of
-/// the file.
+/// Returns the position of the end record: the last one whose comment ends exactly at the
+/// end of the file.
 std::size_t find_end(const Archive& archive) {
     const std::size_t n = archive.bytes.size();
     if (n < kEndSize) throw DataError(fmt::format("{} bytes are too few for a zip archive", n));
@@ -101,8 +102,8 @@ struct NpzEntry {
     std::uint64_t packed_size = 0, size = 0, offset = 0;
 };
 
-/// Replaces the fields that say "see zip64" by those of the extra field, which holds just
-/// these, in this order.
+/// Replaces fields with the value "see zip64" by the values of the extra field. It
+/// contains exactly these fields, in this order.
 void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     for (std::size_t at = 0; at + 4 <= extra.size();) {
         const std::size_t size = get<std::uint16_t>(extra, at + 2);
@@ -119,7 +120,7 @@ void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     }
 }
 
-/// Directory entry at `at`, which is moved behind it.
+/// Parses the directory entry at `at`, and advances `at` to the next entry.
 NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
     const auto record = directory.subspan(at);
     if (get<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
@@ -147,7 +148,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw std::bad_alloc();
     int status = Z_OK;
     std::size_t consumed = 0, produced = 0;
-    Bytef none = 0;  // zlib wants a place to write even where nothing is expected
+    Bytef none = 0;  // zlib needs a valid output pointer even if no output is expected.
     while (status == Z_OK) {
         stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(packed.data() + consumed));
         stream.avail_in = uInt(std::min(packed.size() - consumed, kPiece));
@@ -211,7 +212,7 @@ std::vector<NamedArray> parse(const Archive& archive) {
         if (!names.insert(entry.name).second)
             throw DataError(fmt::format("entry '{}' occurs twice", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
-        // the trick of zip bombs
+        // Zip bombs use overlapping entries.
         if (n_packed > archive.bytes.size()) throw DataError("zip entries overlap");
         arrays.push_back(read_array(archive, entry));
     }

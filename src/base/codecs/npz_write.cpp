@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// npz: a zip archive of deflated .npy files, as numpy.savez_compressed writes. Entries
-// carry no time of writing (1980-01-01), so that equal arrays make equal files. Plain zip
-// only: entries and archive stay below 4 GiB, more is refused.
+// Writes npz files: zip archives of deflated .npy files, like numpy.savez_compressed.
+// Entries have a fixed time (1980-01-01), so that equal arrays give identical files. Uses
+// plain zip only; rejects entries and archives of 4 GiB or more.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
@@ -22,20 +22,21 @@ namespace relidar {
 namespace {
 
 constexpr std::uint32_t kLocalHeader = 0x04034b50, kCentralHeader = 0x02014b50, kEndRecord = 0x06054b50;
-constexpr std::uint16_t kVersion = 20;  // deflate
+constexpr std::uint16_t kVersion = 20;  // Version needed for deflate.
 constexpr std::uint16_t kUtf8Names = 1 << 11;
 constexpr std::uint16_t kDeflated = 8;
-constexpr std::uint16_t kDate = 0x0021;  // 1980-01-01, the earliest the format knows
-// this value itself means "see zip64"
+constexpr std::uint16_t kDate = 0x0021;  // 1980-01-01, the earliest date of the format.
+// This value means "see zip64".
 constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();
 
-/// One file of the archive as the two directories describe it.
+/// File of the archive, as described in the local header and the central directory.
 struct Entry {
     std::string name;
     std::uint32_t crc = 0, packed_size = 0, size = 0, offset = 0;
 };
 
-/// Raw deflate (no zlib header) of consecutive pieces, with the checksum of what went in.
+/// Compresses consecutive pieces with raw deflate (no zlib header) and computes the
+/// checksum of the input.
 class Deflater {
 public:
     Deflater() {
@@ -47,10 +48,11 @@ public:
     Deflater(const Deflater&) = delete;
     Deflater& operator=(const Deflater&) = delete;
 
+    /// Compresses a piece.
     /// @param n_bytes below 4 GiB
     void add(const void* data, std::size_t n_bytes, bool last) {
         const auto* bytes = static_cast<const Bytef*>(data);
-        // a null pointer would reset it
+        // zlib would reset the checksum for a null pointer.
         if (n_bytes > 0) crc = std::uint32_t(::crc32(crc, bytes, uInt(n_bytes)));
         stream_.next_in = const_cast<Bytef*>(bytes);
         stream_.avail_in = uInt(n_bytes);
@@ -70,18 +72,18 @@ private:
     z_stream stream_{};
 };
 
-/// The fields both directories share, from "version needed" to "name length".
+/// Appends the fields that both headers share, from "version needed" to "name length".
 void append_common(std::string& bytes, const Entry& entry) {
     append(bytes, kVersion);
     append(bytes, kUtf8Names);
     append(bytes, kDeflated);
-    append(bytes, std::uint16_t(0));  // time
+    append(bytes, std::uint16_t(0));  // Zip field: modification time.
     append(bytes, kDate);
     append(bytes, entry.crc);
     append(bytes, entry.packed_size);
     append(bytes, entry.size);
     append(bytes, std::uint16_t(entry.name.size()));
-    append(bytes, std::uint16_t(0));  // extra field
+    append(bytes, std::uint16_t(0));  // Zip field: length of the extra field.
 }
 
 std::string local_header(const Entry& entry) {
@@ -94,12 +96,12 @@ std::string local_header(const Entry& entry) {
 std::string central_header(const Entry& entry) {
     std::string bytes;
     append(bytes, kCentralHeader);
-    append(bytes, kVersion);  // made by
+    append(bytes, kVersion);  // Zip field: version of the writer.
     append_common(bytes, entry);
-    append(bytes, std::uint16_t(0));  // comment
-    append(bytes, std::uint16_t(0));  // disk
-    append(bytes, std::uint16_t(0));  // internal attributes
-    append(bytes, std::uint32_t(0));  // external attributes
+    append(bytes, std::uint16_t(0));  // Zip field: length of the comment.
+    append(bytes, std::uint16_t(0));  // Zip field: disk number.
+    append(bytes, std::uint16_t(0));  // Zip field: internal file attributes.
+    append(bytes, std::uint32_t(0));  // Zip field: external file attributes.
     append(bytes, entry.offset);
     return bytes + entry.name;
 }
@@ -107,12 +109,12 @@ std::string central_header(const Entry& entry) {
 std::string end_record(std::size_t n_entries, std::size_t directory_size, std::size_t directory_offset) {
     std::string bytes;
     append(bytes, kEndRecord);
-    append(bytes, std::uint32_t(0));  // disks
+    append(bytes, std::uint32_t(0));  // Zip fields: disk numbers.
     append(bytes, std::uint16_t(n_entries));
     append(bytes, std::uint16_t(n_entries));
     append(bytes, std::uint32_t(directory_size));
     append(bytes, std::uint32_t(directory_offset));
-    append(bytes, std::uint16_t(0));  // comment
+    append(bytes, std::uint16_t(0));  // Zip field: length of the comment.
     return bytes;
 }
 
@@ -122,7 +124,8 @@ void check_size(const std::string& what, std::uint64_t n_bytes) {
             fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
 }
 
-/// Writes one array at `offset`. @return its directory entry
+/// Writes an array at `offset`.
+/// @return its directory entry
 Entry write_entry(export_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
     const std::string header = export_detail::npy_header(array);
     check_size(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());

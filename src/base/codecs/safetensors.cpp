@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// safetensors: u64 header size, JSON header (type, shape and byte range of each array,
-// and string metadata), then the data without gaps. A reader trusts nothing: sizes,
-// ranges and coverage are all checked, so that a file cut anywhere is refused. Whether
-// values are finite is for the caller to judge.
+// Reads and writes safetensors files: a u64 header size, a JSON header (type, shape and
+// byte range of each array, and string metadata), then the data without gaps. The reader
+// checks all sizes, ranges and the coverage of the data, so that it rejects a truncated
+// file. The caller checks whether values are finite.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
@@ -26,7 +26,8 @@ using Json = nlohmann::json;
 using export_detail::byte_count;
 using export_detail::item_size;
 
-// the format allows 100 MB, which parsed take 24 times that; ours have a few kB
+// The format allows 100 MB, which need 24 times that memory when parsed. Our headers have
+// a few kB.
 constexpr std::size_t kMaxHeader = 4u << 20;
 constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadata = "__metadata__";
@@ -46,7 +47,8 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
     {"F64", "f8"},
 }};
 
-/// @throws DataError for text, which safetensors has not
+/// Returns the safetensors name of a numpy type.
+/// @throws DataError for text, which safetensors does not support
 std::string tensor_type(const std::string& dtype) {
     const auto it =
         std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
@@ -62,7 +64,8 @@ std::string numpy_type(const std::string& name, const std::string& type) {
     return std::string(it->second);
 }
 
-/// In the order given: a reader of the file sees what comes first first.
+/// Returns the header with the arrays in their given order, so that readers list them in
+/// this order.
 std::string make_header(const std::vector<NamedArray>& arrays,
                         const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
@@ -78,13 +81,13 @@ std::string make_header(const std::vector<NamedArray>& arrays,
         offset = end;
     }
     std::string text = header.dump();
-    text.resize((text.size() + 7) / 8 * 8, ' ');  // data starts at a multiple of 8
+    text.resize((text.size() + 7) / 8 * 8, ' ');  // Aligns the data to a multiple of 8 bytes.
     if (text.size() > kMaxHeader) throw DataError("the header would exceed 4 MiB");
     return text;
 }
 
-/// The description of a file and the names in the order they stand there, which orders
-/// arrays without bytes.
+/// Parsed header of a file. `names` has the names in file order, which orders arrays
+/// without bytes.
 struct Header {
     Json json;
     std::vector<std::string> names;
@@ -122,7 +125,7 @@ Header parse_header(const std::vector<std::byte>& file) {
     return header;
 }
 
-/// Value of a list of non-negative integers.
+/// Returns a list of non-negative integers.
 std::vector<std::size_t> integers(const std::string& name, const Json& entry, const char* key) {
     if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
         throw DataError(fmt::format("array '{}': no list '{}'", name, key));
@@ -142,7 +145,7 @@ struct Range {
     std::size_t begin = 0, end = 0;
 };
 
-/// Array description without its bytes, and where they lie.
+/// Returns the description of an array without its bytes, and the range of its bytes.
 std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
         throw DataError(fmt::format("array '{}': no string 'dtype'", name));
@@ -175,10 +178,10 @@ std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
     const Header header = parse_header(file);
     const std::size_t n_data = file.size() - header.data_start;
     std::vector<std::pair<NamedArray, Range>> entries;
-    std::map<std::string, std::string> found;
+    std::map<std::string, std::string> file_metadata;
     for (const std::string& name : header.names) {
         const Json& entry = header.json.at(name);
-        if (name == kMetadata) found = parse_metadata(entry);
+        if (name == kMetadata) file_metadata = parse_metadata(entry);
         else entries.push_back(parse_tensor(name, entry, n_data));
     }
     std::stable_sort(entries.begin(), entries.end(), [](const auto& a, const auto& b) {
@@ -197,7 +200,7 @@ std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
     }
     if (covered != n_data)
         throw DataError(fmt::format("{} bytes of data, the header describes {}", n_data, covered));
-    if (metadata) *metadata = std::move(found);
+    if (metadata) *metadata = std::move(file_metadata);
     return arrays;
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A folder appears under its name complete, or not at all: filled under a temporary name
-// beside it, then renamed.
+// Creates folders atomically: fills a temporary folder next to the final one and renames
+// it when it is complete.
 #include <relidar/base/files.hpp>
 
 #include <cerrno>
@@ -20,7 +20,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Removes folders PREFIX<number> whose numbers are of processes that are gone.
+/// Removes folders PREFIX<number> whose number is the id of a process that no longer
+/// exists.
 void remove_abandoned(const fs::path& parent, const std::string& prefix) {
     std::error_code failed;
     std::vector<fs::path> abandoned;
@@ -57,7 +58,8 @@ StagedFolder::~StagedFolder() {
 }
 
 void StagedFolder::finish_new() const {
-    if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;  // refuses a folder with something in it
+    // rename() fails if the folder is not empty.
+    if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;
     const int error = errno;
     const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
     throw DataError(
@@ -68,7 +70,7 @@ void StagedFolder::finish_new() const {
 
 void StagedFolder::finish() const {
 #ifdef RENAME_EXCHANGE
-    // the old one goes with this
+    // The destructor removes the old folder, which now has the temporary name.
     if (::renameat2(AT_FDCWD, path_.c_str(), AT_FDCWD, wanted_.c_str(), RENAME_EXCHANGE) == 0) return;
 #endif
     const fs::path old = path_.string() + "-old";

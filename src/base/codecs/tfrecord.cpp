@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records of a TFRecord file. CRC-32C: reflected polynomial 0x82F63B78, start and end
-// inverted.
+// Reads records of TFRecord files. CRC-32C uses the reflected polynomial 0x82F63B78, and
+// inverts the initial and final value.
 #include "base/codecs/tfrecord.hpp"
 
 #include <array>
@@ -16,7 +16,8 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint64_t kHeader = 12, kFooter = 4;  // bytes around the data of a record
+// Number of bytes before and after the data of a record.
+constexpr std::uint64_t kHeader = 12, kFooter = 4;
 
 constexpr std::array<std::uint32_t, 256> make_table() {
     std::array<std::uint32_t, 256> table{};

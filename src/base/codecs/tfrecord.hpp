@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// TFRecord files: u64 length, u32 masked CRC-32C of these 8 bytes, data, u32 masked
-// CRC-32C of the data; little-endian, no header.
+// Reads TFRecord files. Each record has a u64 length, a u32 masked CRC-32C of these 8
+// bytes, the data, and a u32 masked CRC-32C of the data. Numbers are little-endian; the
+// file has no header.
 #pragma once
 
 #include <cstdint>
@@ -11,25 +12,26 @@
 
 namespace relidar {
 
-/// CRC-32C (Castagnoli), as TFRecord masks it: rotated right by 15 bits, plus 0xa282ead8.
+/// Returns the CRC-32C (Castagnoli) with the mask of TFRecord: rotated right by 15 bits,
+/// plus 0xa282ead8.
 std::uint32_t masked_crc32c(std::string_view bytes);
 
-/// The records of a file; they are read one by one.
+/// Records of a file, which are read one at a time.
 class TfRecords {
 public:
-    /// Finds all records. @throws DataError naming the record whose length, or end, is
-    /// wrong
+    /// Finds all records of the file.
+    /// @throws DataError naming the record whose length or end is wrong
     explicit TfRecords(std::filesystem::path file);
 
     std::size_t size() const { return records_.size(); }
     const std::filesystem::path& file() const { return file_; }
-    /// Data of a record. Several threads may read. @throws DataError where it cannot be
-    /// read or its CRC is wrong
+    /// Returns the data of a record. Thread-safe.
+    /// @throws DataError if the record cannot be read or its CRC is wrong
     std::string read(std::size_t record) const;
 
 private:
     struct Place {
-        std::uint64_t begin, size;  ///< of the data, bytes
+        std::uint64_t begin, size;  ///< Position and size of the data, bytes.
     };
     std::filesystem::path file_;
     std::vector<Place> records_;

@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-void unpack_lz4(std::string_view from, std::string& to) {
+void unpack_lz4(std::string_view from, std::span<char> to) {
     LZ4F_dctx* context = nullptr;
     if (LZ4F_isError(LZ4F_createDecompressionContext(&context, LZ4F_VERSION)))
         throw DataError("lz4 cannot begin");
@@ -25,7 +25,7 @@ void unpack_lz4(std::string_view from, std::string& to) {
         throw DataError(fmt::format("a damaged lz4 frame: {} of {} bytes", written, to.size()));
 }
 
-void unpack_zstd(std::string_view from, std::string& to) {
+void unpack_zstd(std::string_view from, std::span<char> to) {
     const std::size_t n = ZSTD_decompress(to.data(), to.size(), from.data(), from.size());
     if (ZSTD_isError(n) || n != to.size())
         throw DataError(fmt::format("damaged zstd data, expected {} bytes", to.size()));

@@ -1,16 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compressed parts of files, of whose size the file says what they have unpacked.
+// Decompresses data whose uncompressed size is stored in the file.
 #pragma once
 
-#include <string>
+#include <span>
 #include <string_view>
 
 namespace relidar {
 
-/// Fills `to`, as long as the file says, from one lz4 frame. @throws DataError where the
-/// frame is damaged or of another size
-void unpack_lz4(std::string_view from, std::string& to);
-/// The same from one zstd frame.
-void unpack_zstd(std::string_view from, std::string& to);
+/// Decompresses one lz4 frame into `to`, which must have the uncompressed size.
+/// @throws DataError if the frame is damaged or has another size
+void unpack_lz4(std::string_view from, std::span<char> to);
+/// Decompresses one zstd frame into `to`, which must have the uncompressed size.
+/// @throws DataError if the frame is damaged or has another size
+void unpack_zstd(std::string_view from, std::span<char> to);
 
 }  // namespace relidar

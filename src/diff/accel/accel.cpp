@@ -11,8 +11,7 @@ namespace relidar {
 Proxy resolve(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
-    // Ray-tracing hardware intersects triangles itself, so triangles are faster on a GPU
-    // (docs/platform.md).
+    // measured: docs/performance.md; hardware intersects triangles itself
     return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
 }
 

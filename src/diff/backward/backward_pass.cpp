@@ -118,12 +118,6 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         params.kept = batch.kept->hits.address();
         params.n_kept = batch.kept->per_ray;
     }
-    if (impl_->options.wants_geometry()) {
-        RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays),
-                          batch.geometry ? batch.geometry->gradient.size() : 0);
-        params.geometry = batch.geometry->rendered.address();
-        params.d_geometry = batch.geometry->gradient.address();
-    }
     params.n_rows = scene.gradient_rows();
     params.with_turn = wants_poses ? 1u : 0u;
     if (impl_->gather) {

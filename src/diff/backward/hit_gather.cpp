@@ -15,7 +15,6 @@ std::vector<Constant> constants(const ImageModel& model, const TraceOptions& opt
     return {{ConstantId::SH_PER_SURFEL, model.sh_direction == ShDirection::surfel ? 1u : 0u},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u}};
 }
 
@@ -88,8 +87,6 @@ void HitGather::run(Stream& stream, const shared::BackwardParams& params) {
                                       .d_records = params.d_records,
                                       .d_sh = params.d_sh,
                                       .most_hits = most_hits_.address(),
-                                      .rendered = params.rendered,
-                                      .d_geometry = params.d_geometry,
                                       .capacity = sort_->capacity(),
                                       .n_rows = params.n_rows};
     const std::uint32_t n_blocks = sort_->capacity() / RELIDAR_GATHER_BLOCK + 1;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/densify/observe, classify, spawn, reset_opacity and jitter, and the
-// steps of a densification: classify, read the counts back, allocate memory, distribute
-// copies, move every array, compute the values of new surfels.
+// Bindings of diff/densify/observe, classify, spawn and reset_opacity, and the order of a
+// densification: classify, read the counts back, make room, hand out copies, move every
+// array, give the new surfels their values.
 #include <relidar/diff/densify.hpp>
 
 #include <cmath>
@@ -27,19 +27,15 @@ double logit(double p) { return std::log(p / (1.0 - p)); }
 
 /// Settings of a classification.
 struct Rules {
-    std::uint32_t growth = RELIDAR_DENSIFY_BY_NOTHING;
     float min_opacity = 0.0f;
     float max_extent_share = kUnbounded;
-    bool boxes = false;
 };
 
 /// Salt for each use of random numbers.
-enum class Draw : std::uint64_t { classify = 1, phase = 2, noise = 3 };
+enum class Draw : std::uint64_t { classify = 1, phase = 2 };
 
 // reset surfels must stay visible, otherwise they would get no gradient
 constexpr double kResetOverAlphaMin = 2.5;
-// From "3D Gaussian Splatting as Markov Chain Monte Carlo", slightly above its alpha_min.
-constexpr double kFaintOpacity = 0.005;
 
 }  // namespace
 
@@ -47,7 +43,7 @@ struct Densifier::Impl {
     Device& device;
     DensifyOptions options;
     float min_opacity;
-    double reset_opacity_to, faint_opacity;
+    double reset_opacity_to;
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
@@ -56,7 +52,6 @@ struct Densifier::Impl {
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
     Kernel<shared::ResetOpacityParams> reset_opacity;
-    Kernel<shared::JitterParams> jitter;
     /// Maximum number of surfels, set when memory is exhausted.
     std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();
 
@@ -66,15 +61,13 @@ struct Densifier::Impl {
           options(o),
           min_opacity(std::max(float(o.min_opacity), alpha_min)),
           reset_opacity_to(std::max(o.reset_opacity, kResetOverAlphaMin * double(alpha_min))),
-          faint_opacity(std::max(kFaintOpacity, double(alpha_min))),
           seed(random_seed),
           arrays(d, static_cast<std::uint32_t>(scene.surfels.size()), n_frames, scene.surfels.parameters()),
           counters(d, scene.models.size() * RELIDAR_DENSIFY_COUNTERS, "densification counters"),
           observe(d, "diff/densify/observe"),
           classify(d, "diff/densify/classify"),
           spawn(d, "diff/densify/spawn"),
-          reset_opacity(d, "diff/densify/reset_opacity"),
-          jitter(d, "diff/densify/jitter") {
+          reset_opacity(d, "diff/densify/reset_opacity") {
         for (std::size_t model = 0; model < scene.models.size(); ++model)
             extents_m.push_back(model_extent(scene, model));
     }
@@ -91,10 +84,8 @@ struct Densifier::Impl {
 };
 
 Rules Densifier::Impl::rules_at(int step) const {
-    Rules rules{RELIDAR_DENSIFY_BY_NOTHING, min_opacity, kUnbounded, true};
-    if (options.strategy == DensifyStrategy::adaptive) rules.growth = RELIDAR_DENSIFY_BY_GRADIENT;
-    if (options.strategy == DensifyStrategy::mcmc) rules.growth = RELIDAR_DENSIFY_BY_OPACITY;
-    else if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
+    Rules rules{min_opacity, kUnbounded};
+    if (step > options.large_from) rules.max_extent_share = static_cast<float>(options.max_extent_share);
     return rules;
 }
 
@@ -116,8 +107,6 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
                   .max_extent_share = rules.max_extent_share,
                   .clone_extent_share = static_cast<float>(options.clone_extent_share),
                   .gradient_threshold = static_cast<float>(options.gradient_threshold),
-                  .growth = rules.growth,
-                  .bounded = rules.boxes ? 1u : 0u,
                   .n_surfels = scene.size(),
                   .n_models = static_cast<std::uint32_t>(extents.size()),
                   .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
@@ -174,8 +163,7 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
                                      int step, double others_bytes) {
     const std::uint32_t before = scene.size();
     const std::vector<ModelCounts> counted = counts(stream, scene, rules, step);
-    GrowthPlan plan =
-        limited_to(plan_growth(counted, options, before, random(Draw::phase, step)), memory_limit);
+    GrowthPlan plan = limited_to(plan_growth(counted, options, random(Draw::phase, step)), memory_limit);
     std::string why;
     const std::uint32_t room = make_room(scene, adam, plan.size(), others_bytes, why);
     std::string note;
@@ -200,7 +188,6 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
                   .action = arrays.action.address(),
                   .n_rows = arrays.n_rows.address(),
                   .starts = arrays.starts.address(),
-                  .min_opacity = rules.min_opacity,
                   .n_surfels = before,
                   .key = static_cast<std::uint32_t>(random(Draw::classify, step))});
     arrays.move_statistics(stream);
@@ -247,19 +234,10 @@ DensifyReport Densifier::run(Stream& stream, DeviceScene& scene, Adam& adam, int
     return impl_->apply(stream, scene, adam, impl_->rules_at(step), step, others_bytes);
 }
 
-void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step, double rate_share) {
+void Densifier::after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step) {
     if (!impl_) return;
     const DensifyOptions& o = impl_->options;
-    if (o.strategy == DensifyStrategy::mcmc && o.noise > 0.0)
-        relidar::run(stream, impl_->jitter, scene.size(),
-                     {.surfels = pointers_of(scene.parameters()),
-                      .amount = static_cast<float>(o.noise * rate_share),
-                      .faint_opacity = static_cast<float>(impl_->faint_opacity),
-                      .n_surfels = scene.size(),
-                      .key = static_cast<std::uint32_t>(impl_->random(Draw::noise, step))});
-    if (o.strategy != DensifyStrategy::adaptive || o.opacity_reset_every <= 0 || step >= o.until ||
-        step % o.opacity_reset_every != 0)
-        return;
+    if (o.opacity_reset_every <= 0 || step >= o.until || step % o.opacity_reset_every != 0) return;
     relidar::run(stream, impl_->reset_opacity, scene.size(),
                  {.opacity_logit = scene.parameters().opacity_logit.address(),
                   .max_logit = static_cast<float>(logit(impl_->reset_opacity_to)),

@@ -25,7 +25,7 @@ std::vector<Model> GrowthPlan::ranges(std::vector<Model> models,
 }
 
 GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
-                       std::uint32_t before, std::uint64_t random) {
+                       std::uint64_t random) {
     GrowthPlan plan;
     for (const ModelCounts& c : counts) {
         plan.survivors += c[RELIDAR_DENSIFY_KEPT];
@@ -34,8 +34,6 @@ GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOpti
     if (plan.total_weight == 0) return plan;
     plan.phase = static_cast<std::uint32_t>(random % plan.total_weight);
     plan.n_new = plan.total_weight;  // each growing surfel has weight 1
-    if (options.strategy == DensifyStrategy::mcmc)
-        plan.n_new = before - plan.survivors + static_cast<std::uint32_t>(options.growth * before);
     return limited_to(plan, static_cast<std::uint32_t>(options.max_surfels));
 }
 

@@ -31,10 +31,10 @@ struct GrowthPlan {
     std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
 };
 
-/// Plans the growth: all survivors, and the new surfels of the strategy.
-/// @param random  random number that determines the phase
+/// Returns survivors and growth by one surfel for each that grows, up to
+/// DensifyOptions::max_surfels. @param random any number: fixes the phase
 GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
-                       std::uint32_t before, std::uint64_t random);
+                       std::uint64_t random);
 /// Limits a plan to a total number of surfels. Survivors always stay.
 GrowthPlan limited_to(GrowthPlan plan, std::uint32_t size);
 

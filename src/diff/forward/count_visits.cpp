@@ -30,7 +30,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                     .rendered = rendered.address(),
                                     .kept = {},
                                     .n_overfull = {},
-                                    .geometry = {},
+                                    .surfaces = {},
                                     .n_kept = 0,
                                     .kept_in_lists = 0,
                                     .surface_gap_m = options.mode_gap_m.value_or(0.0f)};

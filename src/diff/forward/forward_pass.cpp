@@ -48,22 +48,23 @@ ForwardPass::~ForwardPass() = default;
 void ForwardPass::set_sh_degree(int degree) { impl_->model.sh_degree = degree; }
 
 void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
-                      Array<shared::RenderedRay>& rendered, KeptHits* kept, RayGeometry* geometry) {
+                      Array<shared::RenderedRay>& rendered, KeptHits* kept,
+                      const Array<shared::RenderedSurface>* surfaces) {
     RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.size());
     [[maybe_unused]] const std::size_t end = batch.first + (std::size_t(batch.n_rays) - 1) * batch.stride + 1;
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!kept || kept->hold(batch), true);
     RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);  // complete rows
-    RELIDAR_ASSERT_LE(impl_->options.wants_geometry() ? std::size_t(batch.n_rays) : 0,
-                      geometry ? geometry->rendered.size() : 0);
+    RELIDAR_ASSERT_LE(impl_->options.has_surfaces() ? std::size_t(batch.n_rays) : 0,
+                      surfaces ? surfaces->size() : 0);
     shared::ForwardParams params = {
         .scene = trace_scene(scene, accel, batch, impl_->model, impl_->options, impl_->pass_cap.address()),
         .lists = {},
         .rendered = rendered.address(),
         .kept = address_of(kept ? &kept->hits : nullptr),
         .n_overfull = impl_->n_overfull.address(),
-        .geometry = address_of(geometry ? &geometry->rendered : nullptr),
+        .surfaces = address_of(surfaces),
         .n_kept = kept ? kept->per_ray : 0,
         .kept_in_lists = 0,
         .surface_gap_m = impl_->options.mode_gap_m.value_or(0.0f)};
@@ -81,23 +82,21 @@ std::uint32_t ForwardPass::take_pass_cap_count() {
 }
 
 Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
-                       const std::vector<shared::RenderedGeometry>& geometry) {
+                       const std::vector<shared::RenderedSurface>& surfaces) {
     Rendering r;
     for (const shared::RenderedRay& ray : rays) {
-        r.depth.push_back(ray.depth);
-        r.weight.push_back(ray.weight);
-        r.intensity.push_back(ray.intensity);
-        r.hit_logit.push_back(ray.hit_logit);
-        r.drop_logit.push_back(ray.drop_logit);
+#define RELIDAR_VALUES(name, built, value, input, slope, meaning) r.name.push_back(ray.name);
+        RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
+#undef RELIDAR_VALUES
         r.transmittance.push_back(ray.transmittance);
         r.median_depth.push_back(ray.median_depth);
         r.hits.push_back(ray.n_hits);
         r.instance.push_back(ray.instance == RELIDAR_NO_INSTANCE ? -1
                                                                  : static_cast<std::int32_t>(ray.instance));
     }
-    for (const shared::RenderedGeometry& of_ray : geometry) {
-        r.normal.push_back(of_ray.normal);
-        r.mode_depth.push_back(of_ray.mode);
+    for (const shared::RenderedSurface& surface : surfaces) {
+        r.normal.push_back(surface.normal);
+        r.mode_depth.push_back(surface.mode);
     }
     return r;
 }

@@ -29,7 +29,7 @@ struct Renderer::Impl {
     Array<DeviceRay> host_rays;  ///< rays of forward()
     Array<shared::RenderedRay> rendered;
     std::optional<KeptHits> kept;
-    std::optional<RayGeometry> geometry;
+    std::optional<Array<shared::RenderedSurface>> surfaces;
     RenderedBatch batch;
 
     Impl(Device& d, const Scene& s, const ImageModel& m, const RendererOptions& o)
@@ -47,8 +47,8 @@ struct Renderer::Impl {
     void make_room(std::size_t n_rays) {
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
         make_kept_hits(n_rays);
-        if (options.trace.wants_geometry()) geometry.emplace(device, n_rays);
-        batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, geometry ? &*geometry : nullptr};
+        if (options.trace.has_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
+        batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, surfaces ? &*surfaces : nullptr};
     }
 
     void make_kept_hits(std::size_t n_threads) {
@@ -98,7 +98,7 @@ void Renderer::record_forward(const RayBatch& rays) {
     r.batch.rays = rays;
     // Eq. 2-4
     r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr,
-                  r.batch.geometry);
+                  r.batch.surfaces);
 }
 
 Rendering Renderer::forward(const WorldRays& rays) {
@@ -124,9 +124,9 @@ Rendering Renderer::download_rendering() {
     Impl& r = *impl_;
     check_passes();
     const std::size_t n = r.batch.rays.n_rays;
-    if (!r.geometry) return to_rendering(r.rendered.download(n));
-    Rendering rendering = to_rendering(r.rendered.download(n), r.geometry->rendered.download(n));
-    if (!r.options.trace.geometry) rendering.normal.clear();
+    if (!r.surfaces) return to_rendering(r.rendered.download(n));
+    Rendering rendering = to_rendering(r.rendered.download(n), r.surfaces->download(n));
+    if (!r.options.trace.normals) rendering.normal.clear();
     if (!r.options.trace.mode_gap_m) rendering.mode_depth.clear();
     return rendering;
 }

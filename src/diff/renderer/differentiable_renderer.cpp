@@ -27,11 +27,9 @@ struct Lane {
 /// Converts gradients of rendered values to the layout of the backward pass.
 std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::size_t n_rays) {
     using shared::RayGradient;
-    const Lane lanes[] = {{"depth", d.depth, &RayGradient::depth},
-                          {"weight", d.weight, &RayGradient::weight},
-                          {"intensity", d.intensity, &RayGradient::intensity},
-                          {"hit_logit", d.hit_logit, &RayGradient::hit_logit},
-                          {"drop_logit", d.drop_logit, &RayGradient::drop_logit}};
+#define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, d.name, &RayGradient::name},
+    const Lane lanes[] = {RELIDAR_IMAGE_VALUES(RELIDAR_LANE)};
+#undef RELIDAR_LANE
     std::vector<RayGradient> result(n_rays);
     for (const auto& [name, values, at] : lanes) {
         if (values.empty()) continue;
@@ -101,7 +99,6 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
         throw UsageError("gradients of a rendering: found none, expected forward() first");
     stream().finish();
     impl_->upstream.upload(ray_gradients(d_rendered, n_rays));
-    if (last.geometry) stream().fill(last.geometry->gradient);
     record_backward();
     stream().finish();
     const Gradients& g = *impl_->gradients;

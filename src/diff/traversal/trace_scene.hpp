@@ -64,10 +64,10 @@ inline KernelVariant traversal_variant(const Device& device) {
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
-/// Returns the constant TOGETHER of the tracing kernels: 0 if each ray walks the software
-/// tree alone, otherwise the joint walk. GPU lanes diverge freely, CPU lanes are those of
-/// one vector. On a CPU (value 2) the lanes also load surfels cooperatively. The defaults
-/// are measured (docs/platform.md).
+/// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree
+/// together. This is faster on lavapipe (docs/performance.md). On a GPU lanes
+/// are free to part; on a CPU they are those of one vector, and load surfels for each
+/// other.
 inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
@@ -83,7 +83,7 @@ inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, 
             {ConstantId::TOGETHER, walks_together(device, options)},
             {ConstantId::SINGLE_DROP_LOGIT, model.single_drop_logit ? 1u : 0u},
             {ConstantId::PRIMITIVE, static_cast<std::uint32_t>(model.primitive)},
-            {ConstantId::GEOMETRY, options.geometry ? 1u : 0u},
+            {ConstantId::NORMAL, options.normals ? 1u : 0u},
             {ConstantId::LIKELIHOOD, options.likelihood ? 1u : 0u},
             {ConstantId::MODE, options.mode_gap_m ? 1u : 0u}};
 }

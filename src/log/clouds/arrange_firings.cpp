@@ -6,6 +6,8 @@
 #include <complex>
 #include <map>
 
+#include "log/sensor/beam_geometry.hpp"
+
 namespace relidar {
 namespace {
 
@@ -14,11 +16,11 @@ constexpr int kTicks = 1 << 16;  // of a turn: 0.0055 degrees
 /// Azimuth of the head at each firing from the first number to the last.
 std::map<int, double> head_azimuths(const ScanPoints& points, const std::vector<int>& numbers,
                                     const SpinningSensor& sensor, double step_rad) {
+    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     std::map<int, std::complex<double>> sums;  // of points about an even turn
     for (std::size_t i = 0; i < points.size(); ++i)
-        sums[numbers[i]] +=
-            std::polar(1.0, head_azimuth(sensor.beams[points.ring[i]], glm::dvec3(points.point_m[i])) -
-                                numbers[i] * step_rad);
+        sums[numbers[i]] += std::polar(
+            1.0, beams[points.ring[i]].head_azimuth(glm::dvec3(points.point_m[i])) - numbers[i] * step_rad);
     std::map<int, double> heads;
     for (auto at = sums.begin(); at != sums.end(); ++at) {
         const auto next = std::next(at) == sums.end() ? at : std::next(at);

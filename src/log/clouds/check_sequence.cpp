@@ -233,7 +233,7 @@ void check_sequence(const Sequence& sequence) {
     check_lidars(sequence);
     check_track(sequence.world_from_vehicle, sequence.name + ": the vehicle");
     check_frame_times(sequence);
-    run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(i)];
         check_scan(frame.scan, sequence.lidar_of(frame).sensor.beams.size(),
                    fmt::format("{}: frame {}", sequence.name, frame.index));

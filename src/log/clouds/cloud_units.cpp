@@ -29,10 +29,12 @@ std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds,
     std::vector<TimeRange> ranges;
     for (std::size_t c = 0; c < clouds.size(); ++c) {
         TimeRange range{INFINITY, -INFINITY, stamps_s[c]};
-        if (const auto* times = times_of(clouds[c]))
-            for (const double t : *times)
-                if (std::isfinite(t))
-                    range.first = std::min(range.first, t), range.last = std::max(range.last, t);
+        if (const folder::FieldValues* times = clouds[c].find(folder::PointValue::time))
+            times->visit([&](const auto& time_at) {
+                for (std::size_t i = 0; i < clouds[c].n; ++i)
+                    if (const auto t = double(time_at(i)); std::isfinite(t))
+                        range.first = std::min(range.first, t), range.last = std::max(range.last, t);
+            });
         if (range.first <= range.last) ranges.push_back(range);
     }
     return ranges;
@@ -84,9 +86,11 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
 void find_intensity(CloudUnits& units, const std::vector<folder::PointTable>& clouds) {
     std::vector<double> values;
     for (const folder::PointTable& cloud : clouds)
-        if (const auto* intensity = cloud.find({"intensity", "reflectivity"}))
-            std::ranges::copy_if(*intensity, std::back_inserter(values),
-                                 [](double v) { return std::isfinite(v); });
+        if (const folder::FieldValues* intensity = cloud.find(folder::PointValue::intensity))
+            intensity->visit([&](const auto& intensity_at) {
+                for (std::size_t i = 0; i < cloud.n; ++i)
+                    if (const auto v = double(intensity_at(i)); std::isfinite(v)) values.push_back(v);
+            });
     if (values.empty()) return;
     const double brightest = std::ranges::max(values);
     units.intensity_max = brightest <= 1.0 ? 1.0 : 255.0;
@@ -100,10 +104,6 @@ void find_intensity(CloudUnits& units, const std::vector<folder::PointTable>& cl
 }
 
 }  // namespace
-
-const std::vector<double>* times_of(const folder::PointTable& cloud) {
-    return cloud.find({"time", "t", "timestamp", "time_stamp", "offset_time"});
-}
 
 CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
                       double step_s) {

@@ -32,7 +32,4 @@ struct CloudUnits {
 CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
                       double step_s);
 
-/// Values of the field that holds times, nullptr where there is none.
-const std::vector<double>* times_of(const folder::PointTable& cloud);
-
 }  // namespace relidar::bag

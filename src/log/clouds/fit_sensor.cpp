@@ -33,12 +33,20 @@ double middle_of(std::vector<double>& values, double share) {
     return *at;
 }
 
-/// First returns of each ring.
-using Rings = std::vector<std::vector<std::size_t>>;
+/// First returns of a ring.
+struct Ring {
+    std::vector<std::size_t> point;
+    std::vector<double> azimuth_rad;
+};
+using Rings = std::vector<Ring>;
+
 Rings rings_of(const ScanPoints& scan, std::size_t n_rings) {
     Rings rings(n_rings);
-    for (std::size_t i = 0; i < scan.size(); ++i)
-        if (scan.return_number.empty() || scan.return_number[i] == 0) rings[scan.ring[i]].push_back(i);
+    for (std::size_t i = 0; i < scan.size(); ++i) {
+        if (!scan.return_number.empty() && scan.return_number[i] != 0) continue;
+        rings[scan.ring[i]].point.push_back(i);
+        rings[scan.ring[i]].azimuth_rad.push_back(azimuth_of(scan.point_m[i]));
+    }
     return rings;
 }
 
@@ -71,9 +79,8 @@ std::vector<std::optional<double>> elevations_of(const std::vector<ScanPoints>& 
 /// one.
 int columns_by_steps(const ScanPoints& scan, const Rings& rings) {
     std::vector<double> steps;
-    for (const std::vector<std::size_t>& ring : rings) {
-        std::vector<double> azimuths;
-        for (const std::size_t i : ring) azimuths.push_back(azimuth_of(scan.point_m[i]));
+    for (const Ring& ring : rings) {
+        std::vector<double> azimuths = ring.azimuth_rad;
         std::sort(azimuths.begin(), azimuths.end());
         for (std::size_t i = 1; i < azimuths.size(); ++i)
             if (const double step = azimuths[i] - azimuths[i - 1];
@@ -89,14 +96,36 @@ int columns_by_steps(const ScanPoints& scan, const Rings& rings) {
 }
 
 /// S_r(N) of each ring.
-std::vector<std::complex<double>> phases_of(const ScanPoints& scan, const Rings& rings, int columns) {
+std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
-    for (const std::vector<std::size_t>& ring : rings) {
+    for (const Ring& ring : rings) {
         std::complex<double> sum = 0.0;
-        for (const std::size_t i : ring) sum += std::polar(1.0, columns * azimuth_of(scan.point_m[i]));
+        for (const double azimuth : ring.azimuth_rad) sum += std::polar(1.0, columns * azimuth);
         sums.push_back(sum);
     }
     return sums;
+}
+
+/// Sum of |S_r(N)| over the rings for n values of N from `first` on. Multiplies by
+/// exp(i azimuth) to get from one N to the next.
+std::vector<double> lengths_of(const Rings& rings, int first, std::size_t n) {
+    std::vector<double> lengths(n, 0.0);
+    for (const Ring& ring : rings) {
+        std::vector<std::complex<double>> turned, step;
+        for (const double azimuth : ring.azimuth_rad) {
+            turned.push_back(std::polar(1.0, first * azimuth));
+            step.push_back(std::polar(1.0, azimuth));
+        }
+        for (double& length : lengths) {
+            std::complex<double> sum = 0.0;
+            for (std::size_t k = 0; k < turned.size(); ++k) {
+                sum += turned[k];
+                turned[k] *= step[k];
+            }
+            length += std::abs(sum);
+        }
+    }
+    return lengths;
 }
 
 struct Lattice {
@@ -106,20 +135,18 @@ struct Lattice {
 
 Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
     Lattice lattice{columns_by_steps(scan, rings), std::vector<double>(rings.size(), 0.0)};
-    const int about = lattice.columns, reach = std::max(1, int(kTried * about));
-    double best = kCoherent * double(scan.size());
-    for (int columns = about - reach; columns <= about + reach; ++columns) {
-        const std::vector<std::complex<double>> sums = phases_of(scan, rings, columns);
-        const double length = std::accumulate(sums.begin(), sums.end(), 0.0,
-                                              [](double l, const auto& s) { return l + std::abs(s); });
-        if (columns < 1 || length <= best) continue;
-        best = length;
-        lattice.columns = columns;
-        const std::complex<double> common =
-            std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
-        for (std::size_t r = 0; r < rings.size(); ++r)
-            lattice.offset_rad[r] = sums[r] == 0.0 ? 0.0 : std::arg(sums[r] * std::conj(common)) / columns;
-    }
+    const int reach = std::max(1, int(kTried * lattice.columns)),
+              first = std::max(1, lattice.columns - reach);
+    const std::vector<double> lengths =
+        lengths_of(rings, first, std::size_t(lattice.columns + reach + 1 - first));
+    const auto best = std::ranges::max_element(lengths);
+    if (*best <= kCoherent * double(scan.size())) return lattice;
+    lattice.columns = first + int(best - lengths.begin());
+    const std::vector<std::complex<double>> sums = phases_of(rings, lattice.columns);
+    const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));
+    for (std::size_t r = 0; r < rings.size(); ++r)
+        lattice.offset_rad[r] =
+            sums[r] == 0.0 ? 0.0 : std::arg(sums[r] * std::conj(common)) / lattice.columns;
     return lattice;
 }
 
@@ -128,15 +155,18 @@ Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
 std::optional<double> turning_rate(const ScanPoints& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
-    for (std::vector<std::size_t> ring : rings) {
-        std::sort(ring.begin(), ring.end(),
-                  [&](auto a, auto b) { return scan.time_offset_s[a] < scan.time_offset_s[b]; });
-        for (std::size_t k = 1; k < ring.size(); ++k) {
-            const double step = std::remainder(
-                azimuth_of(scan.point_m[ring[k]]) - azimuth_of(scan.point_m[ring[k - 1]]), 2.0 * kPi);
+    for (const Ring& ring : rings) {
+        const auto time_of = [&](std::size_t k) { return scan.time_offset_s[ring.point[k]]; };
+        std::vector<std::size_t> order(ring.point.size());
+        std::iota(order.begin(), order.end(), std::size_t(0));
+        std::sort(order.begin(), order.end(),
+                  [&](std::size_t a, std::size_t b) { return time_of(a) < time_of(b); });
+        for (std::size_t k = 1; k < order.size(); ++k) {
+            const double step =
+                std::remainder(ring.azimuth_rad[order[k]] - ring.azimuth_rad[order[k - 1]], 2.0 * kPi);
             if (std::abs(step) > kLargestStep_rad) continue;
             turned += step;
-            passed_s += double(scan.time_offset_s[ring[k]]) - double(scan.time_offset_s[ring[k - 1]]);
+            passed_s += double(time_of(order[k])) - double(time_of(order[k - 1]));
         }
     }
     if (!(passed_s > 0.0) || turned == 0.0) return std::nullopt;

@@ -13,10 +13,12 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 
 #include "base/files.hpp"
 #include "base/json_field.hpp"
 #include "log/clouds/point_table.hpp"
+#include "log/sensor/pattern_kinds.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -25,19 +27,12 @@ namespace fs = std::filesystem;
 
 constexpr double kLargestOfHead = 1e12;   // of any length or time
 constexpr double kFarthestWorld_m = 1e9;  // of the world's origin
-constexpr double kLargestBeam_m = 100.0;  // of where a beam starts
-constexpr std::int64_t kMostColumns = 1000000, kMaxFrame = 99999999;
+constexpr std::int64_t kMaxFrame = 99999999;
 constexpr std::size_t kMostFieldsOfPoint = 64;  // of a point
-
-double radians(double degrees) { return degrees * kPi / 180.0; }
 
 std::string text_or(const JsonField& field, const std::string& key, const std::string& usual,
                     std::size_t most = kLongestName) {
     return field.has(key) ? field.at(key).text(most) : usual;
-}
-
-double number_or(const JsonField& field, const std::string& key, double usual, double low, double high) {
-    return field.has(key) ? field.at(key).number(low, high) : usual;
 }
 
 bool flag_or(const JsonField& field, const std::string& key, bool usual) {
@@ -83,29 +78,6 @@ Pose mounting(const JsonField& field, const std::string& where) {
     return {quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
-Beam read_beam(const JsonField& field) {
-    field.check_members(
-        {"elevation_deg", "azimuth_offset_deg", "origin_offset_m", "origin_up_m", "origin_left_m"});
-    return {.elevation_rad = radians(field.at("elevation_deg").number(-90.0, 90.0)),
-            .azimuth_offset_rad = radians(number_or(field, "azimuth_offset_deg", 0.0, -360.0, 360.0)),
-            .origin_offset_m = number_or(field, "origin_offset_m", 0.0, -kLargestBeam_m, kLargestBeam_m),
-            .origin_up_m = number_or(field, "origin_up_m", 0.0, -kLargestBeam_m, kLargestBeam_m),
-            .origin_left_m = number_or(field, "origin_left_m", 0.0, -kLargestBeam_m, kLargestBeam_m)};
-}
-
-void read_beams(const JsonField& field, SpinningSensor& sensor) {
-    const JsonField beams = field.at("beams");
-    for (std::size_t i = 0; i < beams.size(); ++i) sensor.beams.push_back(read_beam(beams.at(i)));
-    if (sensor.beams.empty() || sensor.beams.size() >= kNoBeam)
-        beams.fail(fmt::format("found {} beams", sensor.beams.size()), "expected 1 to 65534");
-    if (sensor.beams.front().elevation_rad < sensor.beams.back().elevation_rad)
-        beams.fail("found the lowest beam first",
-                   "expected the highest (\"ring_0\": \"lowest\" says that scans count from below)");
-    sensor.columns = int(field.at("columns").integer(1, kMostColumns));
-    sensor.first_azimuth_rad =
-        radians(number_or(field, "first_azimuth_deg", 180.0 - 180.0 / sensor.columns, -360.0, 360.0));
-}
-
 /// A sensor by name or file.
 void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
@@ -114,32 +86,24 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
     const SensorModel model =
         find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name,
                     {}, max_range_m);
-    const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
-    if (!spinning && spins)
+    if (!std::holds_alternative<SpinningSensor>(model.pattern) && spins)
         field.fail(fmt::format("found {}, which does not spin", excerpt(name)),
                    "expected a spinning sensor, or \"spins\": false");
-    if (spinning) {
-        lidar.sensor = *spinning;
-    } else {
-        lidar.pattern = fixed_pattern(model);
-        lidar.sensor = {.name = model.name, .beams = {}, .columns = 0, .period_s = 0.0};
-        lidar.sensor.min_range_m = model.limits.min_m;
-        lidar.sensor.max_range_m = model.limits.max_m;
-    }
+    set_sensor(lidar, model);
 }
 
-SpinningSensor read_sensor(const JsonField& field, double max_range_m) {
-    field.check_members({"name", "beams", "columns", "period_s", "clockwise", "first_azimuth_deg",
-                         "min_range_m", "max_range_m", "divergence_rad"});
-    SpinningSensor sensor;
-    sensor.name = text_or(field, "name", "");
-    sensor.period_s = number_or(field, "period_s", 0.0, 0.0, 9.999);  // 0: from the times of frames
-    sensor.clockwise = flag_or(field, "clockwise", true);
-    sensor.min_range_m = number_or(field, "min_range_m", 0.0, 0.0, kLargestOfHead);
-    sensor.max_range_m = number_or(field, "max_range_m", max_range_m, 0.0, kLargestOfHead);
-    sensor.divergence_rad = number_or(field, "divergence_rad", 0.0, 0.0, 1.0);
-    if (field.has("beams")) read_beams(field, sensor);
-    return sensor;
+/// A sensor as an object: {"<kind>": {...}}, or the members of a spinning one alone.
+/// Without a period it is that of the frames' times.
+void read_sensor(const JsonField& field, bool spins, Lidar& lidar) {
+    const double max_range_m = lidar.sensor.max_range_m;
+    const PatternKind* kind = find_pattern_kind(field);
+    const JsonField members = kind ? field.at(kind->name) : field;
+    set_sensor(lidar, kind ? read_sensor_json(field, "") : spinning_kind().parse(field, ""));
+    if (lidar.pattern && spins)
+        field.fail(fmt::format("found a {}, which does not spin", kind->name),
+                   "expected a spinning sensor, or \"spins\": false");
+    if (!lidar.pattern && !members.has("period_s")) lidar.sensor.period_s = 0.0;
+    if (!members.has("max_range_m")) lidar.sensor.max_range_m = max_range_m;
 }
 
 HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::path& folder,
@@ -155,7 +119,7 @@ HeadLidar read_lidar(const JsonField& field, const std::string& file, const fs::
     lidar.spins = flag_or(field, "spins", true);
     if (field.has("sensor") && field.at("sensor").is_text())
         name_sensor(field.at("sensor"), folder, lidar.spins, lidar.lidar);
-    else if (field.has("sensor")) lidar.lidar.sensor = read_sensor(field.at("sensor"), max_range_m);
+    else if (field.has("sensor")) read_sensor(field.at("sensor"), lidar.spins, lidar.lidar);
     lidar.has_beams = !lidar.lidar.sensor.beams.empty();
     if (lidar.has_beams && !lidar.spins)
         field.at("spins").fail("found false beside beams", "expected one of the two");

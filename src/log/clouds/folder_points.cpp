@@ -2,6 +2,7 @@
 #include "log/clouds/folder_points.hpp"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numeric>
 
@@ -22,11 +23,63 @@ constexpr float kOneRay = 1e-6f;
 /// strongest and first or last) says that nothing of its ray came back stronger.
 bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
-void check_coordinate(const glm::dvec3& p, const std::string& where) {
-    if (!(std::abs(p.x) <= kFarthestCoordinate_m && std::abs(p.y) <= kFarthestCoordinate_m &&
-          std::abs(p.z) <= kFarthestCoordinate_m))
-        throw DataError(fmt::format("{}: ({}, {}, {}), expected metres within {}", where, p.x, p.y, p.z,
-                                    kFarthestCoordinate_m));
+/// Points that are returns: x is a number, and they do not lie at the origin.
+std::vector<std::uint32_t> find_returns(std::size_t n, const std::array<const FieldValues*, 3>& xyz) {
+    enum : char { at_origin = 0, away = 1, no_number = 2 };
+    std::vector<char> place(n, at_origin);
+    for (const FieldValues* axis : xyz)
+        axis->visit([&](const auto& value_at) {
+            for (std::size_t i = 0; i < n; ++i) {
+                const auto value = value_at(i);
+                if (axis == xyz[0] && value != value) place[i] = no_number;
+                else if (value != 0 && place[i] == at_origin) place[i] = away;
+            }
+        });
+    std::vector<std::uint32_t> returns;
+    returns.reserve(n);
+    for (std::size_t i = 0; i < n; ++i)
+        if (place[i] == away) returns.push_back(std::uint32_t(i));
+    return returns;
+}
+
+/// Converts fields of the points that are kept.
+struct Conversion {
+    std::vector<std::uint32_t> kept;
+    const std::string& where;
+
+    /// Calls set(k, of_value(value, point)) for the k-th point that is kept. @throws
+    /// DataError of of_value, with the point's number in front
+    template <class OfValue, class Set>
+    void each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
+        field.visit([&](const auto& value_at) {
+            std::size_t k = 0;
+            try {
+                for (; k < kept.size(); ++k) set(k, of_value(double(value_at(kept[k])), kept[k]));
+            } catch (const DataError& error) {
+                throw DataError(fmt::format("{}: point {}{}", where, kept[k], error.what()));
+            }
+        });
+    }
+    /// Fills an array, one number a point that is kept. Leaves it as it is without a field.
+    template <class T, class OfValue>
+    void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
+        if (!field) return;
+        values.resize(kept.size());
+        each(
+            *field, [&](double value, std::size_t) { return of_value(value); },
+            [&](std::size_t k, T value) { values[k] = value; });
+    }
+};
+
+/// Some files count returns from 1, as relidar's own do, others from 0. No scan has second
+/// returns alone.
+double first_return_number(const FieldValues& number, std::size_t n) {
+    double least = number[0];
+    number.visit([&](const auto& number_at) {
+        for (std::size_t i = 1; i < n; ++i)
+            if (const auto value = double(number_at(i)); value < least) least = value;
+    });
+    return least == 1.0 ? 1.0 : 0.0;
 }
 
 template <class T>
@@ -76,47 +129,44 @@ std::uint8_t return_of(double number, const std::string& where) {
 
 ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
                      const std::string& where) {
-    const std::vector<double>*x = table.find({"x"}), *y = table.find({"y"}), *z = table.find({"z"});
+    const auto *x = table.find(PointValue::x), *y = table.find(PointValue::y), *z = table.find(PointValue::z);
     if (!x || !y || !z)
         throw DataError(fmt::format("{}: no field {}, expected x, y and z", where,
                                     !x   ? "x"
                                     : !y ? "y"
                                          : "z"));
-    const std::vector<double>*intensity = table.find({"intensity", "reflectivity"}),
-          *ring = table.find({"ring", "channel", "line"}),
-          *time = table.find({"time", "t", "timestamp", "time_stamp", "offset_time"}),
-          *number = table.find({"return", "return_number"}), *type = table.find({"return_type"});
-    const auto is_return = [&](std::size_t i) {
-        return !std::isnan((*x)[i]) && ((*x)[i] != 0.0 || (*y)[i] != 0.0 || (*z)[i] != 0.0);
-    };
-    // some count from 1, as relidar's own point files do: no scan has second returns
-    // alone
-    const double first_number = number && !number->empty() && std::ranges::min(*number) == 1.0 ? 1.0 : 0.0;
+    const Conversion convert{find_returns(table.n, {x, y, z}), where};
     ScanPoints points;
-    std::size_t n = 0;
-    for (std::size_t i = 0; i < table.n; ++i) n += is_return(i);
-    points.point_m.reserve(n);
-    std::vector<double> types;
-    std::size_t i = 0;
-    // named where something is wrong with it alone: a text for each would take longer
-    // than all the rest
-    const std::string of_point;
-    try {
-        for (; i < table.n; ++i) {
-            if (!is_return(i)) continue;
-            const glm::dvec3 p((*x)[i], (*y)[i], (*z)[i]);
-            check_coordinate(p, of_point);
-            points.point_m.emplace_back(p);
-            points.intensity.push_back(intensity ? unit_intensity((*intensity)[i], units, of_point) : 0.0f);
-            if (ring) points.ring.push_back(ring_number((*ring)[i], of_point));
-            if (time) points.time_offset_s.push_back(time_offset((*time)[i], units, time_s, of_point));
-            if (number) points.return_number.push_back(return_of((*number)[i] - first_number, of_point));
-            if (type) types.push_back((*type)[i]);
-        }
-    } catch (const DataError& error) {
-        throw DataError(fmt::format("{}: point {}{}", where, i, error.what()));
+    points.point_m.resize(convert.kept.size());
+    // a point that is wrong is named with all of its coordinates
+    const auto coordinate = [&](double value, std::size_t i) {
+        if (!(std::abs(value) <= kFarthestCoordinate_m))
+            throw DataError(fmt::format(": ({}, {}, {}), expected metres within {}", (*x)[i], (*y)[i],
+                                        (*z)[i], kFarthestCoordinate_m));
+        return float(value);
+    };
+    for (const auto& [axis, field] : {std::pair(0, x), std::pair(1, y), std::pair(2, z)})
+        convert.each(*field, coordinate,
+                     [&points, a = axis](std::size_t k, float value) { points.point_m[k][a] = value; });
+    const std::string of_point;  // Conversion names the point
+    const auto* intensity = table.find(PointValue::intensity);
+    if (!intensity) points.intensity.assign(convert.kept.size(), 0.0f);
+    convert.to(points.intensity, intensity,
+               [&](double value) { return unit_intensity(value, units, of_point); });
+    convert.to(points.ring, table.find(PointValue::ring),
+               [&](double value) { return ring_number(value, of_point); });
+    convert.to(points.time_offset_s, table.find(PointValue::time),
+               [&](double value) { return time_offset(value, units, time_s, of_point); });
+    const auto *number = table.find(PointValue::return_number), *type = table.find(PointValue::return_type);
+    if (number) {
+        const double first = first_return_number(*number, table.n);
+        convert.to(points.return_number, number,
+                   [&](double value) { return return_of(value - first, of_point); });
+    } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
+        std::vector<double> types;
+        convert.to(types, type, [](double value) { return value; });
+        number_returns(points, types);
     }
-    if (type && ring && time && !number) number_returns(points, types);
     return points;
 }
 

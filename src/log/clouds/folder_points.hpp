@@ -11,10 +11,8 @@
 
 namespace relidar::folder {
 
-/// Points by what their fields are called: intensity (or reflectivity); ring, channel or
-/// line; time, t, timestamp, time_stamp or offset_time; return, return_number, or
-/// return_type of Nebula, by which returns of one ring, time and direction become returns
-/// of one ray. A point whose x is no number, or which lies at the origin, is a ray
+/// Points by the values that their fields hold (value_of_field()). By return_type of
+/// Nebula returns of one ring, time and direction become returns of one ray. A point whose x is no number, or which lies at the origin, is a ray
 /// without a return.
 /// @param time_s  what is taken off absolute times @throws DataError naming the point
 ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,

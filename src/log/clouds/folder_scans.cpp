@@ -4,6 +4,7 @@
 // of each LiDAR first.
 #include <algorithm>
 #include <cmath>
+#include <map>
 #include <numeric>
 #include <optional>
 
@@ -109,7 +110,8 @@ public:
         }
         const Plan& plan = plans_[std::size_t(frame.lidar)];
         const SpinningSensor& sensor = sequence_.lidar_of(frame).sensor;
-        ScanPoints points = read_points(i, plan.undo);
+        const auto sample = samples_.find(i);
+        ScanPoints points = sample == samples_.end() ? read_points(i, plan.undo) : std::move(sample->second);
         if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
             throw DataError(fmt::format(
                 "{}: its points {} rings and {} times, expected what the other scans of the LiDAR have",
@@ -145,10 +147,11 @@ private:
     const ScanSource& source_;
     const bool has_poses_;
     BrokenScans& broken_;
-    std::vector<Plan> plans_;            ///< [lidars]
-    std::vector<std::size_t> left_out_;  ///< [frames] points
-    std::vector<std::size_t> n_first_;   ///< [frames] first returns
-    std::vector<std::size_t> behind_;    ///< [frames] of them: on rays that have another one
+    std::vector<Plan> plans_;                    ///< [lidars]
+    std::map<std::size_t, ScanPoints> samples_;  ///< [frames] that the plans were made from
+    std::vector<std::size_t> left_out_;          ///< [frames] points
+    std::vector<std::size_t> n_first_;           ///< [frames] first returns
+    std::vector<std::size_t> behind_;            ///< [frames] of them: on rays that have another one
 
     void note(const std::string& text) {
         if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end())
@@ -192,16 +195,16 @@ private:
     void make_plan(std::size_t l, const std::vector<std::size_t>& frames) {
         Plan& plan = plans_[l];
         std::vector<ScanPoints> samples;
-        const std::size_t n = std::min(kSamples, frames.size());
-        for (std::size_t k = 0; k < n; ++k) {
-            const std::size_t i = frames[k * frames.size() / n];
-            broken_.attempt(
-                i, [&] { samples.push_back(read_points(i, head_.motion_compensated && has_poses_)); });
-        }
-        for (std::size_t k = 0; samples.empty() && k < frames.size(); ++k)
-            broken_.attempt(frames[k], [&] {
-                samples.push_back(read_points(frames[k], head_.motion_compensated && has_poses_));
+        std::vector<std::size_t> of_sample;  // frame
+        const auto add_sample = [&](std::size_t i) {
+            broken_.attempt(i, [&] {
+                samples.push_back(read_points(i, head_.motion_compensated && has_poses_));
+                of_sample.push_back(i);
             });
+        };
+        const std::size_t n = std::min(kSamples, frames.size());
+        for (std::size_t k = 0; k < n; ++k) add_sample(frames[k * frames.size() / n]);
+        for (std::size_t k = 0; samples.empty() && k < frames.size(); ++k) add_sample(frames[k]);
         if (samples.empty()) broken_.tell(sequence_, broken_.size());
         plan.has_rings = !samples[0].ring.empty();
         plan.has_times = !samples[0].time_offset_s.empty();
@@ -220,6 +223,10 @@ private:
                  "scans are motion-compensated, and points have no times (or the log no poses) to undo it: "
                  "rays start at the sensor of the "
                  "frame's time");
+        for (std::size_t k = 0; k < samples.size(); ++k) {
+            if (!plan.has_rings) samples[k].ring.clear();  // recovered for the fit alone
+            samples_.emplace(of_sample[k], std::move(samples[k]));
+        }
     }
 
     void take_beams(std::size_t l) {

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <complex>
 
+#include "log/sensor/beam_geometry.hpp"
+
 namespace relidar {
 
 double HeadLattice::tick_rad() const { return 2.0 * kPi / n_ticks; }
@@ -20,10 +22,12 @@ double HeadLattice::azimuth_of(int tick) const {
 
 Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor) {
     Sweep sweep{{sensor.columns, 0.0}, {}};
+    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+    const BeamGeometry ideal((Beam()));
     std::complex<double> sum = 0.0;  // its phase is the mean of the heads' within a step
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const Beam& beam = beam_of(sensor.beams, points.ring[i]);
-        sum += std::polar(1.0, sensor.columns * head_azimuth(beam, glm::dvec3(points.point_m[i])));
+        const BeamGeometry& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
+        sum += std::polar(1.0, sensor.columns * beam.head_azimuth(glm::dvec3(points.point_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
     // ticks from the one nearest to +pi downwards

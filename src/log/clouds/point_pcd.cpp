@@ -153,15 +153,15 @@ std::string unpack(std::string_view data, const std::string& where) {
 
 }  // namespace
 
-PointTable read_pcd(const std::string& bytes, const std::string& where) {
-    const PcdHeader header = parse_pcd_header(bytes, where);
+PointTable read_pcd(const SharedBytes& file, const std::string& where) {
+    const PcdHeader header = parse_pcd_header(file.bytes, where);
     const std::vector<PointField> fields = fields_of(header, where);
-    const std::string_view data = std::string_view(bytes).substr(header.length);
+    const std::string_view data = file.bytes.substr(header.length);
     const std::size_t n = std::size_t(header.points);
     if (header.data == "ascii") return read_lines(data, fields, n, where);
-    if (header.data == "binary") return read_packed(data, fields, n, Packing::by_point, where);
+    if (header.data == "binary") return read_packed(file.with(data), fields, n, Packing::by_point, where);
     if (header.data == "binary_compressed")
-        return read_packed(unpack(data, where), fields, n, Packing::by_field, where);
+        return read_packed(share_bytes(unpack(data, where)), fields, n, Packing::by_field, where);
     throw DataError(fmt::format("{}: DATA '{}', expected ascii, binary or binary_compressed", where,
                                 excerpt(header.data)));
 }

@@ -75,12 +75,12 @@ PlyHeader parse_ply_header(std::string_view bytes, const std::string& where) {
 
 }  // namespace
 
-PointTable read_ply(const std::string& bytes, const std::string& where) {
-    const PlyHeader header = parse_ply_header(bytes, where);
-    const std::string_view data = std::string_view(bytes).substr(header.length);
+PointTable read_ply(const SharedBytes& file, const std::string& where) {
+    const PlyHeader header = parse_ply_header(file.bytes, where);
+    const std::string_view data = file.bytes.substr(header.length);
     if (header.format == "ascii") return read_lines(data, header.fields, header.n, where);
     if (header.format == "binary_little_endian")
-        return read_packed(data, header.fields, header.n, Packing::by_point, where);
+        return read_packed(file.with(data), header.fields, header.n, Packing::by_point, where);
     throw DataError(fmt::format("{}: format '{}', expected ascii or binary_little_endian", where,
                                 excerpt(header.format)));
 }

@@ -19,27 +19,45 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // as many as a scan may have rays
 
-template <class T>
-double get(const char* bytes) {
-    T value;
-    std::memcpy(&value, bytes, sizeof value);
-    return static_cast<double>(value);
-}
+struct FieldName {
+    std::string_view name;
+    PointValue value;
+};
+/// Of the names of one value the first that is there counts.
+constexpr FieldName kFieldNames[] = {
+    {"x", PointValue::x},
+    {"y", PointValue::y},
+    {"z", PointValue::z},
+    {"intensity", PointValue::intensity},
+    {"reflectivity", PointValue::intensity},
+    {"ring", PointValue::ring},
+    {"channel", PointValue::ring},
+    {"line", PointValue::ring},
+    {"time", PointValue::time},
+    {"t", PointValue::time},
+    {"timestamp", PointValue::time},
+    {"time_stamp", PointValue::time},
+    {"offset_time", PointValue::time},
+    {"return", PointValue::return_number},
+    {"return_number", PointValue::return_number},
+    {"return_type", PointValue::return_type},
+};
 
-using Get = double (*)(const char*);
-Get getter(const PointField& field, const std::string& where) {
-    struct Row {
-        char kind;
-        std::size_t size;
-        Get get;
-    };
-    static constexpr Row kRows[] = {{'F', 4, get<float>},         {'F', 8, get<double>},
-                                    {'I', 1, get<std::int8_t>},   {'I', 2, get<std::int16_t>},
-                                    {'I', 4, get<std::int32_t>},  {'I', 8, get<std::int64_t>},
-                                    {'U', 1, get<std::uint8_t>},  {'U', 2, get<std::uint16_t>},
-                                    {'U', 4, get<std::uint32_t>}, {'U', 8, get<std::uint64_t>}};
-    for (const Row& row : kRows)
-        if (row.kind == field.kind && row.size == field.size) return row.get;
+struct NumberTypeRow {
+    char kind;
+    std::size_t size;
+    NumberType type;
+    std::string_view numpy;  ///< name in .npy
+};
+constexpr NumberTypeRow kNumberTypes[] = {{'F', 4, NumberType::f4, "f4"}, {'F', 8, NumberType::f8, "f8"},
+                                          {'I', 1, NumberType::i1, "i1"}, {'I', 2, NumberType::i2, "i2"},
+                                          {'I', 4, NumberType::i4, "i4"}, {'I', 8, NumberType::i8, "i8"},
+                                          {'U', 1, NumberType::u1, "u1"}, {'U', 2, NumberType::u2, "u2"},
+                                          {'U', 4, NumberType::u4, "u4"}, {'U', 8, NumberType::u8, "u8"}};
+
+NumberType type_of(const PointField& field, const std::string& where) {
+    for (const NumberTypeRow& row : kNumberTypes)
+        if (row.kind == field.kind && row.size == field.size) return row.type;
     throw DataError(
         fmt::format("{}: field '{}' of type {}{}, expected F4, F8 or I or U of 1, 2, 4 or 8 bytes", where,
                     excerpt(field.name), excerpt(std::string(1, field.kind)), field.size));
@@ -50,75 +68,86 @@ void check_count(std::size_t n, const std::string& where) {
         throw DataError(fmt::format("{}: {} points, expected 1 to {}", where, n, kMostPoints));
 }
 
-std::vector<double>& add_field(PointTable& table, const std::string& name, const std::string& where) {
-    const auto [at, is_new] = table.fields.try_emplace(name, table.n);
-    if (!is_new) throw DataError(fmt::format("{}: field '{}' twice, expected it once", where, name));
-    return at->second;
-}
-
 PointTable read_bin(const fs::path& file, const std::vector<std::string>& columns) {
-    const std::string bytes = read_file(file);
+    const SharedBytes data = share_bytes(read_file(file));
+    const std::size_t n_bytes = data.bytes.size();
     std::vector<PointField> fields;
     for (const std::string& column : columns) fields.push_back({column, 'F', sizeof(float)});
     const std::size_t record = fields.size() * sizeof(float);
-    if (bytes.size() % record != 0)
+    if (n_bytes % record != 0)
         throw DataError(
             fmt::format("{}: {} bytes, expected a multiple of {}: {} float32 a point (\"columns\")",
-                        file.string(), bytes.size(), record, fields.size()));
-    return read_packed(bytes, fields, bytes.size() / record, Packing::by_point, file.string());
+                        file.string(), n_bytes, record, fields.size()));
+    return read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
 }
 
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& columns) {
-    const NamedArray array = read_npy(file);
+    NamedArray array = read_npy(file);
     if (array.shape.size() != 2 || array.shape[1] != columns.size())
         throw DataError(fmt::format(
             "{}: an array of {} dimensions{}, expected [points, {}] (\"columns\")", file.string(),
             array.shape.size(),
             array.shape.empty() ? "" : fmt::format(", the last of {}", array.shape.back()), columns.size()));
     check_count(array.shape[0], file.string());
-    const std::vector<double> values = array.as_double();
-    PointTable table{array.shape[0], {}};
-    for (std::size_t c = 0; c < columns.size(); ++c) {
-        if (!is_point_field(columns[c])) continue;
-        std::vector<double>& field = add_field(table, columns[c], file.string());
-        for (std::size_t i = 0; i < table.n; ++i) field[i] = values[i * columns.size() + c];
+    const auto* known = std::ranges::find(kNumberTypes, array.dtype, &NumberTypeRow::numpy);
+    if (known == std::end(kNumberTypes) || array.bytes.size() != array.count() * known->size) {
+        const std::vector<double> values = array.as_double();
+        array = make_array(array.name, array.shape, values.data(), values.size());
+        known = std::ranges::find(kNumberTypes, NumberType::f8, &NumberTypeRow::type);
     }
+    const auto memory = std::make_shared<const std::vector<std::byte>>(std::move(array.bytes));
+    PointTable table(array.shape[0]);
+    table.keep(memory);
+    const auto* first = reinterpret_cast<const char*>(memory->data());
+    for (std::size_t c = 0; c < columns.size(); ++c)
+        if (is_point_field(columns[c]))
+            table.add(columns[c], {known->type, first + c * known->size, columns.size() * known->size},
+                      file.string());
     return table;
 }
 
 }  // namespace
 
-bool is_point_field(std::string_view name) {
-    static constexpr std::string_view kNames[] = {
-        "x",    "y", "z",         "intensity",  "reflectivity", "ring",   "channel",       "line",
-        "time", "t", "timestamp", "time_stamp", "offset_time",  "return", "return_number", "return_type"};
-    return std::find(std::begin(kNames), std::end(kNames), name) != std::end(kNames);
+std::optional<PointValue> value_of_field(std::string_view name) {
+    for (const FieldName& known : kFieldNames)
+        if (known.name == name) return known.value;
+    return std::nullopt;
 }
 
-const std::vector<double>* PointTable::find(std::initializer_list<const char*> names) const {
-    for (const char* name : names)
-        if (const auto at = fields.find(name); at != fields.end()) return &at->second;
+const FieldValues* PointTable::find(PointValue value) const {
+    for (const FieldName& known : kFieldNames)
+        if (known.value == value)
+            if (const auto at = fields_.find(std::string(known.name)); at != fields_.end())
+                return &at->second;
     return nullptr;
 }
 
-PointTable read_packed(std::string_view bytes, const std::vector<PointField>& fields, std::size_t n,
+void PointTable::add(const std::string& name, const FieldValues& values, const std::string& where) {
+    if (!fields_.emplace(name, values).second)
+        throw DataError(fmt::format("{}: field '{}' twice, expected it once", where, name));
+}
+
+void PointTable::remove(PointValue value) {
+    std::erase_if(fields_, [&](const auto& field) { return value_of_field(field.first) == value; });
+}
+
+PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t n,
                        Packing packing, const std::string& where) {
     check_count(n, where);
     std::size_t record = 0;
     for (const PointField& field : fields) record += field.size * field.count;
-    if (bytes.size() / n < record)
+    if (data.bytes.size() / n < record)
         throw DataError(fmt::format("{}: truncated: {} bytes of points, expected {} x {}", where,
-                                    bytes.size(), n, record));
-    PointTable table{n, {}};
+                                    data.bytes.size(), n, record));
+    PointTable table(n);
+    table.keep(data.memory);
     std::size_t before = 0;  // bytes of the fields before this one, of a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_point_field(field.name)) {
-            const Get get = getter(field, where);
-            const char* first = bytes.data() + (packing == Packing::by_point ? before : before * n);
-            const std::size_t step = packing == Packing::by_point ? record : width;
-            std::vector<double>& values = add_field(table, field.name, where);
-            for (std::size_t i = 0; i < n; ++i) values[i] = get(first + i * step);
+            const char* first = data.bytes.data() + (packing == Packing::by_point ? before : before * n);
+            table.add(field.name,
+                      {type_of(field, where), first, packing == Packing::by_point ? record : width}, where);
         }
         before += width;
     }
@@ -131,11 +160,15 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
     if (n > text.size())
         throw DataError(
             fmt::format("{}: truncated: {} bytes of text, expected {} points", where, text.size(), n));
-    PointTable table{n, {}};
-    std::vector<std::pair<std::size_t, std::vector<double>*>> kept;  // place in the line
+    struct Column {
+        std::size_t place;  ///< in the line
+        const std::string& name;
+        std::vector<double> values;
+    };
+    std::vector<Column> kept;
     std::size_t width = 0;
     for (const PointField& field : fields) {
-        if (is_point_field(field.name)) kept.emplace_back(width, &add_field(table, field.name, where));
+        if (is_point_field(field.name)) kept.push_back({width, field.name, std::vector<double>(n)});
         width += field.count;
     }
     for (std::size_t i = 0; i < n; ++i) {
@@ -144,9 +177,11 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
         if (!numbers || numbers->size() != width)
             throw DataError(fmt::format("{}: point {}: '{}', expected {} numbers", where, i,
                                         excerpt(text.substr(0, end)), width));
-        for (const auto& [place, values] : kept) (*values)[i] = (*numbers)[place];
+        for (Column& column : kept) column.values[i] = (*numbers)[column.place];
         text.remove_prefix(std::min(end + 1, text.size()));
     }
+    PointTable table(n);
+    for (Column& column : kept) table.add(column.name, NumberType::f8, std::move(column.values), where);
     return table;
 }
 
@@ -169,10 +204,10 @@ bool says_deskewed(std::string_view bytes) {
 }
 
 PointTable read_with_header(const fs::path& file,
-                            PointTable (*read)(const std::string& bytes, const std::string& where)) {
-    const std::string bytes = read_text(file);
+                            PointTable (*read)(const SharedBytes& bytes, const std::string& where)) {
+    const SharedBytes bytes = share_bytes(read_text(file));
     PointTable table = read(bytes, file.string());
-    table.is_deskewed = says_deskewed(bytes);
+    table.is_deskewed = says_deskewed(bytes.bytes);
     return table;
 }
 

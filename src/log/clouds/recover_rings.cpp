@@ -10,6 +10,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "log/sensor/beam_geometry.hpp"
+
 namespace relidar {
 namespace {
 
@@ -108,6 +110,7 @@ void recover_rings(ScanPoints& points, const std::vector<Beam>& beams) {
     const auto elevation = [&](std::uint16_t k) { return beams[k].elevation_rad; };
     std::stable_sort(rising.begin(), rising.end(),
                      [&](auto a, auto b) { return elevation(a) < elevation(b); });
+    const std::vector<BeamGeometry> geometry = geometries_of(beams);
     points.ring.clear();
     for (const glm::vec3& point : points.point_m) {
         const glm::dvec3 p(point);
@@ -119,7 +122,7 @@ void recover_rings(ScanPoints& points, const std::vector<Beam>& beams) {
         std::uint16_t best = *begin;
         double least = INFINITY;
         for (auto k = begin; k != end; ++k) {
-            const glm::dvec3 origin = beam_ray(beams[*k], head_azimuth(beams[*k], p)).origin_m;
+            const glm::dvec3 origin = geometry[*k].ray(geometry[*k].head_azimuth(p)).origin_m;
             const double miss = std::abs(elevation_of(p - origin) - elevation(*k));
             if (miss < least) least = miss, best = *k;
         }

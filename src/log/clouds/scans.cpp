@@ -11,6 +11,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "log/sensor/beam_geometry.hpp"
+
 namespace relidar {
 namespace {
 
@@ -94,8 +96,11 @@ std::vector<int> fill_columns(const Sweep& sweep, int columns) {
 /// Points of each return number by cell: [0] the first returns.
 class Assignment {
 public:
-    Assignment(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep)
-        : points_(points), sensor_(sensor), sweep_(sweep) {
+    /// @param head_rad  [points] azimuth of the head when it measured each point
+    Assignment(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep,
+               const std::vector<double>& head_rad)
+        : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
+        firing_of.reserve(points.size());
         if (points.firing.empty()) nearest_ = nearest_firings(sweep.firings, sweep.lattice.n_ticks);
         cells_of(0);
         for (std::size_t i = 0; i < points.size(); ++i) add(i);
@@ -108,6 +113,7 @@ private:
     const ScanPoints& points_;
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
+    const std::vector<double>& head_rad_;
     std::vector<int> nearest_;  ///< firing of each tick, where points do not tell theirs
 
     float range_of(int point) const { return glm::length(points_.point_m[static_cast<std::size_t>(point)]); }
@@ -120,9 +126,7 @@ private:
     }
 
     std::size_t nearest_firing(std::size_t i) const {
-        const int tick =
-            sweep_.lattice.tick(head_azimuth(sensor_.beams[points_.ring[i]], glm::dvec3(points_.point_m[i])));
-        return static_cast<std::size_t>(nearest_[static_cast<std::size_t>(tick)]);
+        return static_cast<std::size_t>(nearest_[std::size_t(sweep_.lattice.tick(head_rad_[i]))]);
     }
 
     void add(std::size_t i) {
@@ -194,25 +198,28 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
 }
 
 /// The modelled ray of a firing, with range 0.
-void set_dropped(Scan& scan, std::size_t at, const Beam& beam, double head_rad) {
-    const BeamRay model = beam_ray(beam, head_rad);
+void set_dropped(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad) {
+    const BeamRay model = beam.ray(head_rad);
     scan.rays.origin[at] = glm::vec3(model.origin_m);
     scan.rays.direction[at] = glm::vec3(model.direction);
 }
 
-/// The ray of a point, in its own direction.
-void set_returned(Scan& scan, std::size_t at, const Beam& beam, const ScanPoints& points, std::size_t i) {
+/// Sets the ray of a point, in its own direction. Returns false, and sets nothing, if the
+/// point is too near to its ray's origin to have a direction.
+/// @param head_rad  of the point itself, not of the lattice: its origin is exact even if
+/// the lattice has only even steps
+bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad,
+                  const ScanPoints& points, std::size_t i) {
     const glm::dvec3 p(points.point_m[i]);
-    // The point's own azimuth, not the lattice's, sets its origin: exact too where the
-    // lattice is only even steps.
-    const glm::dvec3 origin = beam_ray(beam, head_azimuth(beam, p)).origin_m;
+    const glm::dvec3 origin = beam.ray(head_rad).origin_m;
     const double range = glm::length(p - origin);
-    if (!(range > kLeastRange_m)) return;
+    if (!(range > kLeastRange_m)) return false;
     scan.rays.origin[at] = glm::vec3(origin);
     scan.rays.direction[at] = glm::vec3((p - origin) / range);
     scan.range_m[at] = static_cast<float>(range);
     scan.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
     if (!points.time_offset_s.empty()) scan.rays.time_offset_s[at] = points.time_offset_s[i];
+    return true;
 }
 
 /// A second return of a ray, where it has a first one.
@@ -239,30 +246,34 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
         if (firing >= sweep.firings.size())
             throw UsageError(fmt::format("making a scan: a point of firing {}, expected one of {}", firing,
                                          sweep.firings.size()));
-    Assignment assigned(points, sensor, sweep);
+    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+    std::vector<double> head_rad(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i)
+        head_rad[i] = beams[points.ring[i]].head_azimuth(glm::dvec3(points.point_m[i]));
+    Assignment assigned(points, sensor, sweep, head_rad);
     const std::vector<double> times = firing_times(points, sensor, sweep, assigned.firing_of);
     const std::vector<int> slot = fill_columns(sweep, sensor.columns);
+    std::vector<double> firing_rad;
+    for (const int tick : sweep.firings) firing_rad.push_back(sweep.lattice.azimuth_of(tick));
     const int columns = sensor.columns;
     Scan scan;
     resize(scan, static_cast<int>(sensor.beams.size()), columns, assigned.by_return.size() - 1);
     scan.rays.divergence_rad = static_cast<float>(sensor.divergence_rad);
     std::size_t at = 0;
     for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
-        const Beam& beam = sensor.beams[ring];
-        const int shift = column_shift(beam, columns);
+        const int shift = column_shift(sensor.beams[ring], columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const std::size_t firing = static_cast<std::size_t>(
                 slot[static_cast<std::size_t>(((column + shift) % columns + columns) % columns)]);
             scan.rays.time_offset_s[at] = static_cast<float>(times[firing]);
             scan.rays.channel[at] = static_cast<std::uint16_t>(ring);
-            set_dropped(scan, at, beam, sweep.lattice.azimuth_of(sweep.firings[firing]));
-            for (ImageCells& cells : assigned.by_return) {
-                const int i = cells.at(ring, firing);
-                if (i == kEmpty) continue;
-                if (number_of(points, std::size_t(i)) == 0)
-                    set_returned(scan, at, beam, points, std::size_t(i));
-                else set_second_return(scan, at, points, std::size_t(i));
-            }
+            const int first = assigned.by_return[0].at(ring, firing);
+            if (first == kEmpty || !set_returned(scan, at, beams[ring], head_rad[std::size_t(first)], points,
+                                                 std::size_t(first)))
+                set_dropped(scan, at, beams[ring], firing_rad[firing]);
+            for (std::size_t number = 1; number < assigned.by_return.size(); ++number)
+                if (const int i = assigned.by_return[number].at(ring, firing); i != kEmpty)
+                    set_second_return(scan, at, points, std::size_t(i));
         }
     }
     return scan;

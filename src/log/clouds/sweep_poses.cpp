@@ -61,7 +61,7 @@ double place_rays_of(Frame& frame, const PoseTrack& corrections) {
 std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle) {
     if (!sequence.rolling_shutter) return "";
     std::vector<double> moved_m(sequence.frames.size(), 0.0);
-    run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
         Frame& frame = sequence.frames[std::size_t(i)];
         if (frame.scan.rays.size() == 0) return;
         const PoseTrack track = corrections(sequence, frame, world_from_vehicle);

@@ -31,7 +31,7 @@ bool is_near(const glm::dvec3& point_m) {
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
-/// Calls visit(cell, length_m) for every cell that a line segment crosses, in order.
+/// Calls visit(cell, length_m) for each cell that a line segment crosses, in order.
 template <class Visit>
 void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) {
     if (!is_near(from_m) || !is_near(to_m)) return;
@@ -40,7 +40,7 @@ void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) 
     const glm::ivec3 end(glm::floor(a + way));
     const double length_m = glm::distance(from_m, to_m);
     glm::ivec3 step;
-    glm::dvec3 next, pace;  // fraction of the segment at the next cell border, and between two borders
+    glm::dvec3 next, pace;  // share of the segment at the next cell border, and between two borders
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {
         step[axis] = way[axis] > 0.0 ? 1 : -1;
@@ -64,8 +64,7 @@ void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) 
 }  // namespace
 
 void Coverage::add(const glm::dvec3& from_m, const glm::dvec3& to_m) {
-    // block of the previous cell, because consecutive cells usually share a block
-    Block* block = nullptr;
+    Block* block = nullptr;  // cached block of the previous cell, because most cells share it
     walk(from_m, to_m, [&](const glm::ivec3& cell, double) {
         const Place place = place_of(cell);
         if (!block || block->place != place.block) {
@@ -89,7 +88,7 @@ void Coverage::add(const Coverage& other) {
 double Coverage::share(const glm::dvec3& from_m, const glm::dvec3& to_m) const {
     double within_m = 0.0, length_m = 0.0;
     const Block* block = nullptr;
-    glm::ivec3 at(std::numeric_limits<int>::max());  // position of the block that was looked up last
+    glm::ivec3 at(std::numeric_limits<int>::max());  // index of the cached block
     walk(from_m, to_m, [&](const glm::ivec3& cell, double crossed_m) {
         const Place place = place_of(cell);
         if (place.block != at) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the space that the scans of a log have observed, firing by firing.
+// Computes which space the scans of a log have observed, one firing at a time.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -11,20 +11,19 @@
 namespace relidar {
 namespace {
 
-/// A ray in the world frame, and the length that it has observed.
+/// A ray in the world, and how far it has observed the space.
 struct Look {
     WorldRay ray;
-    double length_m = 0.0;  ///< 0: the ray has observed nothing
+    double length_m = 0.0;  ///< 0 if the ray gives no information
 
     glm::dvec3 end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
-/// Returns the length that each ray of one firing has observed, highest beam first. A
-/// dropped ray uses the nearest returns above and below it.
-/// @param range_m  [rows] ranges of the returns, 0 for dropped rays
+/// Returns how far the rays of one firing have observed the space, highest beam first.
+/// @param range_m [rows] ranges of the returns, 0 if the ray was dropped
 std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();
-    std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above
+    std::vector<double> above(n, 0.0), result(n, 0.0);  // range of the nearest return above each row
     for (std::size_t row = 1; row < n; ++row)
         above[row] = range_m[row - 1] > 0.0 ? range_m[row - 1] : above[row - 1];
     double below = 0.0;
@@ -35,7 +34,7 @@ std::vector<double> looked_m(const std::vector<double>& range_m, double max_rang
     return result;
 }
 
-/// Adds the space between two rays with a common start.
+/// Adds the space between two neighbouring rays.
 void add_between(Coverage& coverage, const Look& a, const Look& b) {
     const double length_m = std::min(a.length_m, b.length_m);
     const int n =
@@ -48,8 +47,8 @@ void add_between(Coverage& coverage, const Look& a, const Look& b) {
     }
 }
 
-/// Returns the step between processed columns. Skipped columns cross the same cells as
-/// their neighbours.
+/// Returns the step between the columns that are used. Columns in between can be skipped,
+/// because they cross the same cells.
 std::size_t column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;
@@ -90,7 +89,7 @@ Coverage find_coverage(const Sequence& sequence, const PoseTrack& world_from_veh
         world_from_sensor.push_back(moved_track(world_from_vehicle, lidar.vehicle_from_sensor));
     Coverage all;
     std::mutex mutex;
-    run_parallel(static_cast<int>(positions.size()), [&](int i) {
+    parallel_for(static_cast<int>(positions.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(i)])];
         const Coverage one =
             coverage_of(sequence, world_from_sensor[std::size_t(frame.lidar)], frame, max_range_m);

@@ -16,7 +16,7 @@
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/readers/argoverse2/argoverse2.hpp"
-#include "log/readers/bag/ros_bag.hpp"
+#include "log/readers/bag/load_ros_bag.hpp"
 #include "log/readers/boreas/boreas.hpp"
 #include "log/readers/folder/plain_folder.hpp"
 #include "log/readers/kitti/kitti_360.hpp"
@@ -126,7 +126,7 @@ double farthest_return_m(const Sequence& sequence, int lidar) {
     constexpr float kFarthest_m = 1000.0f;  // farther points are not returns of a LiDAR on a vehicle
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
-    run_parallel(static_cast<int>(farthest.size()), [&](int i) {
+    parallel_for(static_cast<int>(farthest.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(i)];
         if (frame.lidar != lidar) return;
         const auto look = [&](float range_m) {
@@ -205,7 +205,7 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
         lidar.sensor.max_range_m = limits.max_m;
     }
     std::vector<OutsideRange> counts(sequence.frames.size());
-    run_parallel(static_cast<int>(counts.size()), [&](int i) {
+    parallel_for(static_cast<int>(counts.size()), [&](int i) {
         Frame& frame = sequence.frames[std::size_t(i)];
         const RangeLimits limits = sequence.lidar_of(frame).sensor.range_limits();
         counts[std::size_t(i)] = count_outside(frame.scan, limits);
@@ -217,7 +217,7 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
 /// Notes that a log has no intensities: it has returns, and all of them have intensity 0.
 void note_missing_intensities(Sequence& sequence) {
     std::vector<char> has_returns(sequence.frames.size(), 0), has_intensities(sequence.frames.size(), 0);
-    run_parallel(static_cast<int>(has_returns.size()), [&](int i) {
+    parallel_for(static_cast<int>(has_returns.size()), [&](int i) {
         const Scan& scan = sequence.frames[std::size_t(i)].scan;
         has_returns[std::size_t(i)] = scan.count_returns() > 0;
         has_intensities[std::size_t(i)] =
@@ -293,7 +293,7 @@ void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
         nominal.push_back(lidar.pattern ? RayTable{} : nominal_rays(lidar, 0.0));
-    run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
         Frame& frame = sequence.frames[std::size_t(i)];
         frame.start = find_start(frame.scan.rays, sequence.lidar_of(frame));
         frame.azimuth_shift_rad = find_azimuth_shift(frame.scan, sequence.lidar_of(frame).sensor,

@@ -14,33 +14,34 @@
 namespace relidar {
 namespace {
 
-constexpr double kKey_m = 4.0;  // travelled distance between key poses
-// Minimum path length between two passes. Over shorter paths, odometry has used both
-// passes in one map.
+constexpr double kKey_m = 4.0;  // distance between the key poses, in metres of path
+// Minimum path length between two passes. If it is shorter, odometry already had both
+// passes on one map.
 constexpr double kApart_m = 80.0;
-// Maximum distance between two passes. It grows with the length of the path.
+// Maximum distance between two passes. It grows with the path length between them.
 constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
-constexpr double kMap_m = 14.0;  // the map contains this distance of the earlier pass to either side
-// grid of start positions around the position from the track
+constexpr double kMap_m = 14.0;  // the map covers this length of the earlier pass on each side
+// Grid of start positions around the predicted pose.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-constexpr double kGridPenalty = 0.01;  // required gain in the share of points per grid step of distance
+// additional share of matching points that a start must have for each grid step away from
+// the prediction
+constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
-// Minimum share of a scan's points on planes of the earlier pass. Odometry reaches 0.5 to
-// 0.8.
+// Minimum share of a scan's points that lie on planes of the earlier pass. Odometry
+// reaches 0.5 to 0.8.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kFewestPlaces = 2;
-constexpr double kWay_m = 0.01, kWay_rad = 3e-4;  // standard deviations of odometry over kKey_m
-// standard deviations of a registration to an earlier pass
-constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;
-constexpr double kBelieved_m = 0.5;  // kernel scale for matches that contradict the others
+constexpr double kWay_m = 0.01, kWay_rad = 3e-4;      // standard deviations of odometry over kKey_m
+constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;  // standard deviations of a loop closure
+constexpr double kBelieved_m = 0.5;  // kernel scale for loop closures that contradict the others
 constexpr int kReweighted = 6;
 
-/// Match of a later pose with the map of an earlier pose.
+/// Loop closure: a later pose that was registered to the map of an earlier pass.
 struct SeenAgain {
-    std::size_t earlier, later;  // indices of key poses
-    Twist off;                   // correction of the later pose if the earlier pose is fixed
+    std::size_t earlier, later;  // indices of the key poses
+    Twist off;                   // correction of the later pose relative to the earlier pose
 };
 
 class Loops {
@@ -79,10 +80,10 @@ private:
     const PoseTrack& track_;
     const std::vector<std::vector<ThinPoint>>& scans_;
     const LoopOptions& options_;
-    std::vector<double> way_m_;      // [poses] travelled distance
+    std::vector<double> way_m_;      // [poses] length of the path up to each pose
     std::vector<std::size_t> keys_;  // indices of the key poses
     std::vector<SeenAgain> places_;
-    LevelMaps maps_;  // maps around the key pose map_of_
+    LevelMaps maps_;  // map around the key pose `map_of_`
     std::optional<std::size_t> map_of_;
 
     const Pose& pose(std::size_t key) const { return track_.pose[keys_[key]]; }
@@ -114,8 +115,8 @@ private:
         maps_.add(points_m, 0.0);
     }
 
-    /// Returns the points of a scan in the frame of its pose, each with the sensor's
-    /// position.
+    /// Returns the points of a scan in the frame of its pose, each with the position of
+    /// the vehicle when it was fired.
     std::vector<PlacedPoint> points_of(std::size_t key) const {
         const Pose pose_from_world = inverse(pose(key));
         std::vector<PlacedPoint> points;
@@ -138,7 +139,7 @@ private:
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
-    /// Returns the best of a grid of start poses around a pose.
+    /// Returns the best pose of a grid of start positions around a pose.
     Pose best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
@@ -152,19 +153,19 @@ private:
             return Pose{about.rotation, about.translation + kGrid_m * offsets[i]};
         };
         std::vector<double> scores(offsets.size());
-        run_parallel(static_cast<int>(offsets.size()), [&](int i) {
+        parallel_for(static_cast<int>(offsets.size()), [&](int i) {
             scores[std::size_t(i)] = coarse_share(points, start_at(std::size_t(i))) -
                                      kGridPenalty * glm::length(offsets[std::size_t(i)]);
         });
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
-    /// Performs one Gauss-Newton step of a rigid scan.
+    /// Makes one Gauss-Newton step of a rigid scan.
     /// @return length of the step
     double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
         const double scale_m = maps_.round(level).scale_m;
         const RigidEquations equations =
-            sum_parallel(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            parallel_reduce(points.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const PlacedPoint& point : std::span(points).subspan(begin, end - begin)) {
                     const glm::dvec3 p = at * point.point_m;
@@ -195,7 +196,8 @@ private:
         Pose at = before ? carried(before->off, pose(before->later), pose(later))
                          : best_start(points, pose(later), reach_m);
         double share = settle(points, at);
-        // the correction of the previous match does not fit, so search again
+        // The prediction from the previous loop closure failed, so the search starts
+        // again.
         if (before && share < kLeastShare) {
             at = best_start(points, pose(later), reach_m);
             share = settle(points, at);
@@ -204,13 +206,13 @@ private:
         return SeenAgain{earlier, later, twist_between(pose(later), at)};
     }
 
-    /// Applies the rigid motion of a correction at one pose to another pose.
+    /// Returns the pose `other` moved rigidly by a correction at the pose `at`.
     static Pose carried(const Twist& correction, const Pose& at, const Pose& other) {
         const Pose world_from_world = moved(at, correction) * inverse(at);
         return world_from_world * other;
     }
 
-    /// Adds weight * |x_b - carried x_a - off|^2 to the normal equations.
+    /// Normal equations. add() adds the term weight * |x_b - carried x_a - off|^2.
     struct Equations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
@@ -255,19 +257,20 @@ private:
             equations.add(places_[i].earlier, places_[i].later,
                           between_keys(places_[i].earlier, places_[i].later), places_[i].off,
                           weights(kPlace_m, kPlace_rad, believed[i]));
-        for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // keeps the first pose fixed
+        for (int i = 0; i < 6; ++i) equations.h.emplace_back(i, i, 1e9);  // fixes the first pose
         Eigen::SparseMatrix<double> h(6 * Eigen::Index(n), 6 * Eigen::Index(n));
         h.setFromTriplets(equations.h.begin(), equations.h.end());
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Returns a key pose's correction, transferred to another pose.
+    /// Returns the correction of a key pose, transferred to another pose.
     Vector6 carried_to(std::size_t k, std::size_t key, const Eigen::VectorXd& x) const {
         return carried_by(track_.pose[k].translation - pose(key).translation) *
                x.segment<6>(6 * Eigen::Index(key));
     }
 
-    /// Returns the remaining error of a match after the corrections of all key poses.
+    /// Returns the remaining error of a loop closure, in metres, under the corrections of
+    /// all key poses.
     double contradiction_m(const SeenAgain& place, const Eigen::VectorXd& x) const {
         const Vector6 moves =
             x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loop closure: registers scans of a later pass of a road to the map of an earlier pass,
-// and distributes the drift over the path between them.
+// Closes loops. Scans of a later pass over a road are registered to the map of the
+// earlier pass. The error is then distributed over the path between the two passes.
 #pragma once
 
 #include <functional>
@@ -11,28 +11,29 @@
 namespace relidar {
 
 struct LoopOptions {
-    RegisterRound first, last;  ///< cell size and kernel scale of a scan's steps, from coarse to fine
-    std::function<bool(double done)> proceed;  ///< called regularly; if it returns false, the search ends
+    RegisterRound first, last;  ///< cells and kernel of a scan's alignment steps, from coarse to fine
+    /// called repeatedly; if it returns false, the search stops
+    std::function<bool(double done)> proceed;
 };
 
 struct ClosedLoops {
     PoseTrack track;
-    std::size_t places = 0;  ///< number of scans that were registered to the map of an earlier pass
-    double largest_m = 0.0;  ///< largest drift of these scans
+    std::size_t places = 0;  ///< number of loop closures
+    double largest_m = 0.0;  ///< largest correction of a loop closure, in metres
 };
 
-/// Finds pairs of poses that are close to each other although the path between them is at
-/// least 80 m long. The distance limit grows with the length of the path. A pair counts
-/// if the later scan's points lie on the planes of the earlier pass as well as in
-/// odometry. Pairs that contradict the others get smaller weights (Geman and McClure
-/// 1985). The corrections x of the poses then minimise
-///   sum over the track of |x_k+1 - x_k|^2 / s_k^2  +  sum over pairs of rho(|x_later - x_earlier - drift|)
-/// Each x is a translation and a rotation that also moves all later poses.
-/// @param followed  track from odometry: accurate from scan to scan, with a drift of
+/// Closes the loops of a track. Searches for poses near a place that the track passed at
+/// least 80 m of path earlier. The allowed distance grows with the path length. A loop
+/// closure is accepted if the share of the scan's points on planes of the earlier pass is
+/// as high as in odometry. Loop closures that contradict the others get a lower weight
+/// (Geman and McClure 1985). The corrections x of the poses minimise
+///   sum over the track of |x_k+1 - x_k|^2 / s_k^2  +  sum over places of rho(|x_later - x_earlier - what it was off|)
+/// where each x is a translation and a rotation that also moves all later poses.
+/// @param followed poses from odometry: accurate from scan to scan, with a drift of
 /// metres over kilometres
-/// @param scans  [poses] points of each scan; empty for poses without points
-/// @return the input track if fewer than two pairs are found, or if proceed() returned
-/// false
+/// @param scans [poses] points of each scan; empty if a pose has no scan
+/// @return the unchanged track if fewer than two loop closures exist, or if proceed()
+/// returned false
 ClosedLoops close_loops(const PoseTrack& followed, const std::vector<std::vector<ThinPoint>>& scans,
                         const LoopOptions& options);
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scan-to-map registration. The start pose of a scan is predicted from the given poses
-// and from the velocity of the previous scan. The scan is then moved as a rigid body by
-// Gauss-Newton steps, onto planes of 2 m cells first, then of finer cells. Points are
-// placed at their firing times: the previous pose is known, the next pose moves along. Of
-// several predictions, the one with the most points on planes is used.
+// Aligns each scan with a map of earlier scans. The start pose is predicted from the
+// given poses and from the velocity of the previous scan. Gauss-Newton steps then move
+// the scan as a rigid body onto planes, first in cells of 2 m, then in finer ones. Each
+// point is placed at its firing time: the earlier pose is fixed and the later pose moves.
+// If there are several predictions, the result with the most points on planes is used.
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
@@ -22,36 +22,36 @@ namespace relidar {
 namespace {
 
 constexpr int kMostSteps = 8;
-constexpr double kConverged_m = 1e-3;  // convergence limit on the length of a step
-// Stiffness towards the prediction, relative to the mean stiffness. It determines the
-// directions that no point constrains, such as along a bare road.
+constexpr double kConverged_m = 1e-3;  // the iteration stops if a step is shorter than this
+// Stiffness towards the prediction, as a share of the mean stiffness. It determines
+// directions that no point constrains, for example along a bare road.
 constexpr double kPrior = 3e-4;
-// Minimum share of a scan's points on planes of the map. Streets have 0.5 to 0.8.
+// Minimum share of a scan's points that lie on planes of the map. Streets have 0.5 to
+// 0.8.
 constexpr double kFewestShare = 0.1;
-// Cells that were last seen farther back are removed, because odometry must not close
-// loops.
+// Parts of the map that were last seen this far back are removed, because odometry must
+// not close loops.
 constexpr double kMemory_m = 80.0;
-// Travelled distance between two removals. Visiting all cells takes as long as adding a
-// scan.
+// Path length between removals. Checking all cells takes as long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-constexpr double kSame_m = 0.05;       // predictions closer to each other lead to the same pose
-constexpr int kLostInARow = 5;         // number of consecutive failures after which the map is restarted
-constexpr std::size_t kStretch = 200;  // poses per segment
-// Poses that consecutive segments share: enough to build a map.
+constexpr double kSame_m = 0.05;       // predictions closer than this lead to the same result
+constexpr int kLostInARow = 5;         // number of lost scans in a row after which the map is cleared
+constexpr std::size_t kStretch = 200;  // number of poses
+// Number of poses that two consecutive sections share, enough for a map.
 constexpr std::size_t kOverlap = 20;
-constexpr int kTrialScans = 4;  // number of scans for choosing the initial motion
-// Motion between scans: 4 m is 40 m/s at 10 Hz.
+constexpr int kTrialScans = 4;  // number of scans used to choose the first motion
+// Motion between two scans; the maximum is 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
 /// Returns the motion from a to b, scaled by s.
 Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
 
-/// Poses that are registered one after the other.
+/// Section of a log whose poses are estimated one after the other.
 struct Stretch {
     std::size_t begin, end;
 };
 
-/// Divides a log into segments. The last segment may be up to twice as long as the
+/// Divides a log into sections. The last section can be up to twice as long as the
 /// others.
 std::vector<Stretch> stretches_of(std::size_t n_poses) {
     std::vector<Stretch> stretches{{0, n_poses}};
@@ -75,7 +75,7 @@ public:
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
     }
 
-    /// Registers the next scan. Poses must be passed in order.
+    /// Estimates one pose. Must be called for the poses in their order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
             pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
@@ -97,12 +97,12 @@ public:
     }
 
     const PoseTrack& track() const { return track_; }
-    double share() const { return share_; }  ///< share of points on planes, summed over scans
+    double share() const { return share_; }  ///< share of points on planes, summed over the scans
 
 private:
     struct Candidate {
         Pose pose;
-        double share = 0.0;  // share of the scan's points on planes
+        double share = 0.0;  // share of the points that lie on planes
     };
     const PoseTrack& given_;
     PoseTrack track_;
@@ -122,7 +122,8 @@ private:
         maps_.forget(forgotten_m_);
     }
 
-    /// Returns the motion from pose k - 1 to k at constant velocity.
+    /// Returns the motion from pose k - 1 to k, extrapolated from the motion between the
+    /// two previous poses.
     Pose kept_motion(std::size_t k) const {
         if (k < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -132,7 +133,7 @@ private:
 
     Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
 
-    /// Returns possible poses of a scan, the most likely first.
+    /// Returns the possible predictions of pose k, the most likely one first.
     std::vector<Pose> predictions(std::size_t k) const {
         const Pose kept = track_.pose[k - 1] * kept_motion(k);
         if (!options_.given_motion) return {kept};
@@ -141,15 +142,16 @@ private:
         return {given, kept};
     }
 
-    /// Sets a pose. Moves the next pose along, as predicted.
+    /// Sets a pose, and moves the next pose along with it.
     void set(std::size_t k, const Pose& pose) {
         track_.pose[k] = pose;
         if (k + 1 < track_.pose.size())
             track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
     }
 
-    /// Registers a scan to the maps.
-    /// @return the final pose, and the share of points on planes at this pose
+    /// Aligns a scan with the maps.
+    /// @return the final pose, and the share of the scan's points that lie on planes
+    /// there
     Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
         set(k, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
@@ -162,12 +164,12 @@ private:
         return {track_.pose[k], share};
     }
 
-    /// Performs one Gauss-Newton step.
+    /// Makes one Gauss-Newton step.
     /// @return length of the step
     double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level,
                 double scale_m, double& share) {
         const RigidEquations equations =
-            sum_parallel(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            parallel_reduce(scan.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (const ThinPoint& point : std::span(scan).subspan(begin, end - begin)) {
                     const PlacedPoint at = place(track_, point);
@@ -185,8 +187,9 @@ private:
     }
 };
 
-/// Finds the motion from a segment's first pose to the second if no pose is given: the
-/// forward speed for which the first scans fit best.
+/// Returns the motion of the sensor between the first two poses of a section if no poses
+/// are given. Tries several forward speeds and uses the one for which the first scans
+/// agree best.
 Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options, const Stretch& stretch) {
     Pose best;
@@ -204,9 +207,10 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
     return best;
 }
 
-/// Registers the scans of a segment.
-/// @param proceed  called before each scan; false ends the registration
-/// @return poses of the segment, the first as given; empty if ended
+/// Estimates the poses of a section.
+/// @param proceed called before each scan
+/// @return poses of the section, the first one as given; empty if proceed() returned
+/// false
 std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                            const OdometryOptions& options, const Stretch& stretch,
                            const std::function<bool()>& proceed) {
@@ -222,10 +226,11 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
     return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
 }
 
-/// Aligns each segment with its predecessor at the last scan that both contain.
+/// Joins the sections. Each section is moved so that its pose at the last shared scan
+/// equals the pose in the previous section.
 std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
                           const std::vector<std::vector<ThinPoint>>& scans) {
-    auto own = poses.begin();  // first pose of the current segment in `poses`
+    auto own = poses.begin();  // first pose of the current section in `poses`
     std::vector<Pose> track(own, own + std::ptrdiff_t(stretches.front().end));
     for (std::size_t i = 1; i < stretches.size(); ++i) {
         own += std::ptrdiff_t(stretches[i - 1].end - stretches[i - 1].begin);
@@ -260,7 +265,7 @@ PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<Thi
         return !ended;
     };
     std::vector<std::vector<Pose>> parts(share.end - share.begin);
-    run_parallel(static_cast<int>(parts.size()), [&](int i) {
+    parallel_for(static_cast<int>(parts.size()), [&](int i) {
         parts[std::size_t(i)] =
             followed(given, scans, options, stretches[share.begin + std::size_t(i)], proceed);
     });

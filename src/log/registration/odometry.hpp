@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// LiDAR odometry: registers each scan to the map of the scans before it. Used if the
-// given poses drift, jump or are missing. A long log is divided into segments, which
-// threads and processes register concurrently. Consecutive segments overlap by some
-// scans. Each segment is aligned with its predecessor at the last common scan.
+// Estimates poses scan by scan, each against a map of the earlier scans. It is used if
+// the given poses drift or jump, or if there are none. A long log is divided into
+// overlapping sections that threads and processes handle in parallel. The last scan that
+// two sections share connects them.
 #pragma once
 
 #include <functional>
@@ -16,19 +16,20 @@
 namespace relidar {
 
 struct OdometryOptions {
-    RegisterRound first, last;  ///< cell size and kernel scale of a scan's steps, from coarse to fine
-    /// True: the given poses predict the motion between scans. False: constant velocity.
+    RegisterRound first, last;  ///< cells and kernels of a scan's alignment steps, from coarse to fine
+    /// True if the given poses predict the motion from scan to scan. Otherwise the
+    /// velocity is assumed to be constant.
     bool given_motion = true;
-    /// Called regularly from the calling thread; if it returns false, odometry ends.
+    /// Called repeatedly from the calling thread. If it returns false, the estimation
+    /// stops.
     std::function<bool(double done)> proceed;
     ProcessGroup group = {};
 };
 
-/// Registers all scans in order. A scan that cannot be registered keeps its predicted
-/// pose.
-/// @param scans  [poses] points of each scan; empty for poses without points
-/// @return the same track in all processes. It starts at the first given pose. If
-/// proceed() returned false, the given poses.
+/// Estimates the poses of a log. A scan that cannot be aligned gets its predicted pose.
+/// @param scans [poses] points of each scan; empty if a pose has no scan
+/// @return poses that are identical in all processes and start at the first given pose;
+/// the given poses if proceed() returned false
 PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options);
 

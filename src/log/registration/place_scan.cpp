@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers one scan to a fixed scene. Each point moves towards the surface along its
-// ray, so no nearest-neighbour search is needed.
+// Aligns one scan with a fixed scene. Each point is compared with the rendered surface
+// along its own ray, so that no search for corresponding points is needed.
 #include <relidar/log/registration.hpp>
 
 #include "base/parallel.hpp"
@@ -10,14 +10,15 @@
 namespace relidar {
 namespace {
 
-constexpr double kThin_m = 0.1;    // keeps nearly all returns, because only one pose is fitted
-constexpr double kScale_m = 0.05;  // kernel scale; earlier registration is more accurate than that
-// stiffness towards the initial pose, relative to the mean stiffness
+// cell size for thinning: keeps nearly all returns, because a single pose is fitted
+constexpr double kThin_m = 0.1;
+constexpr double kScale_m = 0.05;  // kernel scale: after registration, the scans are closer than this
+// stiffness towards the start pose, as a share of the mean stiffness
 constexpr double kPlacePrior = 1e-4;
-constexpr double kPlaceStep_m = 2e-4;  // convergence limit on the length of a step
+constexpr double kPlaceStep_m = 2e-4;  // the iteration stops if a step is shorter than this
 constexpr int kMostPlaceSteps = 8;
 
-/// Selected rays of one frame and their returns.
+/// Selected rays of one frame, and their returns.
 struct FrameRays {
     int position;
     std::vector<std::size_t> rays;
@@ -56,7 +57,7 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
         RigidEquations equations;
         for (const FrameRays& f : frames) {
             const std::vector<SeenSurface> seen = view(f.position, f.rays, track);
-            equations += sum_parallel(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+            equations += parallel_reduce(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (std::size_t k = begin; k < end; ++k) {
                     const ThinPoint& point = f.points[k];

@@ -11,21 +11,21 @@
 namespace relidar {
 namespace {
 
-constexpr int kChunks = 64;  // sums are split into this many parts, whatever the number of threads
-constexpr int kShrinking = 8, kLastRounds = 2;  // numbers of rounds
-constexpr double kShift = 0.37;                 // offset of the grid from round to round, in cells
-// Stiffness towards zero correction, relative to the mean stiffness of the poses. It
+constexpr int kChunks = 64;  // number of partial sums, independent of the number of threads
+constexpr int kShrinking = 8, kLastRounds = 2;  // number of rounds
+constexpr double kShift = 0.37;                 // shift of the grid from round to round, in cells
+// Stiffness towards zero correction, as a share of the mean stiffness of the poses. It
 // determines only the directions that no point constrains.
 constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
-// share of a scan's points; streets have 0.3 to 0.7, random ranges have 0.003
+// minimum share of points on planes: streets have 0.3 to 0.7, random ranges 0.003
 constexpr double kFewestOnPlanes = 0.05;
 
 /// Calls task(begin, end, chunk) for kChunks parts of [0, n).
 template <class Task>
 void in_chunks(std::size_t n, const Task& task) {
     const std::size_t size = n / kChunks + 1;
-    run_parallel(kChunks, [&](int c) {
+    parallel_for(kChunks, [&](int c) {
         task(std::min(n, std::size_t(c) * size), std::min(n, (std::size_t(c) + 1) * size), std::size_t(c));
     });
 }
@@ -53,7 +53,7 @@ Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
     return result;
 }
 
-/// Fits planes to all cells with points of two or more sweeps.
+/// Fits planes to all cells that contain points of two or more sweeps.
 std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
                                              const std::vector<PlacedPoint>& placed,
                                              const RegisterRound& round) {
@@ -109,6 +109,7 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
                 parts[chunk].add_cell(points_, placed, cells.members(c), *planes[c], round.scale_m);
     });
     for (std::size_t c = 1; c < kChunks; ++c) parts[0].add(std::move(parts[c]));
+    if (prior_) add_prior(parts[0]);
     const PoseTrack before = track_;
     const Eigen::VectorXd step = parts[0].solve(track_, corrections(start_, track_), kAdjustmentPrior);
     for (std::size_t k = 0; k < track_.pose.size(); ++k)
@@ -122,9 +123,21 @@ RegisterRound PlaneAdjustment::step(RegisterRound round, double shift) {
     return round;
 }
 
+void PlaneAdjustment::add_prior(PoseEquations& equations) const {
+    constexpr double kLinkTime_s = 0.1;
+    const Eigen::VectorXd correction = corrections(start_, track_);
+    const auto of_pose = [&](std::size_t k) -> Vector6 { return correction.segment<6>(6 * Eigen::Index(k)); };
+    for (std::size_t k = 0; k < track_.pose.size(); ++k) {
+        equations.add_pull(k, prior_->pull, of_pose(k));
+        if (k + 1 == track_.pose.size()) break;
+        const double share = kLinkTime_s / (track_.time_s[k + 1] - track_.time_s[k]);
+        equations.add_link(k, share * prior_->link, of_pose(k + 1) - of_pose(k));
+    }
+}
+
 void PlaneAdjustment::remove_common_motion() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // iterates, because the mean of rotation vectors only approximates the mean rotation
+    // repeated, because the mean of rotation vectors is only approximately a rotation
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -193,7 +206,8 @@ double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& 
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), share_of_time(before, pose, after));
-    // If given poses jump, one of the two neighbours jumps in the same way.
+    // If the given poses jump, one of the neighbours has the same jump, so the smallest
+    // difference counts.
     double least = glm::distance(correction(pose), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose), correction(neighbour)));
@@ -209,7 +223,7 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
         scans[k] = std::span(points_).subspan(begin, end - begin);
     }
     std::vector<double> shares(scans.size());
-    run_parallel(static_cast<int>(scans.size()), [&](int k) {
+    parallel_for(static_cast<int>(scans.size()), [&](int k) {
         shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], scale_m);
     });
     std::vector<std::size_t> lost;
@@ -228,7 +242,7 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
 void PlaneAdjustment::place_pose(const PlaneMap& map, std::size_t pose, const std::vector<ThinPoint>& own,
                                  double scale_m) {
     const RigidEquations equations =
-        sum_parallel(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
+        parallel_reduce(own.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
             RigidEquations part;
             for (const ThinPoint& point : std::span(own).subspan(begin, end - begin)) {
                 const PlacedPoint placed = place(track_, point);

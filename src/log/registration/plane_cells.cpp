@@ -15,13 +15,13 @@ namespace {
 
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
-// Minimum standard deviation along the narrower axis, relative to the cell's edge. A
-// filled cell has 0.29.
+// Minimum standard deviation along the narrower axis, as a share of the cell's edge. A
+// plane that fills the cell has 0.29.
 constexpr double kSpread = 0.12;
-// Minimum standard deviation relative to the kernel scale. One ring seen from many wrong
-// poses forms a ribbon of this width, which is not a surface.
+// Minimum of the same deviation, as a share of the kernel scale. One ring seen from many
+// wrong poses forms a ribbon of this width, which is not a surface.
 constexpr double kSpreadScale = 0.8;
-constexpr double kInliers = 0.7;  // minimum share of the points that must lie within the scale
+constexpr double kInliers = 0.7;  // minimum share of the points that lie within the kernel scale
 
 glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) {
     return {axes(0, column), axes(1, column), axes(2, column)};
@@ -81,11 +81,12 @@ std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span
 
 PlaneCells::PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift)
     : cell_m_(cell_m), shift_m_(shift * cell_m), order_(points.size()) {
-    std::vector<std::pair<std::uint64_t, std::uint32_t>> keyed(points.size());  // cell, point
+    // pairs of cell key and point index
+    std::vector<std::pair<std::uint64_t, std::uint32_t>> keyed(points.size());
     for_each_block(points.size(), [&](std::size_t i) {
         keyed[i] = {key_of(points[i].point_m), static_cast<std::uint32_t>(i)};
     });
-    sort_parallel(keyed, std::less<>());
+    parallel_sort(keyed, std::less<>());
     for (std::size_t i = 0; i < keyed.size(); ++i) {
         order_[i] = keyed[i].second;
         if (i > 0 && keyed[i].first == keyed[i - 1].first) continue;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Planes in the world frame, one per grid cell, fitted to the points of all scans at
-// their current poses.
+// Fits planes to the points of all scans at their current poses, one plane per cell of a
+// grid.
 #pragma once
 
 #include <cmath>
@@ -14,49 +14,49 @@
 
 namespace relidar {
 
-/// Interpolates cell size and kernel scale between two rounds geometrically. t = 0 is the
-/// first round, 1 the last.
+/// Returns the cells and the kernel of an intermediate round. Interpolates geometrically:
+/// t = 0 gives `first`, t = 1 gives `last`.
 inline RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
     return {first.cell_m * std::pow(last.cell_m / first.cell_m, t),
             first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
 }
 
-/// A plane n . (p - point) = 0, with two directions u and v within the plane.
+/// Plane n . (p - point) = 0 with two directions u and v within it.
 struct Plane {
-    glm::dvec3 point_m{0.0};  ///< weighted mean of the points
+    glm::dvec3 point_m{0.0};  ///< weighted mean of the points on the plane
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
 };
 
-/// Returns the weight rho'(r) / 2r of rho(r) = r^2 / (1 + r^2 / s^2) (Geman and McClure
-/// 1985).
+/// Returns the robust weight rho'(r) / 2r for rho(r) = r^2 / (1 + r^2 / s^2) (Geman and
+/// McClure 1985).
 double weight_of(double residual_m, double scale_m);
 
-/// Fits a plane by iterated least squares with robust weights. Returns nothing if the
-/// points do not cover a surface of the cell, or if too many points lie off the plane.
+/// Fits a plane by iteratively reweighted least squares. Returns nothing if the points do
+/// not spread over a surface of the cell, or if too many points lie off the plane.
 std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
                                double cell_m, double scale_m);
 
 /// Points sorted into the cells of a grid.
 class PlaneCells {
 public:
-    /// Sorts points into cells.
-    /// @param shift  offset of the grid in cells; different offsets cut surfaces at
+    /// @param shift offset of the grid in cells; a different shift cuts surfaces at
     /// different places
     PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift);
 
     std::size_t size() const { return first_.size() - 1; }
-    /// Returns the indices of the points of a cell, ascending.
+    /// Returns the indices of a cell's points, ascending.
     std::span<const std::uint32_t> members(std::size_t cell) const {
         return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
     }
-    /// Returns the cell that contains a point, or nothing if the cell has no points.
+    /// Returns the cell that contains a point, or nothing if the grid has no point in
+    /// that cell.
     std::optional<std::size_t> find(const glm::dvec3& point_m) const;
 
 private:
     double cell_m_, shift_m_;
     std::vector<std::uint64_t> key_;    ///< [cells] ascending
-    std::vector<std::size_t> first_;    ///< [cells+1] into order_
-    std::vector<std::uint32_t> order_;  ///< [points]
+    std::vector<std::size_t> first_;    ///< [cells + 1] index into order_
+    std::vector<std::uint32_t> order_;  ///< [points] indices of the points, sorted by cell
 
     std::uint64_t key_of(const glm::dvec3& point_m) const { return cell_key(point_m + shift_m_, cell_m_); }
 };

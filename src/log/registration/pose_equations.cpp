@@ -16,21 +16,22 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostIterations = 100;  // 20 to 30 iterations are usual, whatever the length of the log
-// Maximum number of parts and minimum size of a part of the sums over planes. The parts
-// do not depend on the number of threads.
+// 20 to 30 iterations are usual, independent of the length of the log
+constexpr int kMostIterations = 100;
+// Maximum number of partial sums over planes, and minimum number of planes in each. Both
+// are independent of the number of threads.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
-// on the residual's norm; the next round corrects the remaining error
+// relative residual norm at which the solver stops; the next round corrects the remainder
 constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
-/// Returns the two poses that a point moves with, and their weights.
+/// Returns the two poses on which a point depends, and their weights.
 std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
-/// Returns the derivative of a point's residual with respect to the offset and the tilts
+/// Returns the derivatives of a point's residual with respect to the offset and the tilts
 /// of its plane.
 Eigen::Vector3d row_of_plane(const PlacedPoint& point, const Plane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
@@ -65,7 +66,7 @@ Twist RigidEquations::solve(double prior, const Twist& correction) const {
     Vector6 gradient = gradient_;
     const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(),
                             prior * stiffness_.diagonal().tail<3>().mean()};
-    for (int i = 0; i < 6; ++i) {  // metres and radians have separate stiffnesses
+    for (int i = 0; i < 6; ++i) {  // separate for metres and radians, because their stiffnesses differ
         stiffness(i, i) += pulls[i / 3];
         gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
     }
@@ -105,16 +106,15 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
 void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                              std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
     const std::size_t begin = couplings_.size();
-    // Searches from the end, because members are sorted and their poses are almost
-    // sorted.
+    // Searches from the end, because members are ascending and their poses almost are.
     const auto coupling = [&](std::size_t pose) -> Coupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(
             Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Stiffness and gradient of the plane's unknowns, with the current weights of its
-    // points. With the weights of the plane fit, H would not be positive.
+    // Stiffness of the plane's unknowns with the current weights of its points. With the
+    // weights of the plane fit, H would not be positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
     for (const std::uint32_t i : members) {
@@ -153,7 +153,20 @@ void PoseEquations::add(PoseEquations&& other) {
     n_planes_ += other.n_planes_;
     cost_ += other.cost_;
     weight_ += other.weight_;
-    other = PoseEquations(0);  // releases its memory
+    other = PoseEquations(0);  // frees the memory of `other`
+}
+
+void PoseEquations::add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction) {
+    diagonal_[pose].diagonal() += stiffness;
+    gradient_.segment<6>(6 * Eigen::Index(pose)) += stiffness.cwiseProduct(correction);
+}
+
+void PoseEquations::add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference) {
+    diagonal_[pose].diagonal() += stiffness;
+    diagonal_[pose + 1].diagonal() += stiffness;
+    next_[pose].diagonal() -= stiffness;
+    gradient_.segment<6>(6 * Eigen::Index(pose)) -= stiffness.cwiseProduct(difference);
+    gradient_.segment<6>(6 * Eigen::Index(pose + 1)) += stiffness.cwiseProduct(difference);
 }
 
 Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
@@ -168,7 +181,7 @@ Eigen::VectorXd PoseEquations::times(const Eigen::VectorXd& x) const {
         block(y, k + 1) += next_[k].transpose() * block(x, k);
     }
     if (n_planes_ == 0) return y;
-    y -= sum_parallel(
+    y -= parallel_reduce(
         n_planes_, std::max(kPlanesOfPart, n_planes_ / kParts + 1), [&](std::size_t first, std::size_t last) {
             Eigen::VectorXd part = Eigen::VectorXd::Zero(x.size());
             for (std::size_t plane = first; plane < last; ++plane) {
@@ -190,8 +203,8 @@ Vector6 PoseEquations::pull_of(double prior) const {
     return prior * mean;
 }
 
-/// The equations restricted to rigid motions of groups of poses. A twist about the first
-/// pose of a group moves all poses of the group.
+/// Coarse equations for rigid motions of groups of poses. The unknowns are twists about
+/// the first pose of each group, which move the other poses of the group.
 class GroupMotions {
 public:
     GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -212,7 +225,7 @@ public:
         factorise();
     }
 
-    /// Adds the group motions that solve for a residual.
+    /// Adds the motions of the groups that reduce a residual.
     void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
@@ -228,8 +241,8 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    std::vector<Matrix6> carry_;  // [poses] converts the group's twist to a pose's twist
-    std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // row, column
+    std::vector<Matrix6> carry_;  // [poses] matrix from the twist of the group to the twist of the pose
+    std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 
     std::size_t n_groups() const { return (n_ + kGroup - 1) / kGroup; }

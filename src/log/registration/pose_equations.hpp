@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gauss-Newton equations of all poses of a track, with the planes eliminated. A point at
-// fraction s between poses l and l + 1 moves by
-//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o the position of the vehicle.
+// Builds the Gauss-Newton equations of all poses of a track, with the planes eliminated.
+// A point at fraction s between poses l and l + 1 moves by
+//   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o: position of the vehicle.
 // Its residual n . (p - point) - b . (offset, tilts) has the row a_k j with j = (n, (p -
-// o) x n). The Schur complement of a plane's three unknowns, with couplings C, stiffness
-// B and gradient h, is
+// o) x n). The Schur complement of the three unknowns of a plane with couplings C,
+// stiffness B and gradient h is
 //   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h.
-// H is positive if B uses the same weights w.
+// H is positive definite if B uses the same weights w.
 #pragma once
 
 #include <cstdint>
@@ -23,7 +23,7 @@ namespace relidar {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-/// Residual of a point, its weight and its derivative.
+/// Residual of a point, its weight, and its derivatives with respect to a pose.
 struct Row {
     double residual_m, weight;
     Vector6 j;
@@ -31,21 +31,19 @@ struct Row {
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
 
-/// Gauss-Newton equations of a single pose while all other poses are fixed. Also counts
-/// the points that lie on their planes.
+/// Gauss-Newton equations of one pose with everything else fixed. Counts the points that
+/// lie on their planes.
 class RigidEquations {
 public:
-    /// Adds the residual of a point.
-    /// @param share  share of the pose's motion that applies to the point
+    /// @param share share of the pose's motion with which the point moves
     void add(const Row& row, double share = 1.0);
     RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t n_on_planes() const { return n_on_planes_; }
     /// Solves for the step of the pose.
-    /// @param prior  stiffness that pulls the pose back, relative to the mean stiffness
-    /// of translations and of rotations. It determines the directions that no point
-    /// constrains.
-    /// @param correction  current correction, which the prior pulls to zero
+    /// @param prior stiffness towards zero correction, as a share of the mean stiffness
+    /// of translations and of rotations; determines directions that no point constrains
+    /// @param correction current correction of the pose
     Twist solve(double prior, const Twist& correction = {}) const;
 
 private:
@@ -54,32 +52,37 @@ private:
     std::size_t n_on_planes_ = 0;
 };
 
-/// Returns the displacement that a step causes for points about ten metres away.
+/// Returns how far a step moves points at a distance of about ten metres.
 double length_m(const Twist& step);
 
-/// Returns the matrix that converts a twist about one point to the twist of the same
-/// rigid motion about a point at offset d: v + w x d, w.
+/// Returns the matrix that converts a twist about one point to a twist about another
+/// point at offset d on the same rigid body: (v + w x d, w).
 Matrix6 carried_by(const glm::dvec3& d);
 
-/// Sums of the equations over some cells. They are added in order, so that the result
-/// does not depend on the number of threads.
+/// Normal equations summed over some cells. If the sums are added in the order of the
+/// cells, the result is the same for any number of threads.
 class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_point(const ThinPoint& point, const Row& row);
-    /// Adds the points of a cell and its plane.
+    /// Adds the points of a cell and the plane of the cell.
     void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                   std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
+    /// Adds a prior that pulls the correction of one pose to zero.
+    void add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction);
+    /// Adds a prior that pulls the corrections of `pose` and `pose + 1` to each other.
+    /// @param difference  correction of `pose + 1` minus that of `pose`
+    void add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference);
 
-    /// Computes the step of all poses, [n_poses,6], by conjugate gradients. The
-    /// preconditioner combines the diagonal blocks with a direct solution for rigid
-    /// motions of groups of eight poses. Without these groups the number of iterations
+    /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
+    /// preconditioner consists of the diagonal blocks and a direct solution for rigid
+    /// motions of groups of eight poses. Without these groups, the number of iterations
     /// would grow with the length of the log.
-    /// @param track  current poses
-    /// @param prior  added to the diagonal, relative to its mean; pulls `correction` to
-    /// zero
+    /// @param track the poses
+    /// @param prior share of the mean diagonal that is added to the diagonal; pulls
+    /// `correction` to zero
     Eigen::VectorXd solve(const PoseTrack& track, const Eigen::VectorXd& correction, double prior) const;
 
     std::size_t n_planes() const { return n_planes_; }
@@ -94,12 +97,12 @@ private:
     std::vector<Matrix6> diagonal_, next_;  ///< blocks (k, k) and (k, k + 1) of sum w J J^T
     Eigen::VectorXd gradient_;
     std::vector<Coupling> couplings_;
-    std::vector<std::size_t> plane_end_;  ///< [planes] into couplings_
+    std::vector<std::size_t> plane_end_;  ///< [planes] end of each plane's entries in couplings_
     std::size_t n_planes_ = 0;
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd times(const Eigen::VectorXd& x) const;
-    /// Returns the diagonal [6] of the prior, which pulls a correction to zero.
+    /// Returns the diagonal terms that pull the correction to zero, [6].
     Vector6 pull_of(double prior) const;
     friend class GroupMotions;
 };

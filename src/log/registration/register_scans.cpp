@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers the sensor's poses: first all training scans together, then each held-out
-// scan to the resulting planes.
+// Registers the poses of the sensor. All training scans are registered together. Each
+// held-out scan is then aligned with the resulting planes.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -18,14 +18,16 @@
 namespace relidar {
 namespace {
 
-// Cell size for thinning: 12 thousand points of a 64-beam scan, or nearly all points.
+// Cell size for thinning: 0.5 m keeps 12 thousand points of a 64-beam scan, 0.1 m nearly
+// all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// with fewer scans, more points of each are used, because a plane needs eight points
+// Expected number of scans per cell. If there are fewer scans, more points of each are
+// kept, because a plane needs eight points.
 constexpr double kScansOnACell = 24.0;
 constexpr RegisterRound kLast{0.5, 0.05};  // cell size and kernel scale of the last rounds
-// Last round of odometry. Its map of running sums is coarser.
+// Cells and kernel of the last odometry step. A map of running sums is coarser.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
-constexpr int kLevels = 5, kStepsALevel = 3;  // for held-out scans
+constexpr int kLevels = 5, kStepsALevel = 3;  // numbers for held-out scans
 
 /// Returns the edge of the cells in which one point is kept.
 double thinning_m(std::size_t n_scans) {
@@ -38,9 +40,10 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
     return points;
 }
 
-/// Registers held-out scans from coarse to fine, to planes that do not include them.
-/// @param scans  [sweeps] points of held-out sweeps; empty for others
-/// @return sweeps that could not be registered
+/// Aligns the held-out scans from coarse to fine with planes that do not contain their
+/// points.
+/// @param scans [sweeps] points of the held-out scans; empty for others
+/// @return indices of the scans that could not be aligned
 std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
                                         const std::vector<bool>& is_train,
                                         const std::vector<std::vector<ThinPoint>>& scans,
@@ -66,7 +69,7 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
     return lost;
 }
 
-/// Returns, for each sweep, whether one of its frames is in `positions`.
+/// Returns [sweeps] true for sweeps that contain one of the given frames.
 std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions, std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : positions) among[std::size_t(position)] = true;
@@ -76,7 +79,7 @@ std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions
     return is;
 }
 
-/// Returns a mask [sweeps] with only the middle one of the marked sweeps.
+/// Returns [sweeps] true for the middle one of the marked sweeps only.
 std::vector<bool> middle_of(const std::vector<bool>& some) {
     std::vector<bool> is(some.size(), false);
     auto to_go = std::ranges::count(some, true) / 2;
@@ -86,11 +89,11 @@ std::vector<bool> middle_of(const std::vector<bool>& some) {
 }
 
 /// Returns the median share of points on planes.
-/// @param among  [sweeps] sweeps that count
+/// @param among [sweeps] sweeps that are included
 double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                     const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {
     std::vector<double> all(scans.size()), shares;
-    run_parallel(static_cast<int>(scans.size()), [&](int i) {
+    parallel_for(static_cast<int>(scans.size()), [&](int i) {
         all[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m);
     });
     for (std::size_t k = 0; k < all.size(); ++k)

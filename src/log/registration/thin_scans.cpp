@@ -111,7 +111,7 @@ std::vector<std::vector<ThinPoint>> thin_scans(const Sequence& sequence, const S
                                                const std::vector<bool>& chosen,
                                                const RegisterOptions& options, double cell_m) {
     std::vector<std::vector<ThinPoint>> scans(chosen.size());
-    run_parallel(static_cast<int>(scans.size()), [&](int i) {
+    parallel_for(static_cast<int>(scans.size()), [&](int i) {
         const auto sweep = std::size_t(i);
         if (chosen[sweep]) scans[sweep] = thin(sequence, sweeps, sweep, options, cell_m);
     });

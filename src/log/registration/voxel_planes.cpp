@@ -9,12 +9,13 @@ namespace relidar {
 namespace {
 
 constexpr double kFewestOfVoxel = 6;
-// Minimum standard deviation along the narrower axis, relative to the cell's edge. A
-// filled cell has 0.29.
+// Minimum standard deviation along the narrower axis, as a share of the cell's edge. A
+// plane that fills the cell has 0.29.
 constexpr double kVoxelSpread = 0.12;
-// largest standard deviation along the normal, relative to the cell's edge
+// maximum standard deviation along the normal, as a share of the cell's edge
 constexpr double kThickness = 0.1;
-/// Returns one of 64 mutexes for a cell. Threads rarely fit planes at the same time.
+/// Returns one of 64 mutexes for a cell. A few mutexes suffice, because threads rarely
+/// fit planes simultaneously.
 std::mutex& mutex_of(const void* cell) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell) / 64 % mutexes.size()];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A map that grows with every scan. Each cell of a grid holds sums that determine the
-// plane of its points. So adding a point and finding a plane take constant time.
+// Map of planes that grows scan by scan. Each cell of a grid stores sums from which the
+// plane of its points is computed. Adding and looking up a point take constant time.
 #pragma once
 
 #include <atomic>
@@ -17,27 +17,28 @@ public:
     explicit VoxelPlanes(double cell_m) : cell_m_(cell_m) {}
 
     bool empty() const { return cells_.empty(); }
-    /// Adds a point.
-    /// @param travelled_m  distance that the sensor had travelled when the point was
-    /// measured
+    /// Adds a point to its cell.
+    /// @param travelled_m path length of the sensor when the point was seen
     void add(const glm::dvec3& point_m, double travelled_m);
-    /// Returns the plane of the cell that contains a point. Returns null if the cell's
-    /// points do not cover a surface or scatter too much across it. Can be called from
-    /// several threads.
+    /// Returns the plane of the cell that contains a point. Returns null if the points of
+    /// the cell do not spread over a surface, or are too thick for a plane. Several
+    /// threads can call this simultaneously.
     const Plane* at(const glm::dvec3& point_m) const;
-    /// Removes cells whose last point was added at a smaller travelled distance.
+    /// Removes cells that were last seen before the sensor's path length reached
+    /// `travelled_m`.
     void forget(double travelled_m);
 
 private:
     struct Cell {
-        PlaneSums sums;  ///< relative to the centre of the cell
+        PlaneSums sums;  ///< sums relative to the centre of the cell
         double travelled_m = 0.0;
-        /// number of points when `plane` was fitted; written after `plane`
+        /// number of points in `plane`; stored after `plane` is written
         mutable std::atomic<double> n_fitted = 0.0;
         mutable std::optional<Plane> plane;
 
         bool is_outgrown() const {
-            constexpr double kRefit = 1.1;  // growth after which a plane is fitted again
+            // growth of the number of points after which the plane is fitted again
+            constexpr double kRefit = 1.1;
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
         }
     };

@@ -1,23 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws an intensity for each ray: walks down the tree and picks a random value of its
-// leaf. The features use intensities that were drawn before, along the beam and above.
-// Rows are drawn concurrently. Each row stays so far behind the row above that all needed
-// values exist. The result is the same as for sequential rows.
+// Each ray descends the tree and draws one of the intensities of its leaf. The tree
+// compares what was drawn before, along the beam and above. So the image is drawn as a
+// wavefront of tiles. The result equals drawing ray by ray, row by row.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>
-#include <atomic>
-#include <thread>
 
 #include "base/assert.hpp"
 #include "base/parallel.hpp"
 #include "base/random.hpp"
-#include "log/scatter/context.hpp"
+#include "log/scatter/ray_features.hpp"
 
 namespace relidar {
 namespace {
 
-constexpr int kColumnsTogether = 64;  // columns between two checks of the row above
+constexpr int kTileColumns = 64;  // of one row
+/// A tile needs the tile to its left. From the rows above it needs up to kAhead columns
+/// to its right: tile t of row r needs tile t + 1 of row r - 1. So tiles with the same
+/// 2 r + t do not need each other.
+static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,
                                       int row, int column) {
@@ -38,24 +39,25 @@ std::vector<float> draw_intensities(const IntensityScatter& scatter, const Rende
     RELIDAR_ASSERT_EQ(returns.size(), std::size_t(rendered.rows) * std::size_t(rendered.columns));
     std::vector<float> drawn(returns.size(), kNoIntensity);
     const scatter_detail::Context context(rendered, drawn);
-    // Number of drawn columns of each row.
-    std::vector<std::atomic<int>> drawn_columns(static_cast<std::size_t>(rendered.rows));
-    run_parallel(rendered.rows, [&](int row) {
-        for (int first = 0; first < rendered.columns; first += kColumnsTogether) {
-            const int end = std::min(first + kColumnsTogether, rendered.columns);
-            const int needed = std::min(end + scatter_detail::kAhead, rendered.columns);
-            while (row > 0 && drawn_columns[std::size_t(row) - 1].load(std::memory_order_acquire) < needed)
-                std::this_thread::yield();
-            for (int column = first; column < end; ++column) {
-                const auto i = std::size_t(row) * std::size_t(rendered.columns) + std::size_t(column);
-                if (returns[i] == 0) continue;
-                const IntensityScatter::Node& leaf = leaf_of(scatter, context, row, column);
-                drawn[i] = scatter.values[leaf.first + std::size_t(Random(hash64(seed, i)).uniform() *
-                                                                   double(leaf.count))];
-            }
-            drawn_columns[std::size_t(row)].store(end, std::memory_order_release);
+    const auto draw_tile = [&](int row, int tile) {
+        const int end = std::min((tile + 1) * kTileColumns, rendered.columns);
+        for (int column = tile * kTileColumns; column < end; ++column) {
+            const auto i = std::size_t(row) * std::size_t(rendered.columns) + std::size_t(column);
+            if (returns[i] == 0) continue;
+            const IntensityScatter::Node& leaf = leaf_of(scatter, context, row, column);
+            drawn[i] =
+                scatter
+                    .values[leaf.first + std::size_t(Random(hash64(seed, i)).uniform() * double(leaf.count))];
         }
-    });
+    };
+    const int n_tiles = (rendered.columns + kTileColumns - 1) / kTileColumns;
+    const int n_waves = 2 * (rendered.rows - 1) + n_tiles;
+    for (int wave = 0; wave < n_waves; ++wave) {
+        const int first_row = std::max(0, (wave - n_tiles + 2) / 2);
+        const int last_row = std::min(rendered.rows - 1, wave / 2);
+        parallel_for(last_row - first_row + 1,
+                     [&](int i) { draw_tile(first_row + i, wave - 2 * (first_row + i)); });
+    }
     return drawn;
 }
 

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Grows the decision tree from all returns, layer by layer. Splits a node at the feature
-// and value that reduce the entropy of its classes most. The classes c are 24 quantiles
-// of all intensities.
-//   gain = sum n_c ln(n_c / n) of both children - the same sum of the node
-// A node is split only if the gain exceeds the gain expected by chance.
+// Grows the intensity tree from all returns, layer by layer. A node is split at the
+// feature and the value that reduce the entropy of the classes most:
+//   gain = sum n_c ln(n_c / n) of both children - the same sum of the node,   c: one of 24 quantiles of all intensities.
+// A node is not split if the gain could be chance.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -16,8 +15,9 @@
 
 #include "base/joined.hpp"
 #include "base/parallel.hpp"
+#include "base/parallel_sort.hpp"
 #include "base/random.hpp"
-#include "log/scatter/context.hpp"
+#include "log/scatter/ray_features.hpp"
 
 namespace relidar {
 namespace {
@@ -28,8 +28,8 @@ using scatter_detail::kFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// Minimum gain. Twice the gain follows a chi-square distribution with 23 degrees of
-// freedom. For the best of all cuts the limit is exceeded by chance in 1 of 100 cases.
+// Minimum gain. Twice the gain is chi-square distributed with 23 degrees of freedom. The
+// best of all cuts exceeds this limit by chance in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
@@ -41,15 +41,16 @@ struct Return {
     float value;
 };
 
-/// Returns in the order of the nodes, so that counting a node reads memory sequentially.
+/// All returns. Those of a node are contiguous, so that counting reads the memory
+/// sequentially.
 struct Returns {
     std::vector<Return> all;
-    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper bounds of all bins except the last
+    std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Returns the values that divide a list into n parts, without duplicates.
+/// Returns the values that divide a list into n parts of equal size, without duplicates.
 std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
-    sort_parallel(values, std::less<>());
+    parallel_sort(values, std::less<>());
     std::vector<float> cuts;
     for (std::size_t k = 1; k < n; ++k) cuts.push_back(values[values.size() * k / n]);
     cuts.erase(std::unique(cuts.begin(), cuts.end()), cuts.end());
@@ -60,7 +61,7 @@ std::uint8_t bin(const std::vector<float>& cuts, float value) {
     return std::uint8_t(std::lower_bound(cuts.begin(), cuts.end(), value) - cuts.begin());
 }
 
-/// Position of a return in the images.
+/// Index of a return: image and ray.
 struct ReturnPlace {
     std::uint32_t image, ray;
 };
@@ -69,7 +70,7 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns the returns on rendered surfaces. If there are more than `most`, draws about
+/// Returns the returns on rendered surfaces. If there are more than `most`, selects about
 /// `most` of them at random.
 std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
     std::size_t n = 0;
@@ -77,7 +78,7 @@ std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images,
         for (std::size_t i = 0; i < image.measured.size(); ++i) n += is_return(image, i);
     const double share = double(most) / double(std::max<std::size_t>(n, 1));
     std::vector<std::vector<ReturnPlace>> of_images(images.size());
-    run_parallel(int(images.size()), [&](int image) {
+    parallel_for(int(images.size()), [&](int image) {
         const auto k = std::size_t(image);
         for (std::size_t i = 0; i < images[k].measured.size(); ++i)
             if (is_return(images[k], i) && Random(hash64(k, i)).uniform() < share)
@@ -97,7 +98,7 @@ Returns read_returns(std::span<const MeasuredIntensities> images, const std::vec
     const std::size_t stride = places.size() / kQuantileReturns + 1;
     std::vector<Features> some((places.size() + stride - 1) / stride);
     for_each_block(some.size(), [&](std::size_t k) { some[k] = features_of(images, places[k * stride]); });
-    run_parallel(int(kFeatures), [&](int f) {
+    parallel_for(int(kFeatures), [&](int f) {
         std::vector<float> values;
         for (const Features& features : some) values.push_back(features[std::size_t(f)]);
         result.cuts[std::size_t(f)] = quantiles(std::move(values), kBins);
@@ -127,7 +128,7 @@ private:
     std::vector<double> of_;
 };
 
-/// Number of returns per class.
+/// Number of returns in each class.
 struct Counts {
     std::array<std::uint32_t, kClasses> of{};
 
@@ -148,7 +149,7 @@ struct Counts {
     }
 };
 
-/// Split of a node: a feature, and the last bin of the first child.
+/// Split of a node: a feature, and the bin up to which returns belong to the first child.
 struct Cut {
     double gain = kLeastGain;
     int feature = -1;
@@ -158,7 +159,7 @@ struct Cut {
 constexpr std::size_t kTogether = 4;  // number of features whose counts fit into the first-level cache
 using Bins = std::array<Counts, kBins>;
 
-/// Returns the best cut of a feature from the counts of its bins.
+/// Returns the best cut of one feature from the counts in its bins.
 Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
     Counts all, low;
@@ -168,7 +169,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
-        if (of_bin == 0) continue;  // an empty bin gives the same split as the bin before
+        if (of_bin == 0) continue;  // same gain as the previous cut
         low.add(counts[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
@@ -178,7 +179,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     return best;
 }
 
-/// Returns the best cut of a few features from `first` on.
+/// Returns the best cut among a few features, beginning with `first`.
 Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first,
                      const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
@@ -193,8 +194,8 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
     return best;
 }
 
-/// Returns the best cut of a node. Of equal cuts, returns the one of the first feature.
-/// @param each  function that runs a task for 0, 1, ... n - 1
+/// Returns the best cut of a node. Of equal cuts, the first feature is used.
+/// @param each runs a task for 0, 1, ..., n - 1
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
     Cut best;
@@ -208,8 +209,8 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
     return best;
 }
 
-/// Finds the cuts of several nodes concurrently. For a large node, the features are
-/// processed concurrently as well.
+/// Finds the cuts of several nodes in parallel. For a large node, the features are also
+/// processed in parallel.
 std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
@@ -217,23 +218,23 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     const auto part = [&](std::size_t k) {
         return std::span(returns.all).subspan(nodes[k].first, nodes[k].count);
     };
-    run_parallel(int(nodes.size()), [&](int k) {
+    parallel_for(int(nodes.size()), [&](int k) {
         const bool is_large = nodes[std::size_t(k)].count >= kLarge;
         cuts[std::size_t(k)] = find_cut(returns, part(std::size_t(k)), terms, [&](int n, const auto& task) {
-            if (is_large) return run_parallel(n, task);
+            if (is_large) return parallel_for(n, task);
             for (int i = 0; i < n; ++i) task(i);
         });
     });
     return cuts;
 }
 
-/// Splits the nodes from `first` on if a cut is good enough, and partitions their
+/// Splits the nodes from index `first` on if the gain suffices, and reorders their
 /// returns.
 void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
                 std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
     std::vector<std::uint32_t> n_low(cuts.size(), 0);
-    run_parallel(int(cuts.size()), [&](int k) {
+    parallel_for(int(cuts.size()), [&](int k) {
         const Cut& cut = cuts[std::size_t(k)];
         if (cut.feature < 0) return;
         const IntensityScatter::Node& node = nodes[first + std::size_t(k)];
@@ -266,7 +267,8 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
     }
 }
 
-/// Returns the greatest common divisor of two numbers. Ignores remainders below `error`.
+/// Returns the greatest common divisor of two numbers, where remainders below `error`
+/// count as zero.
 double common_divisor(double a, double b, double error) {
     while (b > error) {
         const double rest = std::abs(std::remainder(a, b));
@@ -281,7 +283,7 @@ double common_divisor(double a, double b, double error) {
 double find_step(std::vector<float> values) {
     constexpr double kError = 1e-6, kFinest = 1e-5;  // relative to the largest value
     constexpr std::size_t kFewestLevels = 8;
-    sort_parallel(values, std::less<>());
+    parallel_sort(values, std::less<>());
     values.erase(std::unique(values.begin(), values.end()), values.end());
     if (values.size() < kFewestLevels || values.front() < 0.0f) return 0.0;
     const double largest = double(values.back());
@@ -289,7 +291,7 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // Refines the step with the largest value so far, which gives the best accuracy.
+        // refines the step with the largest value so far
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -41,11 +41,11 @@ std::vector<glm::dvec2> footprint_pattern(int n) {
     return offsets;
 }
 
-RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& wanted) {
+RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices) {
     RayTable some;
     some.rows = 1;
-    some.columns = static_cast<int>(wanted.size());
-    for (const std::size_t ray : wanted) some.append(rays, ray);
+    some.columns = static_cast<int>(ray_indices.size());
+    for (const std::size_t ray : ray_indices) some.append(rays, ray);
     return some;
 }
 

@@ -14,6 +14,7 @@
 #include <relidar/base/math.hpp>
 
 #include "base/parallel.hpp"
+#include "log/sensor/beam_geometry.hpp"
 
 namespace relidar {
 namespace {
@@ -74,24 +75,11 @@ RangeLimits overlap(const RangeLimits& a, const RangeLimits& b) {
 }
 
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad) {
-    const double azimuth = head_azimuth_rad + beam.azimuth_offset_rad;
-    const double c = std::cos(azimuth), s = std::sin(azimuth);
-    const double ce = std::cos(beam.elevation_rad), se = std::sin(beam.elevation_rad);
-    const double forward = -beam.origin_up_m * se, left = beam.origin_left_m;
-    BeamRay ray;
-    ray.origin_m = glm::dvec3(beam.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,
-                              beam.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c,
-                              beam.origin_up_m * ce);
-    ray.direction = glm::dvec3(ce * c, ce * s, se);
-    return ray;
+    return BeamGeometry(beam).ray(head_azimuth_rad);
 }
 
 double head_azimuth(const Beam& beam, const glm::dvec3& point_m) {
-    const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
-    // of the beam from the axis
-    const double left = beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad);
-    return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left / reach, -1.0, 1.0)) -
-           beam.azimuth_offset_rad;
+    return BeamGeometry(beam).head_azimuth(point_m);
 }
 
 int column_shift(const Beam& beam, int columns) {
@@ -103,14 +91,15 @@ RayTable make_rays(const SpinningSensor& sensor) {
     const int rows = static_cast<int>(sensor.beams.size()), columns = sensor.columns;
     RayTable rays = empty_table(rows, columns, sensor.divergence_rad);
     const double seconds_per_rad = (sensor.clockwise ? -1.0 : 1.0) * sensor.period_s / (2.0 * kPi);
-    run_parallel(rows, [&](int row) {
+    parallel_for(rows, [&](int row) {
         const Beam& beam = sensor.beams[static_cast<std::size_t>(row)];
+        const BeamGeometry geometry(beam);
         const int shift = column_shift(beam, columns);
         std::size_t at = std::size_t(row) * std::size_t(columns);
         for (int column = 0; column < columns; ++column, ++at) {
             const int firing = ((column + shift) % columns + columns) % columns;
             const double head = wrapped(sensor.first_azimuth_rad - firing * 2.0 * kPi / columns);
-            const BeamRay ray = beam_ray(beam, head);
+            const BeamRay ray = geometry.ray(head);
             rays.origin[at] = glm::vec3(ray.origin_m);
             rays.direction[at] = glm::vec3(ray.direction);
             rays.time_offset_s[at] = static_cast<float>(head * seconds_per_rad);

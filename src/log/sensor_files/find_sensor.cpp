@@ -7,6 +7,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 #include "base/files.hpp"
 #include "log/sensor_files/ray_arrays.hpp"
 
@@ -61,17 +62,6 @@ SensorModel beam_sensor(const std::string& text, const SensorName& name) {
     return {sensor.name, "", sensor.range_limits(), std::move(sensor)};
 }
 
-/// Sets the maximum range of a sensor that has none.
-void limit_range(SensorModel& sensor, double max_range_m, const std::string& where) {
-    if (!std::isinf(sensor.limits.max_m)) return;
-    if (!(sensor.limits.min_m < max_range_m))
-        throw DataError(fmt::format(
-            "{}: found {} to {} m, the default of max_range_m; expected min_range_m < max_range_m", where,
-            sensor.limits.min_m, max_range_m));
-    sensor.limits.max_m = max_range_m;
-    if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
-}
-
 SensorModel read_sensor(const SensorName& name, double max_range_m) {
     const fs::path path = name.name;
     const std::string stem = path.stem().string();
@@ -87,11 +77,21 @@ SensorModel read_sensor(const SensorName& name, double max_range_m) {
         throw UsageError(fmt::format(
             "sensor '{}:{}': found columns for a table of rays, expected the file alone: it does not spin",
             name.name, name.columns));
-    limit_range(sensor, max_range_m, name.name);
+    sensor_files::limit_range(sensor, max_range_m, name.name);
     return sensor;
 }
 
 }  // namespace
+
+void sensor_files::limit_range(SensorModel& sensor, double max_range_m, const std::string& where) {
+    if (!std::isinf(sensor.limits.max_m)) return;
+    if (!(sensor.limits.min_m < max_range_m))
+        throw DataError(fmt::format(
+            "{}: found {} to {} m, the default of max_range_m; expected min_range_m < max_range_m", where,
+            sensor.limits.min_m, max_range_m));
+    sensor.limits.max_m = max_range_m;
+    if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
+}
 
 SensorModel sensor_of_json(const std::string& text, const std::string& name, const std::string& where) {
     return sensor_files::parse_sensor_json(text, name, where, 0, 0.0);
@@ -111,6 +111,46 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
                     "beams.csv:1024x10, rays.npz "
                     "or an Ouster's metadata.json)",
                     name_or_file, did_you_mean(name_or_file, known, "'"), fmt::join(known, ", ")));
+}
+
+std::string sensor_file_help() {
+    return "NAME is one of `relidar list sensors`. A FILE holds a sensor of your own:\n"
+           "  beams.csv   a spinning one: a header line, then a line for each beam, from the highest down, "
+           "with "
+           "the columns elevation_deg\n"
+           "              (needed; up is positive), azimuth_offset_deg (from where the head points, to the "
+           "left), "
+           "origin_offset_m (where the\n"
+           "              beam starts: along the head's direction), origin_up_m (at right angles to the "
+           "beam, "
+           "upwards), origin_left_m,\n"
+           "              firing_offset_us, min_range_m, max_range_m (of the sensor; default 0, 80), channel "
+           "(not "
+           "used). Columns left out\n"
+           "              are 0; any other is an error. beams.csv:1024x10 is 1024 columns a sweep at 10 Hz "
+           "(default: 1800x10);\n"
+           "              so are VLP-16:900x20 and other spinning sensors by name.\n"
+           "  rays.csv    any other: a line for each ray with azimuth_deg, elevation_deg, and where they are "
+           "not 0 "
+           "origin_x_m, origin_y_m,\n"
+           "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam); the same in "
+           "each "
+           "line: min_range_m,\n"
+           "              max_range_m.\n"
+           "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, as a rendered scan holds "
+           "them; "
+           "divergence (radians,\n"
+           "              of each ray) or divergence_mrad (of all).\n"
+           "  FILE.json   lists by the same names; an Ouster sensor's own metadata; or one of\n" +
+           describe_pattern_kinds() +
+           "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), max_range_m "
+           "(80). "
+           "NAME_deg may be NAME_rad.\n"
+           "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": \"VLP-16\", "
+           "\"translation_m\": [1,0,2],\n"
+           "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the frame of "
+           "the "
+           "sensor they stand in for.";
 }
 
 }  // namespace relidar

@@ -95,7 +95,9 @@ SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::
         if (!(std::abs(length - 1.0) <= kUnit))
             throw DataError(
                 fmt::format("{}: directions number {} has length {}, expected 1", where, i, length));
-        rays.direction.emplace_back(direction / length);
+        const bool is_exact =
+            c.keeps_floats && std::abs(length - 1.0) < 1e-6 && glm::dvec3(glm::vec3(direction)) == direction;
+        rays.direction.emplace_back(is_exact ? direction : direction / length);
         rays.origin.emplace_back(vector_at(c.origin, i));
         rays.time_offset_s.push_back(c.time_s.empty() ? 0.0f : static_cast<float>(c.time_s[i]));
         rays.channel.push_back(c.channel.empty() ? std::uint16_t(0)

@@ -19,6 +19,9 @@ struct RayColumns {
     std::vector<double> channel;              ///< [n]; or 0
     std::vector<double> divergence_rad = {};  ///< [n], or one of all rays; or 0
     RangeLimits limits = {};
+    /// Does not normalise directions that are floats of unit length, so that rays which
+    /// relidar wrote read back to the same bits.
+    bool keeps_floats = false;
 };
 
 /// The sensor of such rays. @param where  what messages call it
@@ -41,5 +44,9 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name);
 /// @throws DataError naming the key that is wrong
 SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& where,
                               int columns, double rate_hz);
+
+/// Sets the maximum range of a sensor that has none. @throws DataError unless it is above
+/// the minimum range
+void limit_range(SensorModel& sensor, double max_range_m, const std::string& where);
 
 }  // namespace relidar::sensor_files

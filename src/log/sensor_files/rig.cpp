@@ -12,6 +12,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/files.hpp"
+#include "log/sensor_files/ray_arrays.hpp"
 
 namespace relidar {
 namespace {
@@ -63,6 +64,17 @@ std::string beside(const std::string& sensor, const std::string& rig) {
                : sensor;
 }
 
+/// Named, in a file, or as an object of the rig's file.
+SensorModel model_of(const Json& sensor, const std::string& name, const std::string& rig,
+                     const std::string& where) {
+    if (!sensor.contains("sensor") || !sensor.at("sensor").is_object())
+        return find_sensor(beside(text_of(sensor, "sensor", where), rig));
+    const std::string object = where + ": sensor";
+    SensorModel model = sensor_of_json(sensor.at("sensor").dump(), name, object);
+    sensor_files::limit_range(model, kDefaultMaxRange_m, object);
+    return model;
+}
+
 void check_name(const std::string& name, const std::set<std::string>& taken, const std::string& where) {
     const auto allowed = [](char c) {
         return std::isalnum(static_cast<unsigned char>(c)) || c == '-' || c == '_' || c == '.';
@@ -107,8 +119,8 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
         check_name(name, names, where);
         names.insert(name);
         check_keys(sensor, {"name", "sensor", "translation_m", "yaw_pitch_roll_deg", "returns"}, where);
-        const SensorModel model = find_sensor(beside(text_of(sensor, "sensor", where), path));
-        rig.push_back({name, model, mounting(sensor, where), returns_of(sensor, where)});
+        rig.push_back(
+            {name, model_of(sensor, name, path, where), mounting(sensor, where), returns_of(sensor, where)});
     }
     return rig;
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates, for each firing of a sweep, the difference between the actual and the
-// nominal azimuth of a spinning LiDAR. Motors rotate unevenly, firings are sent in
-// packets, and each sweep begins at a different azimuth.
+// Estimates the actual azimuth of a spinning LiDAR's head at each firing of a sweep,
+// relative to the nominal azimuth. They differ because motors are uneven, firings are
+// grouped in packets, and each sweep begins at a different azimuth.
 #include <algorithm>
 #include <cmath>
 
@@ -10,10 +10,10 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kFewest = 3;   // minimum number of returns of a firing for an estimate
+constexpr std::size_t kFewest = 3;   // minimum number of returns that determine the azimuth of a firing
 constexpr double kExact_rad = 1e-5;  // smaller shifts are rounding errors
-// Tolerance in columns. If the median deviation from a firing's median is larger, the
-// beams do not rotate together.
+// At least half of the rays must be this close to the median of their firing. Otherwise
+// the beams do not share one head.
 constexpr double kAgree_columns = 0.1;
 
 /// Returns the azimuth from one direction to another, positive to the left.
@@ -39,8 +39,8 @@ float median_of(std::vector<float>& values) {
     return *middle;
 }
 
-/// Interpolates unknown firings (NAN) between their neighbours.
-/// @return false if no firing is known
+/// Interpolates the shifts of unknown firings (NAN) between their neighbours.
+/// @return true if any firing is known
 bool fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);

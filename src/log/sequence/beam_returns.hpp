@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Access to the returns of a log by beam, for the calibration of beams. Private to
-// sequence.
+// Reads returns of a log for comparing beams. Private to sequence.
 #pragma once
 
 #include <optional>
@@ -12,8 +11,8 @@
 
 namespace relidar {
 
-/// Returns the beam (Sequence::beam_number) of a ray whose range is below max_range_m, or
-/// nothing for other rays.
+/// Returns the beam number (Sequence::beam_number) of a ray with a return closer than
+/// max_range_m, or nothing for other rays.
 inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, const Frame& frame,
                                                   std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
@@ -30,8 +29,8 @@ inline std::vector<Beam*> beams_of(Sequence& sequence) {
     return beams;
 }
 
-/// Returns read(frame) for the frames at some positions. If these frames have more than
-/// most_rays rays, reads only every n-th frame.
+/// Calls read(frame) for the frames at some positions and returns the results. If the
+/// frames have more than most_rays rays in total, reads only every n-th frame.
 template <class Read>
 auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t most_rays,
                  const Read& read) {
@@ -39,7 +38,7 @@ auto read_frames(const Sequence& sequence, const std::vector<int>& positions, st
     for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
     const std::size_t stride = rays / most_rays + 1;
     std::vector<decltype(read(sequence.frames.front()))> frames((positions.size() + stride - 1) / stride);
-    run_parallel(static_cast<int>(frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(frames.size()), [&](int i) {
         frames[std::size_t(i)] = read(sequence.frames[std::size_t(positions[std::size_t(i) * stride])]);
     });
     return frames;

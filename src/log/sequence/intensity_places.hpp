@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Small surface patches ("places") that several sweeps or beams have hit, for comparing
-// intensities. Private to sequence.
+// Collects returns of several sweeps or beams from the same small places, to compare
+// their intensities. Private to sequence.
 #pragma once
 
 #include <cstdint>
@@ -16,11 +16,11 @@ struct PlaceReturn {
     std::uint32_t beam;
     float range_m;
     float cosine;     ///< cosine of the angle of incidence
-    float intensity;  ///< as measured
+    float intensity;  ///< measured intensity
 };
 
-/// Returns of the frames at some positions, from places on a surface that were hit at
-/// least twice. Sorted by place. Places are numbered from 0.
+/// Returns at places on surfaces that were hit at least twice. They are sorted by place;
+/// places are numbered from 0.
 struct PlaceReturns {
     std::vector<PlaceReturn> seen;
     std::size_t n_places = 0;

@@ -1,11 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates how intensities depend on range and incidence, and how the beams of a sensor
-// differ, from places that were measured several times. Gauss-Newton for
-//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear.
-// The albedos are eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
-// sum c^2, where c is the derivative with respect to the place's albedo. If a single part
-// (range and incidence, or beams) explains the data as well as both, only this part is
-// used.
+// differ. Compares returns from the same places. Gauss-Newton for
+//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear,
+// with the albedos eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
+// sum c^2, where c is the derivative with respect to the place's albedo. If one part of
+// the model explains the data as well as two parts, only one is used.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -23,17 +22,16 @@ namespace relidar {
 namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
-constexpr std::size_t kReference = 3;  // index of the knot with rho = 1
-// Strength of the prior: a beam starts as if this many returns had followed the mean
-// beam. The prior of a knot is a straight line.
+constexpr std::size_t kReference = 3;  // index of the knot where rho is 1
+// Strength of the prior, in returns. The prior of a beam is the mean beam; the prior of a
+// knot is a straight line.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-// A part is used only if it reduces the error to less than this share.
+// A part of the model is used only if it reduces the error below this share.
 constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
-// sums are split into this many parts, whatever the number of threads
-constexpr std::size_t kChunks = 64;
+constexpr std::size_t kChunks = 64;  // number of partial sums, independent of the number of threads
 
 struct Response {
     double gain = 1.0;
@@ -52,8 +50,8 @@ struct Parts {
     bool shared, beams;
 };
 
-/// Returns the knot at or before a range, and the fraction of the segment after it.
-/// Clamps the fraction at both ends.
+/// Returns the knot at or before a range, and the position between it and the next knot,
+/// 0 .. 1. The position is limited to that interval outside of the knots.
 std::pair<std::size_t, double> knot_at(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
@@ -61,8 +59,8 @@ std::pair<std::size_t, double> knot_at(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Returns the bounds of the chunks of some returns. All returns of a place are in one
-/// chunk.
+/// Returns the begins of the chunks and the end of the last one. All returns of a place
+/// are in one chunk.
 std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -74,12 +72,12 @@ std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     return bounds;
 }
 
-/// Calls task(returns of one place, chunk) for each place. Chunks are processed
-/// concurrently.
+/// Calls task(returns of one place, chunk) for each place. The chunks are processed in
+/// parallel.
 template <class Task>
 void for_each_place(const std::vector<PlaceReturn>& seen, const Task& task) {
     const std::vector<std::size_t> bounds = chunk_bounds(seen);
-    run_parallel(static_cast<int>(kChunks), [&](int chunk) {
+    parallel_for(static_cast<int>(kChunks), [&](int chunk) {
         const std::size_t last = bounds[std::size_t(chunk) + 1];
         for (std::size_t begin = bounds[std::size_t(chunk)], end = begin; begin < last; begin = end) {
             while (end < last && seen[end].place == seen[begin].place) ++end;
@@ -101,8 +99,8 @@ void fit_albedos(Model& m, const PlaceReturns& returns) {
     });
 }
 
-/// Positions of the unknowns of the selected parts in the system: rho, q, then gain and
-/// offset of each beam.
+/// Indices of the unknowns in the linear system: rho, q, then gain and offset of each
+/// beam.
 struct Layout {
     Parts parts;
     std::size_t n_beams;
@@ -115,8 +113,8 @@ struct Layout {
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// Derivatives of the expected intensity of one return with respect to the unknowns that
-/// it depends on, in ascending order.
+/// Derivatives of one expected intensity with respect to the unknowns on which it
+/// depends, in ascending order of the unknowns.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
@@ -143,18 +141,19 @@ Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
 }
 
 struct System {
-    Eigen::MatrixXd h;  ///< lower triangle
+    Eigen::MatrixXd h;  ///< lower half only
     Eigen::VectorXd g;
-    double mean = 0.0, spread = 0.0;  ///< mean and standard deviation of the mean beam's intensities
+    /// mean and spread of the intensities that the mean beam would measure
+    double mean = 0.0, spread = 0.0;
 };
 
-/// Sums over the places of a chunk. Only the lower triangle of h is used. Aligned to
-/// cache lines to avoid false sharing between threads.
+/// Sums over the places of a chunk, with the lower half of the symmetric h. Aligned to
+/// cache lines, because threads write neighbouring elements.
 struct alignas(64) Sums {
     System system;
     std::vector<double> coupling;  // coupling of the current place with each unknown; zero between places
     std::vector<Eigen::Index> touched;  // unknowns of the current place
-    double sum = 0.0, squares = 0.0;    // sums of the expected intensities
+    double sum = 0.0, squares = 0.0;    // sums over the expected intensities
 
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
@@ -206,7 +205,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.h(i, i) += weight, sys.g[i] += weight * error;
     };
     const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
-    // Knots with few returns continue the line of their neighbours.
+    // A knot with few returns continues the line of its neighbours.
     for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -215,7 +214,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
     if (at.parts.shared) {
-        // Fixes the scale of the albedos, which is otherwise free.
+        // The scale of the albedos is arbitrary, so one knot is fixed to 1.
         pull(at.factor(kReference), 1e3 * prior, 1.0 - m.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
             pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
@@ -242,8 +241,8 @@ void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     }
 }
 
-/// Normalises the beams. One scale and one offset of all albedos are free, so the mean
-/// beam, weighted by returns, gets gain 1 and offset 0.
+/// Normalises the beams so that the mean beam, weighted by returns, has gain 1 and offset
+/// 0. A common scale and a common shift of all albedos are arbitrary.
 void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
@@ -257,7 +256,7 @@ void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
 }
 
 double error_of(const Model& m, const PlaceReturns& returns) {
-    struct alignas(64) Sum {  // one cache line each, to avoid false sharing between threads
+    struct alignas(64) Sum {  // one cache line each, because threads write neighbouring elements
         double of = 0.0;
     };
     std::array<Sum, kChunks> squares;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures the range noise as a function of range and incidence. Uses second differences
-// along one beam's sweep. They do not depend on poses or on other beams, and on surfaces
-// that are smooth over three firings not on the surface:
+// Estimates the noise of ranges by range and incidence. Uses second differences along one
+// beam of a sweep. These are independent of poses and other beams, and of any surface
+// that is smooth over three firings:
 //   sigma = 1.4826 median |r_(i-1) - 2 r_i + r_(i+1)| / sqrt(6)
 #include <algorithm>
 #include <array>
@@ -21,7 +21,7 @@ constexpr std::array kCosines = {0.3, 0.6, 1.0};
 constexpr std::size_t kBins = kRanges_m.size() * kCosines.size();
 constexpr std::size_t kMostNoiseReturns = 3000000, kFewestOfBin = 200;
 constexpr float kEdge_m = 0.5f;  // larger differences are edges, not noise
-// Ratio of a normal distribution's standard deviation to its median absolute value.
+// Ratio of standard deviation to median absolute value of a normal distribution.
 constexpr double kOfMedian = 1.4826;
 
 using Differences = std::array<std::vector<float>, kBins>;
@@ -59,8 +59,8 @@ double sigma_of(std::vector<float>& differences_m) {
     return kOfMedian * double(*middle) / std::sqrt(6.0);
 }
 
-/// Fills bins without data from their neighbours: first from the next smaller range, then
-/// from the next larger range, then with the largest value.
+/// Fills bins without enough returns with values of neighbouring bins: the nearer range
+/// first, then the farther one, then the maximum over all bins.
 void fill_gaps(RangeNoise& noise) {
     const std::size_t n_cosines = kCosines.size();
     for (std::size_t i = 0; i < noise.sigma_m.size(); ++i)
@@ -73,8 +73,8 @@ void fill_gaps(RangeNoise& noise) {
             noise.sigma_m[i] = *std::max_element(noise.sigma_m.begin(), noise.sigma_m.end());
 }
 
-/// Returns the noise of one LiDAR from its frames, and the number of returns. Returns an
-/// empty result if no bin has enough returns.
+/// Returns the noise of one LiDAR and the number of returns used. Returns an empty result
+/// if no bin has enough returns.
 std::pair<RangeNoise, std::size_t> noise_of(const std::vector<Differences>& frames) {
     RangeNoise noise{{kRanges_m.begin(), kRanges_m.end()},
                      {kCosines.begin(), kCosines.end()},

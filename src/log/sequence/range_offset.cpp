@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the range offset of each beam of a log from planes that several beams have
-// measured.
+// Estimates the range offset of each beam of a log, from planes that several beams have
+// seen.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -17,24 +17,23 @@
 namespace relidar {
 namespace {
 
-// Edge of a cell: large enough to separate a plane from noise, small enough for a street
-// to be flat.
+// Large enough to distinguish a plane from noise, small enough for streets to be flat.
 constexpr double kCell_m = 0.3;
 constexpr double kMaxRange_m = 40.0;  // cells farther away have too few returns
 constexpr std::size_t kMostOffsetReturns = 6000000;
 constexpr int kMinReturns = 20;  // minimum number of returns in a cell for a plane
 // maximum standard deviation across a plane, and minimum along it
 constexpr double kMaxThickness_m = 0.05;
-constexpr double kMaxResidual_m = 0.15;  // returns farther from the plane belong to other objects
-// Strength of the prior: each beam starts as if this many perpendicular returns had shown
-// no offset.
+// points farther from the plane of their cell belong to another object
+constexpr double kMaxResidual_m = 0.15;
+// Weight of the prior of zero offset, in returns at normal incidence.
 constexpr double kPriorReturns = 20.0;
-// If the residuals do not shrink to this share, the estimated offsets are noise and are
-// discarded.
+// The offsets are used only if they reduce the residuals below this share. Otherwise they
+// are noise.
 constexpr double kLeastGain = 0.97;
-constexpr int kRounds = 30;  // offsets of planes that few beams share converge slowly
+constexpr int kRounds = 30;  // many rounds, because planes that few beams share converge slowly
 
-/// One return in the world frame, with the range as its beam measured it.
+/// One return in the world, without a correction of its beam.
 struct Observation {
     glm::vec3 point_m;  ///< relative to the world's origin, which is in the middle of the log
     glm::vec3 direction;
@@ -52,11 +51,11 @@ std::vector<Observation> observations_of(const Sequence& sequence, const Frame& 
     return result;
 }
 
-/// Returns sorted by cell, then by frame. A return stays in its cell when its point moves
-/// by centimetres.
+/// Returns sorted by cell, and by frame within a cell. A return stays in its cell
+/// although the offsets move it by centimetres.
 struct Cells {
     std::vector<Observation> seen;
-    std::vector<std::size_t> first;  ///< [cells + 1] in `seen`
+    std::vector<std::size_t> first;  ///< [cells + 1] index into `seen`
 
     std::size_t size() const { return first.size() - 1; }
     std::span<const Observation> of(std::size_t cell) const {
@@ -102,7 +101,8 @@ std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vect
     return Plane{about + fit.mean, fit.axes[0]};
 }
 
-/// Sums over one beam's returns: residuals across planes, weighted by the incidence.
+/// Sums over one beam's returns: residuals across the planes, weighted by the cosine of
+/// incidence.
 struct OffsetFit {
     double weight = 0.0;
     double sum = 0.0;
@@ -121,8 +121,8 @@ struct Residuals {
         ++n;
         squares += residual * residual;
         fits[o.beam].weight += facing * facing;
-        // Sums the full offset instead of the step, so that the prior applies to the full
-        // offset.
+        // The sum contains the full offset, so that the prior applies to the offset and
+        // not to the step.
         fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
     }
     Residuals& operator+=(const Residuals& other) {
@@ -136,12 +136,12 @@ struct Residuals {
     }
 };
 
-/// Computes the residuals across the planes for given offsets. Processes blocks of cells
-/// on all cores and adds their sums in order.
+/// Computes the residuals across the planes with the current offsets. Blocks of cells are
+/// processed in parallel; their sums are added in order.
 Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
-    all += sum_parallel(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
+    all += parallel_reduce(cells.size(), kBlock, [&](std::size_t begin, std::size_t end) {
         Residuals block{.fits = std::vector<OffsetFit>(offset_m.size())};
         for (std::size_t cell = begin; cell < end; ++cell) {
             const std::span<const Observation> seen = cells.of(cell);
@@ -154,8 +154,8 @@ Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) 
     return all;
 }
 
-/// Performs one step of every beam's offset.
-/// @return count and mean square of the residuals before the step
+/// Makes one step of the offsets of all beams.
+/// @return number and mean square of the residuals before the step
 std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
     const Residuals r = residuals_of(cells, offset_m);
     double mean = 0.0, weight = 0.0;
@@ -164,8 +164,8 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
         mean += r.fits[b].weight * offset_m[b];
         weight += r.fits[b].weight;
     }
-    // A common offset of all beams can hardly be separated from a different scene, so the
-    // mean is removed.
+    // removes the mean offset, because a common offset of all ranges cannot be
+    // distinguished from a different scene
     for (double& offset : offset_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interpolation of poses and boxes, and rays in the world frame (paper Sec. 4).
-//   pose(t) = slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
+// Interpolates poses and boxes, computes rays in the world, and splits training from test
+// frames (paper Sec. 4).
+//   pose(t): slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -51,7 +52,7 @@ BoxTrack BoxTrack::labelled_part() const {
 bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
-    if (track.pose.size() > 1) {  // a test of the centre's distance excludes most points without a slerp
+    if (track.pose.size() > 1) {  // a fast test with the centre alone rejects most points without a slerp
         const TrackPlace at = find_place(track.time_s, t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
@@ -162,8 +163,8 @@ PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
 }
 
 PoseTrack with_fine_turns(const PoseTrack& track) {
-    // Maximum rotation between two poses. For a point 10 m away the chord deviates 0.03
-    // mm from the arc.
+    // Maximum turn between two poses. The chord of an object 10 m away is then 0.03 mm
+    // off its arc.
     constexpr double kTurn_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
@@ -258,11 +259,12 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 
 namespace {
 
-constexpr double kUsual = 0.02;  // tolerance for the usual start of a sweep, relative to the period
+// share of a period: a start closer than this to the usual start counts as usual
+constexpr double kUsual = 0.02;
 
-/// Rotation of a LiDAR head, estimated from its rays.
+/// Rotation of the head, estimated from the rays of a sweep.
 struct HeadTurn {
-    /// sum over rays of exp(i azimuth), with the azimuth that the head had at time 0
+    /// sum of unit phasors of the head's azimuth at time 0, one per ray
     std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 
@@ -276,13 +278,13 @@ struct HeadTurn {
 }  // namespace
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // Minimum resultant of the phases. The azimuth offsets of beams and uneven rotation
-    // reduce it only slightly.
+    // Minimum length of the mean phasor. Azimuth offsets of the beams and uneven rotation
+    // reduce it only a little.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
     const std::size_t step = 1 + rays.size() / 4096, n = (rays.size() + step - 1) / step;
-    const HeadTurn turn = sum_parallel(n, 256, [&](std::size_t begin, std::size_t end) {
+    const HeadTurn turn = parallel_reduce(n, 256, [&](std::size_t begin, std::size_t end) {
         HeadTurn part;
         const std::size_t last = std::min(end * step, rays.size());
         for (std::size_t i = begin * step; i < last; i += step) {
@@ -307,10 +309,26 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    if (first == last) return {};  // a motion-compensated scan
+    if (first == last) return {};  // true for a motion-compensated scan
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
     return SweepStart{0.0, first_s};
+}
+
+void set_sensor(Lidar& lidar, const SensorModel& sensor) {
+    lidar.pattern = fixed_pattern(sensor);
+    if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) {
+        lidar.sensor = *spinning;
+    } else {
+        lidar.sensor = {.name = sensor.name, .beams = {}, .columns = 0, .period_s = 0.0};
+        lidar.sensor.min_range_m = sensor.limits.min_m;
+        lidar.sensor.max_range_m = sensor.limits.max_m;
+    }
+}
+
+SensorModel sensor_of(const Lidar& lidar) {
+    const SpinningSensor& sensor = lidar.sensor;
+    return {sensor.name, "", sensor.range_limits(), lidar.pattern ? *lidar.pattern : SensorPattern(sensor)};
 }
 
 RayTable nominal_rays(const Lidar& lidar, double time_s) {
@@ -322,13 +340,13 @@ namespace {
 
 /// Returns the time after the frame's time at which a LiDAR that does not spin measures
 /// an azimuth.
-double facing_offset(const FixedPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
-    const double period_s = period_of(pattern), middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
-    const auto* window = std::get_if<ScanningWindow>(&pattern);
-    if (!window || window->columns < 2) return middle_s;
+double facing_offset(const SensorPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
+    const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);
+    const double middle_s = start ? start->time_s + 0.5 * period_s : 0.0;
+    if (!sweep || sweep->columns < 2) return middle_s;
     const double share =
-        glm::clamp((azimuth - window->left_rad) / (window->right_rad - window->left_rad), 0.0, 1.0);
-    return middle_s + (share - 0.5) * period_s * (window->columns - 1) / window->columns;
+        glm::clamp((azimuth - sweep->first_rad) / (sweep->last_rad - sweep->first_rad), 0.0, 1.0);
+    return middle_s + (share - 0.5) * period_s * (sweep->columns - 1) / sweep->columns;
 }
 
 }  // namespace

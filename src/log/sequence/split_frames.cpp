@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chooses the frames of a log that are held out of training: every n-th frame, or the
-// frames in a list.
+// Selects the frames that are held out of training: every n-th frame, or the frames in a
+// list.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -18,17 +18,16 @@
 namespace relidar {
 namespace {
 
-// interval that papers report for their splits, whatever their first frame
-constexpr int kPublishedEvery = 10;
+constexpr int kPublishedEvery = 10;  // step of published splits, independent of the first frame
 constexpr const char* kSetting = "dataset.test_frames";
 
-/// Indices in [first, end).
+/// Range of frame indices [first, end).
 struct IndexRange {
     int first, end;
 };
 
-/// Parses "13" or "40:45".
-/// @throws UsageError if the text has another form
+/// Parses a range like "13" or "40:45".
+/// @throws UsageError if the text is not a range
 IndexRange parse_range(std::string_view text) {
     const std::size_t colon = text.find(':');
     const std::optional<int> first = file_number(std::string(text.substr(0, colon)));
@@ -42,7 +41,7 @@ IndexRange parse_range(std::string_view text) {
     return {*first, *end};
 }
 
-/// Returns the distinct indices of the frames in the order of the log.
+/// Returns the frame indices without duplicates, in the order of the log.
 std::vector<int> sweeps_of(const Sequence& sequence) {
     std::vector<int> sweeps;
     std::set<int> seen;
@@ -51,8 +50,8 @@ std::vector<int> sweeps_of(const Sequence& sequence) {
     return sweeps;
 }
 
-/// Returns every n-th frame, except the first.
-/// @throws UsageError if test_every is 1 or negative
+/// Returns every n-th frame index, without the first one.
+/// @throws UsageError if `test_every` is 1 or negative
 std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     if (test_every < 0 || test_every == 1)
         throw UsageError(
@@ -63,7 +62,7 @@ std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     return held_out;
 }
 
-/// Returns the frames of a published test split that the log contains.
+/// Returns the frame indices of a published split that the log contains.
 std::set<int> published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
     std::set<int> held_out;
     for (const int index : sweeps)
@@ -71,8 +70,8 @@ std::set<int> published(const std::vector<int>& test_frames, const std::vector<i
     return held_out;
 }
 
-/// Returns the frames that a list names.
-/// @throws UsageError if a frame is unknown or named twice, or if no frame remains
+/// Returns the frame indices in a list.
+/// @throws UsageError if an index is missing in the log or occurs twice
 std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
     const std::set<int> known(sweeps.begin(), sweeps.end());
     std::set<int> held_out;

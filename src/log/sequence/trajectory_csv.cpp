@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes trajectories as CSV. read_trajectory() (src/run/edit/actor_path.cpp) reads them.
+// Writes trajectories as CSV. The inverse is read_trajectory()
+// (src/run/edit/actor_path.cpp).
 #include <relidar/base/files.hpp>
 #include <relidar/log/trajectory_csv.hpp>
 

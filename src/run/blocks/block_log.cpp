@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The part of a log that one block is trained on.
+// Extracts the part of a log on which a block is trained.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -13,9 +13,11 @@
 namespace relidar {
 namespace {
 
-constexpr double kSeen_m = 100.0;  // of a box from the sensor: what lies farther out has hardly a return
+// maximum distance of a box from the sensor; boxes farther away have hardly any returns
+constexpr double kSeen_m = 100.0;
 
-/// Frames that train, and own ones that are held out, in the order of the log.
+/// Returns the training frames of a block, and those of its own frames that are held out,
+/// in the order of the log.
 std::vector<int> frames_of(const Block& block, const Split& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.own)
@@ -25,21 +27,21 @@ std::vector<int> frames_of(const Block& block, const Split& split) {
     return frames;
 }
 
-/// Poses at the times of some frames, and one before and after each, so that a sweep
-/// beside a gap moves as it did in the log.
+/// Returns the poses at the times of some frames, and the poses directly before and after
+/// each. With these neighbours, a sweep next to a gap moves as in the full log.
 PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames) {
     const PoseTrack& all = sequence.world_from_vehicle;
-    std::vector<bool> wanted(all.time_s.size(), false);
+    std::vector<bool> is_used(all.time_s.size(), false);
     for (const int position : frames) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
         const auto at =
             std::size_t(std::lower_bound(all.time_s.begin(), all.time_s.end(), time_s) - all.time_s.begin());
-        for (std::size_t i = at > 0 ? at - 1 : 0; i <= std::min(at + 1, wanted.size() - 1); ++i)
-            wanted[i] = true;
+        for (std::size_t i = at > 0 ? at - 1 : 0; i <= std::min(at + 1, is_used.size() - 1); ++i)
+            is_used[i] = true;
     }
     PoseTrack track;
-    for (std::size_t i = 0; i < wanted.size(); ++i)
-        if (wanted[i]) track.time_s.push_back(all.time_s[i]), track.pose.push_back(all.pose[i]);
+    for (std::size_t i = 0; i < is_used.size(); ++i)
+        if (is_used[i]) track.time_s.push_back(all.time_s[i]), track.pose.push_back(all.pose[i]);
     return track;
 }
 
@@ -48,8 +50,8 @@ bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector
                        [&](int position) { return is_within(box, sequence, position, kSeen_m); });
 }
 
-/// The words of a list that name a box. Where none is left, no class is wanted either:
-/// the list has named others alone.
+/// Keeps the entries of a list of tracks that name an existing box. If none is left, also
+/// clears the classes, because the user has selected only tracks of other blocks.
 void keep_known(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;

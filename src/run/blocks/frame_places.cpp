@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Computes the positions of a log's vehicle at its frames.
 #include "run/blocks/frame_places.hpp"
 
 namespace relidar {

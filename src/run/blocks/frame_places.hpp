@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where a log's vehicle was at its sweeps.
+// Positions of a log's vehicle at its frames.
 #pragma once
 
 #include <vector>
@@ -10,10 +10,11 @@
 
 namespace relidar {
 
-/// Positions of the vehicle at the frames of a log. @return [frames] world
+/// Returns the positions of the vehicle at the frames of a log.
+/// @return [frames] metres, world frame
 std::vector<glm::dvec3> frame_places(const Sequence& sequence);
 
-/// Whether a box is present at a frame, within so many metres of the vehicle.
+/// Returns true if a box is present at a frame and is within a distance of the vehicle.
 bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One run of trained blocks.
+// Joins trained blocks into one run.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -16,16 +16,18 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kWellSeen_m = 60.0;  // of a box from the sensor: what lies farther out has a few returns
+// maximum distance of a box from the sensor; boxes farther away have few returns
+constexpr double kWellSeen_m = 60.0;
 
-/// Training frames of a block that have a box near enough to teach what is in it.
+/// Returns the number of training frames of a block in which a box is near enough for
+/// training.
 std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const Block& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
         return is_within(box, sequence, position, kWellSeen_m);
     }));
 }
 
-/// Surfels of a block's background with the box around them.
+/// Returns the background surfels of a block, with their bounding box.
 SceneBlock background_of(const Scene& scene, const fs::path& file) {
     SceneBlock block{file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
@@ -38,7 +40,8 @@ SceneBlock background_of(const Scene& scene, const fs::path& file) {
     return block;
 }
 
-/// Mean of the tables of blocks, each counting as many times as it had training frames.
+/// Weighted mean of the drop tables of blocks. The weight of a block is its number of
+/// training frames.
 class MeanDrop {
 public:
     void add(const DropTable& table, std::size_t n_frames) {
@@ -60,7 +63,7 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// An actor as one of the blocks has learnt it.
+/// An actor as trained in one of the blocks.
 struct Candidate {
     std::size_t sightings = 0;
     Model model;
@@ -68,9 +71,10 @@ struct Candidate {
     BoxTrack box;
 };
 
-/// Those of a block that are better than what blocks before had.
-void take_actors(const Run& part, const Sequence& sequence, const Block& block,
-                 std::map<std::string, Candidate>& best) {
+/// Replaces actors by those of another block if more of its training frames show the
+/// actor.
+void update_best_actors(const Run& part, const Sequence& sequence, const Block& block,
+                        std::map<std::string, Candidate>& best) {
     for (const Instance& instance : part.scene.instances) {
         if (instance.track.empty()) continue;
         const BoxTrack* box = find_box(part.sequence, instance.track);
@@ -85,18 +89,18 @@ void take_actors(const Run& part, const Sequence& sequence, const Block& block,
     }
 }
 
-/// Poses of a block's own sweeps, as its training has left them.
-void take_poses(const Run& part, const Sequence& sequence, const Block& block, PoseTrack& track) {
+/// Copies the poses of a block's own sweeps from its trained run.
+void copy_poses(const Run& part, const Sequence& sequence, const Block& block, PoseTrack& track) {
     for (const int position : block.own) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
-        const PoseTrack& found = part.sequence.world_from_vehicle;
-        const auto from = std::lower_bound(found.time_s.begin(), found.time_s.end(), time_s);
+        const PoseTrack& part_track = part.sequence.world_from_vehicle;
+        const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
         const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
-        // an unused frame
-        if (from == found.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
+        // the frame is not used by one of the two tracks
+        if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
             continue;
         track.pose[std::size_t(to - track.time_s.begin())] =
-            found.pose[std::size_t(from - found.time_s.begin())];
+            part_track.pose[std::size_t(from - part_track.time_s.begin())];
     }
 }
 
@@ -111,17 +115,17 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
         const Run part = load_run(folders[k]);
         scene.blocks.push_back(background_of(part.scene, folders[k] / kModelFile));
         drop.add(part.scene.sensor_drop, blocks[k].train.size());
-        take_actors(part, run.sequence, blocks[k], actors);
-        take_poses(part, run.sequence, blocks[k], poses);
+        update_best_actors(part, run.sequence, blocks[k], actors);
+        copy_poses(part, run.sequence, blocks[k], poses);
         run.coverage.add(part.coverage);
         if (!part.refined_poses.empty()) run.refined_poses = part.refined_poses;
     }
     scene.sensor_drop = drop.mean();
     run.sequence.world_from_vehicle = std::move(poses);
-    for (BoxTrack& box : run.sequence.boxes) {  // in the order of the log, as a scene in one piece has them
-        const auto found = actors.find(box.id);
-        if (found == actors.end()) continue;
-        Candidate& actor = found->second;
+    for (BoxTrack& box : run.sequence.boxes) {  // keeps the order of the log, like a scene without blocks
+        const auto entry = actors.find(box.id);
+        if (entry == actors.end()) continue;
+        Candidate& actor = entry->second;
         actor.model.first = static_cast<std::uint32_t>(scene.surfels.size());
         scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
         scene.models.push_back(actor.model);

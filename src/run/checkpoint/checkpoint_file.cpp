@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A checkpoint as a safetensors file with a checksum over all it says: a flipped bit
-// anywhere is noticed, in numbers and texts alike.
+// Reads and writes a checkpoint as a safetensors file. A checksum over all arrays and
+// texts detects any flipped bit.
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>
@@ -26,10 +26,11 @@ constexpr const char* kChecksum = "crc32";
 class Crc32 {
 public:
     void add(const void* bytes, std::size_t n) {
-        // for a null pointer zlib would start over
+        // zlib would restart the checksum for a null pointer
         if (n > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n);
     }
-    void add(const std::string& text) { add(text.c_str(), text.size() + 1); }  // the end of a text counts
+    // includes the terminating zero, so that adjacent texts are separated
+    void add(const std::string& text) { add(text.c_str(), text.size() + 1); }
     std::string hex() const { return fmt::format("{:08x}", crc_); }
 
 private:
@@ -52,8 +53,9 @@ std::string checksum(const Texts& texts, const std::vector<NamedArray>& arrays) 
     return crc.hex();
 }
 
-/// Takes a text that only the file needs out of its metadata.
-std::string take(Texts& texts, const std::string& key) {
+/// Removes an entry from the metadata and returns its value. These entries are needed
+/// only by the file format.
+std::string extract_text(Texts& texts, const std::string& key) {
     const auto it = texts.find(key);
     if (it == texts.end()) throw DataError(fmt::format("metadata {}: missing, expected it", key));
     std::string value = std::move(it->second);
@@ -77,18 +79,19 @@ int iteration_of(const std::string& text) {
 Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
     const auto format = texts.find("format"), version = texts.find("version");
     expect("metadata format", format == texts.end() ? "" : format->second, kFormat);
-    // before the checksum: a newer one may count it otherwise
+    // Checks the version before the checksum, because another version may compute the
+    // checksum differently.
     expect("metadata version", version == texts.end() ? "" : version->second, kVersion);
     const std::string found = checksum(texts, arrays);
-    expect("checksum of what was read", found, take(texts, kChecksum));
-    for (const char* key : {"format", "version", "relidar"}) take(texts, key);
-    const int iteration = iteration_of(take(texts, "iteration"));
+    expect("checksum of what was read", found, extract_text(texts, kChecksum));
+    for (const char* key : {"format", "version", "relidar"}) extract_text(texts, key);
+    const int iteration = iteration_of(extract_text(texts, "iteration"));
     Checkpoint checkpoint{iteration, std::move(texts), std::move(arrays)};
     check_finite(checkpoint);
     return checkpoint;
 }
 
-/// Iteration in the name of a checkpoint, or nothing for any other file.
+/// Returns the iteration in the name of a checkpoint file, or nothing for any other file.
 std::optional<int> iteration_in_name(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
@@ -134,7 +137,8 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
 
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep) {
     std::error_code failed;
-    std::filesystem::create_directories(folder, failed);  // where that fails, writing says so
+    // if this fails, writing the file reports the error
+    std::filesystem::create_directories(folder, failed);
     const std::filesystem::path path =
         folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
     write_checkpoint(path, checkpoint);
@@ -168,7 +172,7 @@ std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& fo
 void remove_checkpoints(const std::filesystem::path& folder) {
     std::error_code failed;
     for (const std::filesystem::path& path : list_checkpoints(folder)) std::filesystem::remove(path, failed);
-    std::filesystem::remove(folder, failed);  // refuses where something else is in it
+    std::filesystem::remove(folder, failed);  // fails without an error if the folder contains other files
 }
 
 }  // namespace relidar

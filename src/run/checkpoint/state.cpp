@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// State into named arrays and back; every array is checked for type and shape on the way
-// back.
+// Converts the training state to named arrays and back. Checks the type and the shape of
+// every array that is read.
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>
@@ -31,11 +31,11 @@ void check_finite(const NamedArray& array) {
 }  // namespace
 
 const NamedArray& Checkpoint::array(const std::string& name) const {
-    const NamedArray* found = find_array(arrays, name);
-    if (!found)
+    const NamedArray* match = find_array(arrays, name);
+    if (!match)
         throw DataError(
             fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
-    return *found;
+    return *match;
 }
 
 const std::string& Checkpoint::text(const std::string& name) const {
@@ -83,7 +83,8 @@ Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
     const ParameterSet parameters = stored_parameters(
         checkpoint_.texts, name + "/" + kPrimitiveKey,
         [&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
-    for (const ParameterGroup& group : groups_of(parameters))  // before anything is allocated
+    // checks all shapes before anything is allocated
+    for (const ParameterGroup& group : groups_of(parameters))
         find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;
     host.resize(n, parameters);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings from text, TOML and back, all by walking the one table of fields.hpp. TOML
-// tables are the first part of a key.
+// Reads settings from text and TOML and writes them. All functions use the table of
+// settings in fields.hpp. The first part of a key is its TOML table.
 #include <relidar/run/config.hpp>
 
 #include <algorithm>
@@ -32,9 +32,9 @@ using config_detail::is_text;
 using config_detail::to_text;
 using config_detail::visit;
 
-/// A value as it was found: text, and whether it stood in quotes (a TOML file says; a
-/// command line does not).
-struct Found {
+/// A value that was read: its text, and whether it was in quotes. A TOML file shows the
+/// quotes; a command line does not.
+struct ParsedValue {
     std::string text;
     enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
 };
@@ -53,52 +53,54 @@ std::string unknown_key(const std::string& key) {
 }
 
 template <class T>
-void assign(T& field, const std::string& key, const Accepts& accepts, const Found& found) {
-    const bool wrong_kind = found.quotes == (is_text<T> ? Found::Quotes::no : Found::Quotes::yes);
-    if (wrong_kind || !from_text(found.text, accepts, field)) {
+void assign(T& field, const std::string& key, const Accepts& accepts, const ParsedValue& value) {
+    const bool wrong_kind = value.quotes == (is_text<T> ? ParsedValue::Quotes::no : ParsedValue::Quotes::yes);
+    if (wrong_kind || !from_text(value.text, accepts, field)) {
         const char* hint = wrong_kind && is_text<T> ? " in quotes" : wrong_kind ? " without quotes" : "";
-        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(found.text),
+        throw UsageError(fmt::format("setting {}: found \"{}\", expected {}{}", key, excerpt(value.text),
                                      describe<T>(accepts), hint));
     }
 }
 
-void set_found(Config& config, const std::string& key, const Found& found) {
-    bool known = false;
+void apply_setting(Config& config, const std::string& key, const ParsedValue& value) {
+    bool is_known = false;
     visit(config, [&](const char* name, auto& field, const Accepts& accepts, const Help&) {
-        if (known || key != name) return;
-        known = true;
-        assign(field, key, accepts, found);
+        if (is_known || key != name) return;
+        is_known = true;
+        assign(field, key, accepts, value);
     });
-    if (!known) throw UsageError(unknown_key(key));
+    if (!is_known) throw UsageError(unknown_key(key));
     if (key == "preset") config = make_preset(config.preset);
 }
 
-/// A TOML scalar as text.
-Found found_in(const toml::node& node, const std::string& key) {
-    if (const auto* text = node.as_string()) return {text->get(), Found::Quotes::yes};
+/// Converts a TOML scalar to text.
+ParsedValue parse_scalar(const toml::node& node, const std::string& key) {
+    if (const auto* text = node.as_string()) return {text->get(), ParsedValue::Quotes::yes};
     if (const auto* integer = node.as_integer())
-        return {fmt::format("{}", integer->get()), Found::Quotes::no};
-    if (const auto* number = node.as_floating_point()) return {number_text(number->get()), Found::Quotes::no};
+        return {fmt::format("{}", integer->get()), ParsedValue::Quotes::no};
+    if (const auto* number = node.as_floating_point())
+        return {number_text(number->get()), ParsedValue::Quotes::no};
     if (const auto* boolean = node.as_boolean())
-        return {boolean->get() ? "true" : "false", Found::Quotes::no};
+        return {boolean->get() ? "true" : "false", ParsedValue::Quotes::no};
     std::ostringstream kind;
     kind << node.type();
     throw UsageError(
         fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
 }
 
-/// All of a table, in the order of the alphabet.
-void flatten(const toml::table& table, const std::string& prefix, std::map<std::string, Found>& settings) {
+/// Adds all values of a TOML table and its nested tables, sorted by key.
+void flatten(const toml::table& table, const std::string& prefix,
+             std::map<std::string, ParsedValue>& settings) {
     for (const auto& [name, node] : table) {
         const std::string key = prefix + std::string(name.str());
         if (const toml::table* inner = node.as_table()) flatten(*inner, key + ".", settings);
-        else settings.emplace(key, found_in(node, key));
+        else settings.emplace(key, parse_scalar(node, key));
     }
 }
 
-/// @throws UsageError unless the file names every setting and nothing else, as to_toml()
-/// writes it
-void check_complete(const std::map<std::string, Found>& settings) {
+/// Checks that a file contains every setting and no other key, as to_toml() writes it.
+/// @throws UsageError if a setting is missing or a key is unknown
+void check_complete(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice = "a run of another version of relidar must be trained again";
     const std::vector<std::string> keys = all_keys();
     for (const auto& [key, found] : settings)
@@ -109,7 +111,7 @@ void check_complete(const std::map<std::string, Found>& settings) {
             throw UsageError(fmt::format("setting {}: missing, expected every setting; {}", key, kAdvice));
 }
 
-/// Text in TOML's basic quotes.
+/// Returns text as a basic string of TOML, with quotes.
 std::string quoted(const std::string& text) {
     std::string result = "\"";
     for (const char c : text) {
@@ -140,24 +142,25 @@ std::vector<ConfigKey> config_keys(const Config& config) {
 }
 
 void set_key(Config& config, const std::string& key, const std::string& value) {
-    set_found(config, key, {value, Found::Quotes::unknown});
+    apply_setting(config, key, {value, ParsedValue::Quotes::unknown});
 }
 
 namespace {
 
-/// @param check  called with the settings of the file before they are read
+/// Reads a TOML file.
+/// @param check  called with the settings of the file before they are applied
 template <class Check>
 void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
     const std::string text = read_text(path);
     check_toml_depth(text, path.string());
-    Config result = config;  // all or nothing
+    Config result = config;  // a copy, so that an error leaves `config` unchanged
     try {
         const toml::table table = toml::parse(text, path.string());
-        std::map<std::string, Found> settings;
+        std::map<std::string, ParsedValue> settings;
         flatten(table, "", settings);
         check(settings);
-        if (const auto preset = settings.extract("preset")) set_found(result, "preset", preset.mapped());
-        for (const auto& [key, found] : settings) set_found(result, key, found);
+        if (const auto preset = settings.extract("preset")) apply_setting(result, "preset", preset.mapped());
+        for (const auto& [key, found] : settings) apply_setting(result, key, found);
     } catch (const toml::parse_error& error) {
         throw DataError(fmt::format("{}:{}: not valid TOML: {}", path.string(), error.source().begin.line,
                                     excerpt(error.description())));
@@ -170,7 +173,7 @@ void read_config(Config& config, const std::filesystem::path& path, const Check&
 }  // namespace
 
 void load_config(Config& config, const std::filesystem::path& path) {
-    read_config(config, path, [](const std::map<std::string, Found>&) {});
+    read_config(config, path, [](const std::map<std::string, ParsedValue>&) {});
 }
 
 Config load_saved_config(const std::filesystem::path& path) {
@@ -185,7 +188,8 @@ Config load_saved_config(const std::filesystem::path& path) {
 
 namespace {
 
-/// Settings with a comment each, by table. @param is_shown  (key)
+/// Returns the settings as TOML, by table, each with a comment.
+/// @param is_shown  (key) returns true for settings to include
 template <class Shown>
 std::string toml_of(const Config& config, const Shown& is_shown) {
     std::string text, table;

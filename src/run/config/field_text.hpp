@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A setting's value as text and back: shortest decimal form that reads back to the same
-// value, and one clear line where a text is not what the setting accepts. Private to
-// config.
+// Converts the value of a setting to text and back. Numbers use the shortest decimal form
+// that gives the same value when read. Error messages say what the setting accepts.
+// Private to config.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,7 @@
 
 namespace relidar::config_detail {
 
-/// Whether a field is written in quotes in a TOML file.
+/// True if a TOML file has the values of a type in quotes.
 template <class T>
 constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
 
@@ -30,7 +30,8 @@ std::string to_text(const T& value, const Accepts& accepts) {
     else return fmt::format("{}", value);
 }
 
-/// "a number >= 0", "an integer in 1..64", "one of ray, surfel".
+/// Describes the accepted values: "a number >= 0", "an integer in 1..64", "one of ray,
+/// surfel".
 template <class T>
 std::string describe(const Accepts& accepts) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
@@ -65,8 +66,8 @@ bool parse_number(const std::string& text, const Accepts& accepts, T& value) {
     return true;
 }
 
-/// @return whether the text is a value the field accepts; the field is unchanged where it
-/// is not
+/// Parses the value of a setting.
+/// @return false if the text is not an accepted value; `value` is then unchanged
 template <class T>
 bool from_text(const std::string& text, const Accepts& accepts, T& value) {
     const auto find = [&](const std::string& word) {

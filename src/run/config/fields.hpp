@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The one table of settings: key, value, what it accepts, what it means. Keys, `--set`,
-// TOML in and out and `--help` all walk it, so a new setting is a field in
-// <relidar/run/config.hpp> and a line here; weights of losses come from their own table.
-// Private to config. A field without a line is a constant that each preset sets.
+// Table of all settings: key, value, accepted values, description. Keys, `--set`, TOML
+// files and `--help` are generated from this table. To add a setting, add a field in
+// <relidar/run/config.hpp> and a row here. A field without a row is a constant that each
+// preset sets. Loss weights have a separate table. Private to config.
 #pragma once
 
 #include <limits>
@@ -15,14 +15,14 @@
 
 namespace relidar::config_detail {
 
-/// What a field accepts.
+/// Accepted values of a setting.
 struct Accepts {
     double low = std::numeric_limits<double>::lowest();
     double high = std::numeric_limits<double>::max();
-    bool above_low = false;  ///< low itself is refused
-    /// of a text or enum field; an enum's value is its place in this list
+    bool above_low = false;  ///< true: the value must be greater than `low`
+    /// Accepted texts. The value of an enum is its index in this list.
     std::vector<std::string> choices;
-    bool several = false;  ///< a text of any of the choices, separated by commas
+    bool several = false;  ///< any number of the choices, separated by commas
 };
 
 inline Accepts anything() { return {}; }
@@ -47,16 +47,17 @@ inline Accepts some_of(std::vector<std::string> names) {
     return accepts;
 }
 
-/// What a setting means, and who turns it.
+/// Description of a setting, and whether it is for experts.
 struct Help {
     const char* text;
-    bool expert = false;  ///< nobody needs it who does not know how the program works inside
+    bool expert = false;  ///< true: only useful with knowledge of the implementation
     Help(const char* words, bool is_expert = false) : text(words), expert(is_expert) {}
 };
 inline Help expert(const char* text) { return {text, true}; }
 
 inline constexpr double kMaxCount = 2147483647.0;
-inline constexpr double kMaxSeed = 9007199254740992.0;  // 2^53: a TOML integer and a double hold it exactly
+// 2^53: a TOML integer and a double can store it exactly
+inline constexpr double kMaxSeed = 9007199254740992.0;
 
 template <class C, class Visitor>
 void visit_dataset(C& c, Visitor&& f) {
@@ -213,7 +214,7 @@ void visit_training(C& c, Visitor&& f) {
       "train also where more than 5 % of the scans did not find their place; false: an error");
 }
 
-/// What training tells and keeps.
+/// Calls f for the settings of logging and checkpoints during training.
 template <class C, class Visitor>
 void visit_keeping(C& c, Visitor&& f) {
     f("train.frame_memory_mib", c.train.frame_memory_mib, between(0, kMaxCount),
@@ -260,9 +261,8 @@ void visit(C& c, Visitor&& f) {
     visit_keeping(c, f);
     f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
       "the log is trained in blocks of at most so many metres of its trajectory; 0: in one piece");
-    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive", "mcmc"}),
-      "surfels are added and removed: by gradient (adaptive, paper), or moved from dead to living and grown "
-      "(mcmc)");
+    f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive"}),
+      "surfels are added and removed by their gradients (adaptive, paper)");
     visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
       expert("range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the "

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Converts the settings of a run to the options of tracing and of the backward pass.
 #include <relidar/run/stage_options.hpp>
 
 namespace relidar {
@@ -18,14 +19,13 @@ TraceOptions trace_options(const Config& config) {
 
 TraceOptions training_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    options.geometry = config.loss.uses_geometry();
     if (config.loss.likelihood > 0.0f) options.likelihood = RangeKernel{config.loss.likelihood_scale_m};
     return options;
 }
 
 TraceOptions rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    options.geometry = kind_of(config.image.primitive).has_normals;  // of channels and of ray-drop networks
+    options.normals = kind_of(config.image.primitive).has_normals;  // of channels and of ray-drop networks
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;

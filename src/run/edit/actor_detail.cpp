@@ -1,4 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
+// Compares the number of surfels of an actor with the number of rays that hit its box at
+// the closest approach to a LiDAR.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -12,7 +14,7 @@
 namespace relidar {
 namespace {
 
-/// Whether the line of a ray meets a box about its frame's origin.
+/// Returns true if the line of a ray intersects a box at the origin of its frame.
 bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {
@@ -28,8 +30,8 @@ bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
     return begin <= end;
 }
 
-/// Whether the line of a ray comes into the ball around a box: most do not, and that is
-/// quickly found.
+/// Returns true if the line of a ray intersects the bounding sphere of a box. This fast
+/// test rejects most rays.
 bool comes_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m,
                 float radius_m) {
     const glm::vec3 to_centre = centre_m - origin_m;

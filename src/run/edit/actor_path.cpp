@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trajectories as CSV, for tools that plan them.
+// Reads trajectories of actors from CSV files, for planning tools.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -17,17 +17,18 @@ namespace relidar {
 namespace {
 
 enum Field { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-constexpr std::size_t kUnnamed = 7;  // fields that a file without a header has, in this order
+constexpr std::size_t kUnnamed = 7;  // number of fields in a file without a header, in this order
 constexpr std::size_t kNeeded = 5;
-constexpr double kLargest = 1e10;  // metres of any world, degrees, and seconds since 1970
+// limit for metres in any world frame, for degrees, and for seconds since 1970
+constexpr double kLargest = 1e10;
 const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
                                       "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
 
-/// Where the cells of a line hold each field, or -1.
+/// Column of each field, or -1.
 using FieldPlaces = std::vector<int>;
 
-/// @throws DataError for a name that is not known, a field that is missing, or an angle
-/// in both units
+/// Returns the columns of a file with a header.
+/// @throws DataError for an unknown name, a missing field, or an angle in both units
 FieldPlaces places_of_header(const std::vector<std::string_view>& header, const std::string& where) {
     FieldPlaces at = find_columns(header, kNames, where);
     for (const Field field : {kTime, kX, kY, kZ})
@@ -43,7 +44,8 @@ FieldPlaces places_of_header(const std::vector<std::string_view>& header, const 
     return at;
 }
 
-/// Columns of a file without a header. @throws DataError if there are too few or too many
+/// Returns the columns of a file without a header.
+/// @throws DataError if there are too few or too many
 FieldPlaces places_without_header(std::size_t n_cells, const std::string& where) {
     if (n_cells < kNeeded || n_cells > kUnnamed)
         throw DataError(
@@ -55,8 +57,9 @@ FieldPlaces places_without_header(std::size_t n_cells, const std::string& where)
     return at;
 }
 
-/// Values of a line; a field without a column is 0. A line may end before pitch and roll.
-/// @throws DataError naming the column that holds no number
+/// Returns the values of a line. A field without a column is 0. A line may end before
+/// pitch and roll.
+/// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells, const FieldPlaces& at,
                                          const std::string& where) {
     std::array<double, kFieldCount> row{};

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits of instances and tracks. The surfels of a model are copied only into a scene that
-// has not got it, and left out once no instance places them.
+// Edits instances and tracks of a scene. The surfels of a model are copied only to a
+// scene that does not contain them. They are removed when no instance uses the model any
+// more.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -16,7 +17,8 @@ namespace relidar {
 
 namespace {
 
-/// Why a labelled box cannot be edited, and what to set so that it can.
+/// Returns an error message for a labelled box that cannot be edited: the reason, and the
+/// setting that makes it editable.
 std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
     return fmt::format(
@@ -27,7 +29,7 @@ std::string without_surfels(const std::string& track, std::vector<std::string> a
         track, fmt::join(actors, ","));
 }
 
-/// Index of the instance with a track.
+/// Returns the index of the instance with a track.
 std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
     std::vector<std::string> known;
     for (std::size_t i = 0; i < driving.scene.instances.size(); ++i) {
@@ -36,10 +38,10 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
         if (!name.empty()) known.push_back(name);
     }
     if (find_box(driving.sequence, track)) throw UsageError(without_surfels(track, known));
-    const std::string found = fmt::format("editing track \"{}\": found no such track", track);
-    if (known.empty()) throw UsageError(found + ", and the scene has no actor at all");
+    const std::string message = fmt::format("editing track \"{}\": found no such track", track);
+    if (known.empty()) throw UsageError(message + ", and the scene has no actor at all");
     throw UsageError(
-        fmt::format("{}{} (actors: {})", found, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
+        fmt::format("{}{} (actors: {})", message, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
 
 BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
@@ -51,7 +53,7 @@ BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
         "editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
 }
 
-/// Leaves out models that no instance places; the background stays.
+/// Removes models that no instance uses, except the background.
 void drop_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<Model> models;
@@ -71,7 +73,7 @@ void drop_unused_models(Scene& scene) {
     scene.surfels = std::move(surfels);
 }
 
-/// Leaves out the actors that are not to be kept, and their boxes.
+/// Removes the actors for which `keep` returns false, and their boxes.
 template <class Keep>
 void keep_instances(DrivingScene& driving, const Keep& keep) {
     std::vector<Instance> kept;
@@ -94,7 +96,8 @@ std::string free_id(const DrivingScene& driving, const std::string& stem) {
     return fmt::format("{}-{}", stem, n);
 }
 
-/// One pose a frame, straight ahead at constant speed.
+/// Returns a track that moves straight ahead at constant speed, with a pose for each
+/// frame.
 PoseTrack straight_track(const Sequence& sequence, const Start& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {
@@ -125,8 +128,8 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
     }
 }
 
-/// The same trajectory with entries no farther apart than a step, so that half a step
-/// beside its ends is no more than half a turn.
+/// Returns the same trajectory with entries at most one step apart. The tolerance of half
+/// a step at its ends is then at most half a sweep.
 PoseTrack refined(const PoseTrack& track, double step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -142,7 +145,7 @@ PoseTrack refined(const PoseTrack& track, double step_s) {
     return fine;
 }
 
-/// Adds an instance of a model with a track of its own.
+/// Adds an instance of a model, with a new track.
 void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
     box.world_from_box = straight_track(driving.sequence, start);
     box.n_before = box.n_after = 0;
@@ -170,7 +173,7 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 
 std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
     const BoxTrack* box = find_box(edited, before.id);
-    std::set<int> lost;  // LiDARs that sweep together share a number
+    std::set<int> lost;  // a set, because LiDARs that sweep together share a frame number
     for (const Frame& frame : edited.frames)
         if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);
     if (lost.empty()) return "";

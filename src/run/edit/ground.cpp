@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ground below a place, from the surfels of the background: the plane that most of
-// the level ones under a box lie on (random samples of three, scored by distance, as MSAC
-// of Torr and Zisserman 2000 does; then least squares).
+// Finds the ground below a position from the surfels of the background. The ground is the
+// plane that contains most of the level surfels under a box. Candidate planes come from
+// random samples of three surfels, scored by distance as in MSAC (Torr and Zisserman
+// 2000), and are refined by least squares.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -21,25 +22,34 @@
 namespace relidar {
 namespace {
 
-// least |z| of a level surfel's normal: 41 degrees, noise of normals included
+// Minimum |z| of the normal of a level surfel: 41 degrees, which includes the noise of
+// normals.
 constexpr double kLevelSurfel = 0.75;
-constexpr double kLevelPlane = 0.85;  // of the ground: 32 degrees
-constexpr double kFaintLogit = -3.0;  // opacity 0.05: what is fainter is no surface
-// of streets: how much higher than the sensor the ground may be, over the distance
+constexpr double kLevelPlane = 0.85;  // minimum z of the ground's normal: 32 degrees
+constexpr double kFaintLogit = -3.0;  // an opacity of 0.05; fainter surfels do not form a surface
+// Maximum slope of streets: the height of the ground above the sensor, divided by the
+// distance.
 constexpr double kSteepest = 0.25;
-constexpr double kOnPlane_m = 0.1;  // half a kerb: beyond it a surfel lies on something else
-// of least squares: noise of a street's surfels, but not the foot of a wall
+// half the height of a kerb; surfels farther away belong to another surface
+constexpr double kOnPlane_m = 0.1;
+// Distance for the least-squares fit: includes the noise of a street's surfels and
+// excludes the foot of a wall.
 constexpr double kFitted_m = 0.05;
-constexpr std::array kMargins_m{0.25, 0.5, 1.0};  // beside the box: far rings of a sweep are a metre apart
-// half edge of the area below someone on foot, whose own is too small for a tilt
+// margins around the box; rings of a sweep are a metre apart at long range
+constexpr std::array kMargins_m{0.25, 0.5, 1.0};
+// Minimum half edge of the area below an actor. The area below a pedestrian is too small
+// to measure a slope.
 constexpr double kSmallestBelow_m = 0.75;
-constexpr std::size_t kFewestOnPlane = 8;  // surfels of a plane
-// standard deviation across a plane's surfels: one ring of a sweep tells no tilt
+constexpr std::size_t kFewestOnPlane = 8;  // minimum number of surfels on a plane
+// Minimum standard deviation along the narrow side of the surfels, because a single ring
+// of a sweep cannot show a slope.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
-constexpr int kOwnPlaces = 16;  // at which an actor's height above the ground is looked at
+// maximum number of positions at which the height of an actor above the ground is
+// measured
+constexpr int kOwnPlaces = 16;
 
-/// z = level at the origin; up the normal.
+/// Plane through a point, with its upward normal.
 struct GroundPlane {
     glm::dvec3 origin_m{0.0};
     glm::dvec3 normal{0.0, 0.0, 1.0};
@@ -50,7 +60,7 @@ struct GroundPlane {
     double above(const glm::dvec3& p) const { return glm::dot(normal, p - origin_m); }
 };
 
-/// What lies below a box: an upright rectangle about its centre.
+/// Area below a box: a rectangle in the x-y plane around its centre.
 struct Footprint {
     glm::dvec2 centre_m{0.0};
     double yaw_rad = 0.0;
@@ -67,8 +77,7 @@ struct Footprint {
     }
 };
 
-/// Pose of the log's vehicle and sensor where it came nearest to a place, seen from
-/// above.
+/// Returns the sensor pose of the log that is nearest to a position in the x-y plane.
 const Pose& nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
     if (track.pose.empty())
         throw DataError(
@@ -81,7 +90,8 @@ glm::dvec3 surfel_normal(const glm::vec4& wxyz) {
     return glm::normalize(glm::dquat(wxyz.x, wxyz.y, wxyz.z, wxyz.w)) * glm::dvec3(0.0, 0.0, 1.0);
 }
 
-/// Level surfels of a background, near some places where it lies in blocks.
+/// Level surfels of a background. If the background consists of blocks, only blocks near
+/// some positions are loaded.
 class LevelSurfels {
 public:
     LevelSurfels(const DrivingView& driving, const std::vector<glm::dvec2>& places)
@@ -89,7 +99,7 @@ public:
         add(driving.scene.surfels, driving.scene.models.front().count);
         for (const SceneBlock& block : driving.scene.blocks) {
             const auto is_near = [&](const glm::dvec2& p) {
-                constexpr double kBlockReach_m = 20.0;  // half the longest thing on a road
+                constexpr double kBlockReach_m = 20.0;  // half the length of the longest vehicle
                 return glm::all(glm::greaterThan(p, glm::dvec2(block.low_m) - kBlockReach_m)) &&
                        glm::all(glm::lessThan(p, glm::dvec2(block.high_m) + kBlockReach_m));
             };
@@ -109,7 +119,7 @@ public:
         return {};
     }
 
-    /// How far the nearest is from a place, in words.
+    /// Returns a text with the distance of the nearest level surfel.
     std::string nearest(const glm::dvec2& xy) const {
         if (points_.empty()) return "it has no level surfel at all";
         double nearest_m = std::numeric_limits<double>::infinity();
@@ -133,8 +143,8 @@ private:
         return on;
     }
 
-    /// The plane through three of the points, drawn at random, that most of them lie on,
-    /// and nearest.
+    /// Returns the plane with the highest score: it goes through three random points, and
+    /// most points are close to it.
     static GroundPlane most_common(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -144,7 +154,7 @@ private:
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            // upright, or three that are on a line
+            // rejects planes that are too steep, and three points on a line
             if (!(std::abs(normal.z) > kLevelPlane * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
@@ -171,7 +181,8 @@ private:
             plane = {points.front() + fit.mean, fit.axes[0] * (fit.axes[0].z > 0.0 ? 1.0 : -1.0)};
             const glm::dvec2 beside = glm::abs(footprint.local(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
-            // where the surfels lie about, unless they end there
+            // Rejects the plane if the centre of its surfels is far from the centre of
+            // the box, because then the surfels end below the box.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
@@ -192,14 +203,14 @@ Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dv
 }
 
 const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
-    // says what is wrong with the name
+    // throws an error with the reason if the track is not an actor
     (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});
     return *find_box(owner.sequence, track);
 }
 
-/// Plane below an actor of the log that stands at a place, whose box hides the road from
-/// the sensor. Nothing without such an actor.
-/// @param clearance_m  how far the bottom of such a box is above the ground
+/// Returns the ground plane below an actor of the log whose box covers a position. Such a
+/// box hides the road from the sensor. Returns nothing if no actor covers the position.
+/// @param clearance_m  returns the height of the bottom of a box above the ground
 std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& sequence,
                                           const std::function<double(const BoxTrack&)>& clearance_m) {
     const BoxTrack* nearest = nullptr;
@@ -218,26 +229,26 @@ std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& 
     return GroundPlane{at.translation - (0.5 * nearest->size_m.z + clearance_m(*nearest)) * up, up};
 }
 
-/// Median height of a box's bottom above the ground along its track.
+/// Returns the median height of a box's bottom above the ground along its track.
 std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box) {
     std::vector<glm::dvec2> places;
     const std::vector<Pose>& poses = box.world_from_box.pose;
     const std::size_t step = std::max<std::size_t>(1, poses.size() / kOwnPlaces);
     for (std::size_t i = 0; i < poses.size(); i += step) places.emplace_back(poses[i].translation);
     const LevelSurfels surfels(owner, places);
-    std::vector<double> found;
+    std::vector<double> heights_m;
     for (std::size_t i = 0; i < poses.size(); i += step) {
         const Pose& pose = poses[i];
         const std::optional<GroundPlane> plane =
             surfels.below(footprint_of(pose.translation, heading_of(pose), box.size_m));
-        if (plane) found.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
+        if (plane) heights_m.push_back(plane->above(pose.translation) - 0.5 * box.size_m.z);
     }
-    if (found.empty()) return {};
-    std::ranges::nth_element(found, found.begin() + std::ptrdiff_t(found.size() / 2));
-    return found[found.size() / 2];
+    if (heights_m.empty()) return {};
+    std::ranges::nth_element(heights_m, heights_m.begin() + std::ptrdiff_t(heights_m.size() / 2));
+    return heights_m[heights_m.size() / 2];
 }
 
-/// A rotation that faces in a direction on a plane.
+/// Returns the rotation of an actor that stands on a plane and faces a heading.
 glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;

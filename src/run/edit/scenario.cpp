@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trajectories of OpenSCENARIO XML 1.x: of entities with a bounding box,
-// FollowTrajectoryActions along polylines of timed world positions.
+// Reads trajectories from OpenSCENARIO XML 1.x: FollowTrajectoryActions of entities with
+// a bounding box, along polylines of timed world positions.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -16,10 +16,10 @@
 namespace relidar {
 namespace {
 
-constexpr double kMost = 1e10;     // metres of any world, radians, seconds
-constexpr double kSlack_s = 1e-6;  // of times that were written with few digits
+constexpr double kMost = 1e10;     // limit for metres in any world frame, for radians and for seconds
+constexpr double kSlack_s = 1e-6;  // tolerance for times that were written with few digits
 
-/// A document and what its attributes may refer to.
+/// An XML document and the parameters that its attributes can refer to.
 struct Source {
     std::string file;
     std::map<std::string, std::string> parameters;
@@ -28,7 +28,8 @@ struct Source {
                            const std::string& expected) const {
         throw DataError(fmt::format("{}: {}: found {}, expected {}", file, where, found, expected));
     }
-    /// Value of an attribute, "$name" being that of a parameter of the scenario.
+    /// Returns the value of an attribute. "$name" is replaced by the value of a parameter
+    /// of the scenario.
     std::string text(const pugi::xml_node& node, const char* name, const std::string& where) const {
         const std::string value = node.attribute(name).value();
         if (!value.starts_with('$')) return value;
@@ -50,8 +51,8 @@ struct Source {
     }
 };
 
-/// When a start trigger fires, where that is known beforehand: at once without
-/// conditions, or at a time of the simulation.
+/// Returns the time at which a start trigger fires: 0 if it has no condition, or a fixed
+/// simulation time. Returns nothing if the time depends on the simulation.
 std::optional<double> trigger_time(const Source& source, const pugi::xml_node& trigger,
                                    const std::string& where) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
@@ -63,9 +64,9 @@ std::optional<double> trigger_time(const Source& source, const pugi::xml_node& t
     return source.number(time, "value", where) + source.number(condition, "delay", where, 0.0);
 }
 
-/// An action of an entity, and when it starts where that is known.
+/// An action of an entity, and its start time if it is known.
 struct Action {
-    pugi::xml_node node;  ///< PrivateAction
+    pugi::xml_node node;  ///< a PrivateAction element
     std::optional<double> start_s;
 };
 using ActionsOf = std::map<std::string, std::vector<Action>>;
@@ -79,9 +80,10 @@ void add_actions_of_story(const Source& source, const pugi::xml_node& story, Act
                 for (const pugi::xml_node& event : maneuver.children("Event")) {
                     const std::string where =
                         fmt::format("Event {}", excerpt(event.attribute("name").value()));
-                    const auto own = trigger_time(source, event.child("StartTrigger"), where);
+                    const auto event_start_s = trigger_time(source, event.child("StartTrigger"), where);
                     const std::optional<double> start_s =
-                        begun && own ? std::optional(std::max(*begun, *own)) : std::nullopt;
+                        begun && event_start_s ? std::optional(std::max(*begun, *event_start_s))
+                                               : std::nullopt;
                     for (const pugi::xml_node& action : event.children("Action"))
                         for (const pugi::xml_node& entity : group.child("Actors").children("EntityRef"))
                             if (const pugi::xml_node node = action.child("PrivateAction"))
@@ -100,7 +102,7 @@ ActionsOf find_actions(const Source& source, const pugi::xml_node& storyboard) {
     return actions;
 }
 
-/// Where an action's clock begins, and how fast it goes.
+/// Offset and scale of an action's time.
 struct Timing {
     double offset_s = 0.0, scale = 1.0;
 };
@@ -135,7 +137,7 @@ Pose read_position(const Source& source, const pugi::xml_node& vertex, const std
 
 PoseTrack read_polyline(const Source& source, const Action& action, const std::string& where) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
-    // as from 1.1 on, then as in 1.0
+    // first the location since version 1.1, then the location of version 1.0
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory) source.fail(where, "no Trajectory", "one in the file itself, not of a catalog");
@@ -223,8 +225,9 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
     ActionsOf actions = find_actions(source, root.child("Storyboard"));
     std::vector<ScenarioEntity> entities;
     for (const pugi::xml_node& object : root.child("Entities").children("ScenarioObject")) {
-        const auto own = actions.extract(object.attribute("name").value());
-        entities.push_back(read_entity(source, object, own ? own.mapped() : std::vector<Action>()));
+        const auto entity_actions = actions.extract(object.attribute("name").value());
+        entities.push_back(
+            read_entity(source, object, entity_actions ? entity_actions.mapped() : std::vector<Action>()));
     }
     if (!actions.empty())
         source.fail("Storyboard", fmt::format("actions of \"{}\"", excerpt(actions.begin()->first)),

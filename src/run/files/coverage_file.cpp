@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Reads and writes the coverage of a run as safetensors.
 #include "run/files/coverage_file.hpp"
 
 #include <cstring>
@@ -18,8 +19,8 @@ constexpr const char* kCoverageFormat = "relidar coverage";
 constexpr const char* kCoverageVersion = "1";
 constexpr const char* kCell = "cell_m";
 
-/// An array of so many columns. @throws DataError where the file has none of this type
-/// and width
+/// Returns an array with a given number of columns.
+/// @throws DataError if the file has no such array of this type and width
 const NamedArray& table(const std::vector<NamedArray>& arrays, const char* name, const char* dtype,
                         std::size_t width, const std::string& file) {
     const NamedArray* array = find_array(arrays, name);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// coverage.safetensors: where the training scans of a run have looked. Private to run.
+// Reads and writes coverage.safetensors: the space that the training scans of a run have
+// observed. Private to run.
 #pragma once
 
 #include <filesystem>
@@ -8,11 +9,11 @@
 
 namespace relidar::run_detail {
 
-/// Arrays `place` [blocks,3] i4, in blocks, and `cells` [blocks,32] u2 (Coverage::Cells).
-/// An empty set: no file.
+/// Writes the arrays `place` [blocks,3] i4, in units of blocks, and `cells` [blocks,32]
+/// u2 (Coverage::Cells). Writes no file if the set is empty.
 void save_coverage(const std::filesystem::path& path, const Coverage& coverage);
-/// @throws DataError for arrays that are missing or misshapen, and for cells of another
-/// size
+/// Reads the file.
+/// @throws DataError for missing arrays, wrong shapes, or cells of another size
 Coverage load_coverage(const std::filesystem::path& path);
 
 }  // namespace relidar::run_detail

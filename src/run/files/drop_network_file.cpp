@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A ray-drop network as safetensors: its numbers as arrays, its shape in the metadata.
+// Stores a ray-drop network as safetensors: its parameters as arrays, its architecture in
+// the metadata.
 #include <cmath>
 
 #include <fmt/format.h>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the safetensors files of a run say of themselves.
+// Checks the format and version of the safetensors files of a run.
 #pragma once
 
 #include <map>
@@ -11,8 +11,9 @@
 
 namespace relidar::run_detail {
 
-/// @throws DataError  naming what was found, unless `metadata` is of this format and
-/// version
+/// Checks the format and version in the metadata of a file.
+/// @throws DataError naming the format or version of the file if it is not the expected
+/// one
 inline void check_format(const std::map<std::string, std::string>& metadata, const std::string& file,
                          const std::string& format, const std::string& version) {
     const auto value = [&](const char* key) {

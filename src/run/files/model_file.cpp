@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// model.safetensors: the parameters of all surfels, an array a group for the whole scene,
-// and which range of them is which model placed by which instance, as JSON in the
-// metadata. Everything is checked on the way in: a run may have been edited.
+// Reads and writes model.safetensors: the parameters of all surfels of a scene, an array
+// for each parameter group. JSON in the metadata lists the models, their ranges of
+// surfels, and the instances. All values are checked when the file is read, because users
+// may have edited a run.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
@@ -40,9 +41,9 @@ void check_finite(const ParameterGroup& group, const Surfels& surfels, const std
 
 const NamedArray& array_of(const std::vector<NamedArray>& arrays, std::string_view name,
                            const std::string& file) {
-    const NamedArray* found = find_array(arrays, name);
-    if (!found) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
-    return *found;
+    const NamedArray* array = find_array(arrays, name);
+    if (!array) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
+    return *array;
 }
 
 void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& surfels,
@@ -57,14 +58,14 @@ void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& s
     check_finite(group, surfels, file);
 }
 
-/// Of a model's box; zeros: unbounded.
+/// Reads the half size of a model's box. Zeros mean that it is unbounded.
 glm::vec3 read_half_size(const JsonField& model) {
     const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
     for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Of a model that bends.
+/// Reads the stride of a model that deforms, or returns 0.
 float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e3)) : 0.0f;
 }
@@ -104,7 +105,8 @@ void check_metadata(const std::map<std::string, std::string>& metadata, const st
 
 constexpr const char* kBlocks = "blocks";
 
-/// Blocks of the background, their files relative to the model's.
+/// Returns the blocks of the background as JSON. Their file names are relative to the
+/// model's folder.
 std::string blocks_to_json(const Scene& scene, const std::filesystem::path& folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
@@ -121,7 +123,8 @@ glm::vec3 read_corner(const JsonField& field) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// @param folder  of the model: a block's file lies below it
+/// Reads the blocks of the background.
+/// @param folder  folder of the model; the files of the blocks must be inside it
 void read_blocks_json(const std::string& text, const std::string& where, const std::filesystem::path& folder,
                       Scene& scene) {
     const nlohmann::json json = parse_json(text, where);
@@ -140,7 +143,7 @@ void read_blocks_json(const std::string& text, const std::string& where, const s
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
-/// The optional table of sensor-level ray-drop, [channels, bins].
+/// Reads the optional table of sensor-level ray-drop, [channels, bins].
 void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const std::string& file) {
     const auto it =
         std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
@@ -211,7 +214,8 @@ Scene load_model(const std::filesystem::path& path) {
                                     fmt::join(mean.shape, ", ")));
     const ParameterSet parameters = stored_parameters(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    // row counts first: nothing is allocated for a file that lies
+    // Checks the row counts first, so that no memory is allocated for an inconsistent
+    // file.
     for (const ParameterGroup& group : groups_of(parameters)) {
         const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run folder. A new one is filled under a temporary name and renamed. In an existing
-// folder all files are written into a temporary folder below it and then get their names.
-// config.toml comes last, because nothing takes a folder without it for a run. load_run()
-// names the file in every error message.
+// Reads and writes run folders. A new folder is written under a temporary name and then
+// renamed. In an existing folder, all files are written to a temporary subfolder and then
+// renamed. config.toml is renamed last, because load_run() rejects a folder without it.
+// Every error message of load_run() names the file.
 #include <relidar/run/run.hpp>
 
 #include <cerrno>
@@ -45,7 +45,7 @@ void make_folder(const fs::path& folder) {
                                     failed ? failed.message() : "something else has that name"));
 }
 
-/// A second name of a file, or a copy of it.
+/// Creates a hard link to a file, or copies the file if that fails.
 void link_or_copy(const fs::path& from, const fs::path& to) {
     make_folder(to.parent_path());
     std::error_code failed;
@@ -59,8 +59,8 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
     });
 }
 
-/// The blocks as files below `folder`. @param keep  leave out files that the run's folder
-/// has already
+/// Writes the blocks as files below `folder`.
+/// @param keep  skip files that the run's folder already contains
 std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool keep) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
@@ -73,8 +73,9 @@ std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool 
     return blocks;
 }
 
-/// Options of stages that no setting names are not kept: a run of others could not be
-/// rendered again as it was.
+/// Writes the settings. Throws an error if an option that is not a setting differs from
+/// the preset, because the file cannot store it. The run could then not be rendered again
+/// in the same way.
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
@@ -88,13 +89,14 @@ void save_config(const Run& run, const fs::path& folder) {
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
-    Scene scene = run.scene;  // actors alone are in memory
+    Scene scene = run.scene;  // has only the actors in memory
     scene.blocks = own_blocks(run, folder, keep_blocks);
     save_model(folder / kModelFile, scene);
 }
 
 void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
-    // what cannot be written as text is found first
+    // Writes the text files first, so that values that cannot be written are detected
+    // before the large files.
     write_text(folder / kSceneFile, run_detail::to_scene_json(run));
     save_config(run, folder);
     save_scene(run, folder, keep_blocks);
@@ -104,7 +106,8 @@ void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
     run_detail::save_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
-/// The same with errors that name files of the run's folder, not the temporary ones.
+/// Writes the files. Replaces names of temporary files in error messages by names in the
+/// run's folder.
 void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks) {
     try {
         write_files(run, staged, keep_blocks);
@@ -117,7 +120,7 @@ void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks
     }
 }
 
-/// A folder that goes with everything in it.
+/// A temporary folder that is deleted with its contents.
 struct TemporaryFolder {
     fs::path path;
 
@@ -140,14 +143,14 @@ void rename_file(const fs::path& from, const fs::path& to) {
             fmt::format("writing '{}': renaming the temporary file: {}", to.string(), failed.message()));
 }
 
-/// Whether a file holds these bytes.
+/// Returns true if a file has exactly these contents.
 bool holds(const fs::path& file, const std::string& bytes) {
     return path_exists(file) && read_file(file) == bytes;
 }
 
-/// Gives the files of `staged` their names in the run's folder. Settings that stay the
-/// same are not touched, so that a run in training can be resumed whenever the process is
-/// killed.
+/// Moves the files of `staged` to the run's folder. Does not touch config.toml if it is
+/// unchanged, so that a training can be resumed even if the process is killed at any
+/// time.
 void move_files(const fs::path& staged, const fs::path& folder, const std::function<void()>& remove_earlier) {
     const bool same_config = holds(folder / kConfigFile, read_file(staged / kConfigFile));
     if (!same_config || remove_earlier) fs::remove(folder / kConfigFile);
@@ -183,7 +186,7 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
         write_staged_files(run, staged.path(), false);
         return staged.finish_new();
     }
-    make_folder(run.folder);  // says what is wrong if it is a file
+    make_folder(run.folder);  // throws an error with the reason if the path is a file
     const TemporaryFolder staged(run.folder);
     write_staged_files(run, staged.path, !remove_earlier);
     move_files(staged.path, run.folder, remove_earlier);
@@ -236,8 +239,8 @@ bool is_run(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     make_folder(folder);
-    // several processes may try at the same time, and one that is killed here leaves what
-    // remove_temporaries() finds
+    // The name contains the process id, because several processes may test the folder
+    // simultaneously. If a process is killed here, remove_temporaries() deletes its file.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0)

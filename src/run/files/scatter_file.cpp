@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Reads and writes the intensity models of a run's LiDARs as safetensors.
 #include "run/files/scatter_file.hpp"
 
 #include <algorithm>
@@ -47,13 +48,13 @@ void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const Intens
     arrays.push_back(array_of(name("step"), std::vector{scatter.step}));
 }
 
-/// Reads the arrays of one LiDAR.
+/// Reads the arrays of a LiDAR.
 struct ScatterArrays {
     const std::vector<NamedArray>& arrays;
     const std::string& file;
     const std::size_t lidar;
 
-    /// A finite array [n]; any length for n = 0.
+    /// Returns an array [n] of finite values. n = 0 accepts any length.
     std::vector<double> read(const char* what, const char* dtype, std::size_t n = 0) const {
         const std::string name = fmt::format("{}.{}", lidar, what);
         const NamedArray* array = find_array(arrays, name);

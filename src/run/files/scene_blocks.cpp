@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocks of a background, read from their files when they are wanted.
+// Loads the blocks of a background from their files when they are needed.
 #include <relidar/run/run.hpp>
 
 #include <numeric>

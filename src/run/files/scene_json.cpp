@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json, format version 2. Numbers are written in the shortest form that reads back
+// scene.json, format version 3. Numbers are written in the shortest form that reads back
 // to the same double. A pose is seven numbers: the translation x y z, then the unit
 // quaternion w x y z; p_world = R(q) p + t in the recentred world.
 #include "run/files/scene_json.hpp"
@@ -12,8 +12,8 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/error.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 #include "base/json_field.hpp"
-#include "run/files/pattern_json.hpp"
 
 namespace relidar::run_detail {
 namespace {
@@ -21,13 +21,10 @@ namespace {
 using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
-constexpr int kSceneVersion = 2;
+constexpr int kSceneVersion = 3;
 constexpr double kHuge = 1e12;       // of any length or time in a log: beyond it a value is damage
 constexpr double kFarthest_m = 1e6;  // of any place from the world's origin, the sensor in the middle frame
 constexpr double kFarthestWorld_m = 1e9;  // of that origin in the dataset's world
-constexpr double kLargestBeam = 100.0;    // radians, or metres from the sensor's centre
-constexpr double kLargestResponse = 1e3;  // gain and offset of intensities, metres of a range offset
-constexpr std::size_t kMostRays = 100'000'000;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
 constexpr const char* kConventions =
@@ -38,31 +35,12 @@ constexpr const char* kConventions =
     "at the centre. Image row 0 is "
     "the "
     "highest beam, column 0 azimuth +180 degrees, falling. frames[].time_s: the head faces forward. beams: "
-    "one row a beam, highest first.";
+    "highest first.";
 
 Json to_json(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 Json to_json(const Pose& p) {
     return {p.translation.x, p.translation.y, p.translation.z, p.rotation.w,
             p.rotation.x,    p.rotation.y,    p.rotation.z};
-}
-
-Json to_json(const SpinningSensor& sensor) {
-    Json json = {{"name", sensor.name},
-                 {"columns", sensor.columns},
-                 {"period_s", sensor.period_s},
-                 {"clockwise", sensor.clockwise},
-                 {"first_azimuth_rad", sensor.first_azimuth_rad},
-                 {"min_range_m", sensor.min_range_m},
-                 {"max_range_m", sensor.max_range_m},
-                 {"divergence_rad", sensor.divergence_rad},
-                 {"beam_fields",
-                  {"elevation_rad", "azimuth_offset_rad", "origin_offset_m", "origin_up_m", "origin_left_m",
-                   "intensity_gain", "intensity_offset", "range_offset_m"}},
-                 {"beams", Json::array()}};
-    for (const Beam& b : sensor.beams)
-        json["beams"].push_back({b.elevation_rad, b.azimuth_offset_rad, b.origin_offset_m, b.origin_up_m,
-                                 b.origin_left_m, b.intensity_gain, b.intensity_offset, b.range_offset_m});
-    return json;
 }
 
 Json to_json(const BoxTrack& box) {
@@ -86,8 +64,7 @@ Json lidars_json(const Sequence& sequence) {
     for (const Lidar& lidar : sequence.lidars) {
         json.push_back({{"name", lidar.name},
                         {"vehicle_from_sensor", to_json(lidar.vehicle_from_sensor)},
-                        {"sensor", to_json(lidar.sensor)}});
-        if (lidar.pattern) json.back()["pattern"] = pattern_json(*lidar.pattern);
+                        {"sensor", Json::parse(write_sensor_json(sensor_of(lidar)))}});
         if (!lidar.range_noise.sigma_m.empty()) json.back()["range_noise"] = to_json(lidar.range_noise);
     }
     return json;
@@ -111,7 +88,8 @@ Json frames_json(const Sequence& sequence, const Split& split) {
     return frames;
 }
 
-/// @throws DataError where a number is larger than a log can hold
+/// Checks that numbers are within a limit.
+/// @throws DataError if a number is larger than the limit
 void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
         if (std::abs(v) > limit)
@@ -125,40 +103,13 @@ Pose read_pose(const JsonField& field) {
     if (std::abs(length - 1.0) > 1e-6)
         field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
     check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
-    return {q, {v[0], v[1], v[2]}};  // as written: normalising again would move the last digit
+    return {q, {v[0], v[1], v[2]}};  // not normalised again, because that would change the last digit
 }
 
 glm::dvec3 read_vector(const JsonField& field, double limit) {
     const auto v = field.numbers<3>();
     check_within(field, {v[0], v[1], v[2]}, limit);
     return {v[0], v[1], v[2]};
-}
-
-SpinningSensor read_sensor(const JsonField& field) {
-    SpinningSensor sensor;
-    sensor.name = field.at("name").text();
-    sensor.columns = static_cast<int>(field.at("columns").integer(0, 1000000));
-    sensor.period_s = field.at("period_s").number(0.0, 3600.0);
-    sensor.clockwise = field.at("clockwise").boolean();
-    sensor.first_azimuth_rad = field.at("first_azimuth_rad").number(-10.0, 10.0);
-    sensor.min_range_m = field.at("min_range_m").number(0.0, kHuge);
-    sensor.max_range_m = field.at("max_range_m").number(0.0, kHuge);
-    sensor.divergence_rad = field.at("divergence_rad").number(0.0, 10.0);
-    const JsonField beams = field.at("beams");
-    for (std::size_t i = 0; i < beams.size(); ++i) {
-        const JsonField beam = beams.at(i);
-        const auto v = beam.numbers<8>();
-        check_within(beam, {v[0], v[1], v[2], v[3], v[4]}, kLargestBeam);
-        check_within(beam, {v[5], v[6], v[7]}, kLargestResponse);
-        sensor.beams.push_back({v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7]});
-    }
-    if (sensor.beams.empty() != (sensor.columns == 0))
-        beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
-                   "expected some of both, or none where the LiDAR does not spin");
-    if (sensor.beams.size() * std::size_t(sensor.columns) > kMostRays)
-        beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
-                   fmt::format("expected at most {} rays", kMostRays));
-    return sensor;
 }
 
 RangeNoise read_range_noise(const JsonField& field) {
@@ -176,9 +127,9 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     const JsonField field = root.at("lidars");
     std::vector<Lidar> lidars;
     for (std::size_t i = 0; i < field.size(); ++i) {
-        lidars.push_back({field.at(i).at("name").text(), read_sensor(field.at(i).at("sensor")),
-                          read_pose(field.at(i).at("vehicle_from_sensor"))});
-        if (field.at(i).has("pattern")) lidars.back().pattern = read_pattern(field.at(i).at("pattern"));
+        lidars.push_back(
+            {field.at(i).at("name").text(), {}, read_pose(field.at(i).at("vehicle_from_sensor"))});
+        set_sensor(lidars.back(), read_sensor_json(field.at(i).at("sensor"), ""));
         if (field.at(i).has("range_noise"))
             lidars.back().range_noise = read_range_noise(field.at(i).at("range_noise"));
     }
@@ -186,7 +137,7 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
-/// Runs whose intensities do not fall with range have none.
+/// Reads the intensity response. Runs whose intensities do not depend on range have none.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
                               field.at("incidence").number(0.0, 1.0)};
@@ -200,7 +151,7 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     return r;
 }
 
-/// Frames at one time share its pose.
+/// Reads the pose of a frame. Frames at the same time share one pose.
 void read_pose_of(const JsonField& entry, double time_s, PoseTrack& track) {
     const Pose pose = read_pose(entry.at("world_from_vehicle"));
     if (!track.time_s.empty() && track.time_s.back() == time_s) return;
@@ -259,13 +210,14 @@ BoxTrack read_box(const JsonField& field) {
     return box;
 }
 
-/// Runs as they were trained have none.
+/// Reads the list of edits. A run has none directly after training.
 void read_edits(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i)
         scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
 }
 
-/// A number per list in the file, against lists cut by hand or by a bad merge.
+/// Compares the stored counts with the lengths of the lists. Detects lists that were
+/// shortened by hand or by a wrong merge.
 void check_counts(const JsonField& root, const SceneFile& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -307,7 +259,8 @@ std::string to_scene_json(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // what could not be read back (a NaN pose) is refused before it is written
+    // Parses the text before it is written, so that values that cannot be read back (for
+    // example a NaN pose) are rejected.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }

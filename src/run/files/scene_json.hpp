@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json: the log behind a run without its scans. Private to run.
+// Reads and writes scene.json: the log of a run without its scans. Private to run.
 #pragma once
 
 #include <string>
@@ -8,11 +8,11 @@
 
 namespace relidar::run_detail {
 
-/// Sequence and split as JSON text. @throws DataError where the sequence is inconsistent
-/// or not finite
+/// Returns the sequence and the split as JSON text.
+/// @throws DataError if the sequence is inconsistent or not finite
 std::string to_scene_json(const Run& run);
 
-/// What a scene.json says.
+/// Contents of scene.json.
 struct SceneFile {
     Sequence sequence;  ///< frames without scans
     Split split;
@@ -21,7 +21,9 @@ struct SceneFile {
     std::string refined_poses;
     std::size_t n_surfels = 0;
 };
-/// @param file name used in messages @throws DataError naming file and field
+/// Parses the text of scene.json.
+/// @param file  name in error messages
+/// @throws DataError naming the file and the field
 SceneFile parse_scene_json(const std::string& text, const std::string& file);
 
 }  // namespace relidar::run_detail

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Reads and writes the measured head azimuths of a run's frames as safetensors.
 #include "run/files/sweeps_file.hpp"
 
 #include <charconv>

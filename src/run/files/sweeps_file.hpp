@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// sweeps.safetensors: where the head pointed in each sweep of a run's log
-// (Frame::azimuth_shift_rad). Private to run.
+// Reads and writes sweeps.safetensors: the measured azimuths of the head in each sweep of
+// a run's log (Frame::azimuth_shift_rad). Private to run.
 #pragma once
 
 #include <filesystem>
@@ -9,11 +9,12 @@
 
 namespace relidar::run_detail {
 
-/// An array [columns] f4, radians, for each frame that has one, named by the frame's
-/// place in scene.json. No frame has one: no file.
+/// Writes an array [columns] f4, in radians, for each frame that has one. Its name is the
+/// index of the frame in scene.json. If no frame has an array, no file is written.
 void save_sweeps(const std::filesystem::path& path, const Sequence& sequence);
-/// Gives the frames what the file has. @throws DataError for arrays of no frame, of the
-/// wrong size, or out of -pi ... pi
+/// Reads the arrays into the frames.
+/// @throws DataError for an array without a frame, with a wrong size, or with values
+/// outside -pi ... pi
 void load_sweeps(const std::filesystem::path& path, Sequence& sequence);
 
 }  // namespace relidar::run_detail

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Renders or projects frames in batches, computes their metrics and averages them.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -20,19 +21,22 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-constexpr std::size_t kScoredAtOnce = 16;  // on all cores, and so many frames have their images in memory
+// Frames whose metrics are computed in parallel. The images of this many frames are in
+// memory.
+constexpr std::size_t kScoredAtOnce = 16;
 
-/// The sensor that config.sensor names, with the native grid on the rays of the scan.
-/// @param frame  with its scan
+/// Returns the sensor that config.sensor names. With the native grid, its rays are those
+/// of the scan.
+/// @param frame  the frame, with its scan
 SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
     if (config.sensor.grid == "native") sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    sensor.rolling_shutter = sequence.rolling_shutter;  // like the scan it is compared with
+    sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
 }
 
-/// The pixels of some returns. They are binned as points are, with the flag in the place
-/// of the intensity.
+/// Returns the pixels of some returns. The flags are binned like points, in place of the
+/// intensities.
 std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(returns.begin(), returns.end(), flags.intensity.begin());
@@ -40,11 +44,12 @@ std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& conf
     return {binned.intensity.begin(), binned.intensity.end()};
 }
 
-/// A frame that is rendered but not scored yet.
+/// A frame that was rendered but not scored yet.
 struct RenderedFrame {
     ScoredFrame frame;
-    std::vector<bool> moving;  ///< [n] pixels whose return lies in a labelled box that moves
-    /// [n] pixels whose return lies in a discovered one; empty if the run has none
+    std::vector<bool> moving;  ///< [n] true for pixels whose return is in a labelled, moving box
+    /// [n] true for pixels whose return is in a discovered box. Empty if the run has no
+    /// such boxes.
     std::vector<bool> discovered;
 
     std::vector<Region> regions() const {
@@ -77,13 +82,14 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const S
     return result;
 }
 
-/// LPIPS where there are weights.
+/// Loads LPIPS if a file with weights is set, otherwise returns null.
 std::unique_ptr<Lpips> load_lpips() {
     const std::string file = lpips_weights_file();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
 }
 
-/// Metrics of all frames at once, on all cores. @param lpips or nothing
+/// Computes the metrics of all frames in parallel on all cores.
+/// @param lpips  may be null
 std::vector<ScoredFrame> score(std::vector<RenderedFrame> rendered, const Config& config,
                                const Sequence& sequence, const Lpips* lpips) {
     MetricOptions options;
@@ -113,7 +119,8 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
         frame.metrics.merge(tail_shares(rendered, frame.real, sequence, sweep));
-        const std::vector<float>& points_m = point_ranges(frame.rendered, config);  // none of a baseline
+        // empty for a baseline
+        const std::vector<float>& points_m = point_ranges(frame.rendered, config);
         frame.metrics.merge(people_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
                                           frame.real, sequence, sweep));
     }
@@ -145,33 +152,35 @@ void drop_images(ScoredFrame& frame) {
     frame.real = {};
 }
 
-/// What all evaluations of many frames are: a few are rendered, scored, seen and
-/// forgotten.
+/// Parameters of an evaluation of many frames. A few frames at a time are rendered and
+/// scored; then their images are freed.
 struct ManyFrames {
-    const std::vector<int>& positions;  ///< in the sequence
+    const std::vector<int>& positions;  ///< indices into sequence.frames
     const Sequence& sequence;
     const Config& config;
     const Progress& progress;
     const SeeFrame& see;
 };
 
-/// @param what  is done with a frame, for the progress @param render  makes the frame at
-/// a position
+/// Renders and scores all frames in batches of kScoredAtOnce.
+/// @param what  description for the progress
+/// @param render  renders the frame at a position
 std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
                                    const std::function<RenderedFrame(int position, const Frame&)>& render) {
     const std::unique_ptr<Lpips> lpips = load_lpips();
     const std::size_t n = many.positions.size();
     std::vector<ScoredFrame> scored;
     for (std::size_t first = 0; first < n; first += kScoredAtOnce) {
-        std::vector<RenderedFrame> some;
+        std::vector<RenderedFrame> batch;
         for (std::size_t i = first; i < std::min(first + kScoredAtOnce, n); ++i) {
             if (many.progress) many.progress(what, double(i) / double(n));
-            some.push_back(
+            batch.push_back(
                 render(many.positions[i], many.sequence.frames.at(std::size_t(many.positions[i]))));
         }
-        std::vector<ScoredFrame> done = score(std::move(some), many.config, many.sequence, lpips.get());
-        add_actor_scores(done, many.sequence, many.config);
-        for (ScoredFrame& frame : done) {
+        std::vector<ScoredFrame> scored_batch =
+            score(std::move(batch), many.config, many.sequence, lpips.get());
+        add_actor_scores(scored_batch, many.sequence, many.config);
+        for (ScoredFrame& frame : scored_batch) {
             frame.range_errors = count_range_errors(frame.rendered.image, frame.real);
             if (many.see) many.see(frame);
             if (scored.size() != n / 2) drop_images(frame);
@@ -213,7 +222,7 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const std::vector<int>& positions, const Progress& progress, const SeeFrame& see) {
-    // pictures show both
+    // Reports show the drop probability with and without the correction by the network.
     if (see && renderer.refines(configured_sensor(config, sequence)))
         renderer.want_channels("surfel_drop_prob");
     std::vector<ScoredFrame> scored = score_all(

@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Compares the measured and simulated points of people and cyclists in their box frames.
 #include "score/evaluation/people.hpp"
 
 #include <algorithm>
@@ -12,32 +13,33 @@ namespace relidar {
 namespace {
 
 constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
-constexpr double kFloor_m = 0.15;  // above the floor of a box the ground ends
+// height above the bottom of a box below which points belong to the ground
+constexpr double kFloor_m = 0.15;
 constexpr double kNear_m = 0.03;
-constexpr double kSweep_m = 2.0;     // that a box comes along within a sweep
-constexpr std::size_t kFewest = 10;  // real points
+constexpr double kSweep_m = 2.0;     // maximum distance that a box moves within a sweep
+constexpr std::size_t kFewest = 10;  // minimum number of real points
 
-/// A box in a scan, and where the sensor's frame lies in it at a moment.
+/// A box in a scan. Converts points from the sensor frame to the box frame.
 struct InScan {
     const Sequence& sequence;
     const SweepMoment& seen;
     const BoxTrack& box;
-    glm::dvec3 about_m;  ///< its middle, sensor frame, when the scan was taken
+    glm::dvec3 centre_m;  ///< centre of the box at the scan's time, sensor frame
 
     InScan(const Sequence& s, const SweepMoment& at, const BoxTrack& b)
         : sequence(s),
           seen(at),
           box(b),
-          about_m(inverse(sensor(at.time_s)) * b.world_from_box.at(at.time_s).translation) {}
+          centre_m(inverse(sensor(at.time_s)) * b.world_from_box.at(at.time_s).translation) {}
 
     Pose sensor(double t_s) const {
         return sequence.world_from_vehicle.at(t_s,
                                               sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
     }
-    /// A point in the frame of the box, as both are when it is seen; nothing where it is
-    /// far from it.
+    /// Converts a point to the frame of the box, with both poses at the time at which the
+    /// point is seen. Returns nothing if the point is far from the box.
     std::optional<glm::dvec3> in_box(const glm::dvec3& in_sensor) const {
-        if (glm::distance(in_sensor, about_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
+        if (glm::distance(in_sensor, centre_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
             return std::nullopt;
         const double t_s = facing_time(sequence, in_sensor, seen);
         return inverse(box.world_from_box.at(t_s)) * (sensor(t_s) * in_sensor);
@@ -73,11 +75,11 @@ PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>&
             simulated = in_scan.in_box(point_of(rendered, i, points_m[i]));
         if (in_scan.holds(measured, kMargin_m)) result.real_m.push_back(*measured);
         if (in_scan.holds(simulated, kMargin_m)) result.simulated_m.push_back(*simulated);
-        const bool really = in_scan.holds(measured, kSilhouette_m),
-                   said = in_scan.holds(simulated, kSilhouette_m);
-        result.n_both += really && said;
-        result.n_missed += really && !said;
-        result.n_false += said && !really;
+        const bool in_real = in_scan.holds(measured, kSilhouette_m),
+                   in_simulated = in_scan.holds(simulated, kSilhouette_m);
+        result.n_both += in_real && in_simulated;
+        result.n_missed += in_real && !in_simulated;
+        result.n_false += in_simulated && !in_real;
     }
     return result;
 }
@@ -95,7 +97,7 @@ MetricRow people_scores(const RangeImage& rendered, const std::vector<float>& po
         if (p.real_m.size() < kFewest) continue;
         both += double(p.n_both);
         either += double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-        if (p.simulated_m.empty()) continue;  // the silhouette tells
+        if (p.simulated_m.empty()) continue;  // without simulated points, only people_f1 can be computed
         const std::vector<double> to_real = nearest_distances(p.simulated_m, p.real_m);
         chamfer_m.push_back(mean_of(to_real) + mean_of(nearest_distances(p.real_m, p.simulated_m)));
         for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);

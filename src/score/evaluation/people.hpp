@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scores of people and cyclists alone: few points, which no mean over a scan shows.
+// Metrics for people and cyclists. They have so few points that averages over a scan do
+// not show their errors.
 #pragma once
 
 #include <vector>
@@ -10,13 +11,13 @@
 
 namespace relidar {
 
-/// Of all people and cyclists that move and really returned at least ten points, by
-/// people_points():
-///   actors/people_cd_m   distance to the nearest point of the other, both ways summed, mean over them
-///   actors/people_3cm    share of the simulated points that have a real one within 3 cm
-///   actors/people_f1     F1 of the rays that return from them, as silhouettes
-/// @param points_m [n] ranges of the simulated points @return nothing where there is
-/// nobody
+/// Returns metrics of all moving people and cyclists with at least ten real points. Uses
+/// people_points().
+///   actors/people_cd_m   Chamfer distance: sum of both directions, mean over people
+///   actors/people_3cm    fraction of the simulated points with a real point within 3 cm
+///   actors/people_f1     F1 score of the rays that return from them (silhouettes)
+/// @param points_m [n] ranges of the simulated points
+/// @return empty if there are no such people or cyclists
 MetricRow people_scores(const RangeImage& rendered, const std::vector<float>& points_m,
                         const RangeImage& real, const Sequence& sequence, const SweepMoment& seen);
 

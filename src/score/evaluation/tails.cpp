@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Counts the points in comet tails: where a box was or will be, but is not now.
 #include "score/evaluation/tails.hpp"
 
 #include <algorithm>
@@ -8,14 +9,14 @@
 namespace relidar {
 namespace {
 
-constexpr double kNowMargin_m = 0.3;  // labels fit loosely: what is just outside the box belongs to it
+constexpr double kNowMargin_m = 0.3;  // labels fit loosely: points just outside the box belong to it
 constexpr double kGround_m = 0.3;
 
-/// A moving box with every place it has been labelled at.
+/// A moving box with all poses at which it was labelled.
 struct Swept {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;
-    glm::dvec3 low{1e30}, high{-1e30};  ///< of the centres
+    glm::dvec3 low{1e30}, high{-1e30};  ///< bounds of the centres
 };
 
 std::vector<Swept> swept_boxes(const Sequence& sequence) {
@@ -46,8 +47,8 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-/// Points of some rays, and those of them that lie where a box was or will be, but is
-/// not.
+/// Number of points, and how many of them are in a volume that a box occupies at another
+/// time but not now.
 struct Tail {
     std::size_t n_points = 0, n_tail = 0;
     Tail& operator+=(const Tail& other) {
@@ -59,9 +60,9 @@ struct Tail {
 
 double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept,
              const SweepMoment& seen) {
-    constexpr std::size_t kRays = 2048;  // of a part
+    constexpr std::size_t kRays = 2048;  // rays per work item
     const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
-    const Tail all = sum_parallel(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
+    const Tail all = parallel_reduce(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         Tail part;
         for (std::size_t i = begin; i < end; ++i) {
             if (!returned(image.drop_prob[i], image.range_m[i])) continue;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Comet tails: points where a moving actor has been or will be, but is not.
+// Metric for comet tails: points at places where a moving actor was earlier or will be
+// later, but is not now.
 #pragma once
 
 #include <relidar/log/range_image.hpp>
@@ -8,11 +9,11 @@
 
 namespace relidar {
 
-/// Share of the returned points that lie in the volume which moving boxes sweep over the
-/// log but do not occupy now (boxes as they are now grown by 0.3 m, the lowest 0.3 m of
-/// the swept ones is ground), of all returned points. Each point is taken when the head
-/// faces it.
-/// @return actors/tail_share of the rendering and actors/tail_share_real; nothing where
+/// Returns the fraction of all returned points in comet tails. A tail is the
+/// volume that moving boxes sweep during the log, without the volume that they occupy
+/// now. The current boxes are enlarged by 0.3 m. The lowest 0.3 m of the swept boxes
+/// counts as ground. Each point is tested at the time at which the head faces it.
+/// @return actors/tail_share of the rendered image and actors/tail_share_real; empty if
 /// no box moves
 MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence,
                       const SweepMoment& seen);

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The two metric protocols of docs/method.md section 8 on one pair of range images.
-//   peer    every pixel, dropped ones at 0, clamped; how published tables are made
-//   strict  only pixels returned in both; ray drop scored by itself
-// Chamfer distance and F-score always use the points of returned pixels only: placing
-// dropped pixels at the origin, as the peer's released script does, dilutes the first and
-// inflates the second.
+// Computes the two metric protocols of docs/method.md section 8 for a pair of range
+// images.
+//   peer    all pixels, dropped ones at 0, clamped; used by published tables
+//   strict  only pixels returned in both images; ray-drop has its own metrics
+// Chamfer distance and F-score use only the points of returned pixels. The script that
+// the peer released places dropped pixels at the origin, which lowers the Chamfer
+// distance and raises the F-score.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -22,12 +23,12 @@ namespace {
 using namespace metrics_detail;
 using Points = std::vector<glm::dvec3>;
 
-constexpr double kMinSquaredError = 1e-20;  // caps PSNR of identical images at a finite value
+constexpr double kMinSquaredError = 1e-20;  // limits the PSNR of identical images to a finite value
 constexpr double kFineThreshold_m = 0.05;
-// sqrt(0.05): the peer compares the squared distance with 0.05
+// sqrt(0.05), because the peer compares the squared distance with 0.05
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-constexpr int kLpipsEdge = 31;  // below this its poolings leave no pixel
+constexpr int kLpipsEdge = 31;  // in smaller images, the poolings leave no pixel
 
 Points points(const RangeImage& image, const Mask& mask) {
     Points result;
@@ -38,14 +39,14 @@ Points points(const RangeImage& image, const Mask& mask) {
     return result;
 }
 
-/// A whole image and what it is compared with.
+/// A full rendered image and the real image with which it is compared.
 struct ImagePair {
     Values rendered, real;
     int rows, columns;
     double peak;
 };
 
-/// The images of one threshold: every pixel, dropped ones at 0.
+/// Returns the images for a drop threshold: all pixels, dropped ones at 0.
 ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
                      double max_range_m) {
     return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
@@ -58,8 +59,8 @@ ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, dou
             real.columns, kMaxIntensity};
 }
 
-/// Errors, PSNR, SSIM and LPIPS of whole images. SSIM is left out where it is undefined
-/// (image below the window, constant truth).
+/// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if it is
+/// undefined: the image is smaller than the window, or the real image is constant.
 void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image,
                const Lpips* lpips) {
     const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
@@ -77,7 +78,7 @@ double share_below(const Values& distances, double threshold) {
     return double(n) / double(distances.size());
 }
 
-/// Nearest distances both ways between two clouds.
+/// Distances to the nearest point between two clouds, in both directions.
 struct CloudDistances {
     Values to_truth, to_rendered;
 
@@ -89,7 +90,7 @@ struct CloudDistances {
     bool defined() const { return !to_truth.empty(); }
     double chamfer() const { return mean_of(to_truth) + mean_of(to_rendered); }
     double chamfer_squared() const { return mean_square(to_truth) + mean_square(to_rendered); }
-    /// Harmonic mean of precision and recall; 0 where one cloud is empty.
+    /// Returns the harmonic mean of precision and recall, or 0 if a cloud is empty.
     double f_score(double threshold_m) const {
         if (!defined()) return 0.0;
         const double precision = share_below(to_truth, threshold_m),
@@ -113,8 +114,8 @@ void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real
     row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
 }
 
-/// Distance of the probabilities of a drop from what happened, over all pixels; no
-/// threshold.
+/// Returns the root mean square difference between drop probabilities and real drops,
+/// over all pixels. It uses no threshold.
 double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     Values error(real.drop_prob.size());
     for (std::size_t i = 0; i < error.size(); ++i)
@@ -122,7 +123,7 @@ double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     return std::sqrt(mean_square(error));
 }
 
-/// Ray drop as a classification; positive = dropped.
+/// Computes ray-drop metrics of a binary classification; positive = dropped.
 void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
     for (std::size_t i = 0; i < real.size(); ++i) {
@@ -140,8 +141,8 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
 }
 
-/// Ranges of pixels returned in both, and distances between the clouds of returned
-/// points.
+/// Computes range errors of pixels returned in both images, and distances between the
+/// clouds of returned points.
 void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
     const Mask kept = returned(rendered, options.strict_drop_threshold),
@@ -198,7 +199,7 @@ MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real, co
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
                                     const MetricOptions& options) {
     std::vector<MetricRow> rows(comparisons.size());
-    run_parallel(static_cast<int>(comparisons.size()), [&](int i) {
+    parallel_for(static_cast<int>(comparisons.size()), [&](int i) {
         const Comparison& c = comparisons[static_cast<std::size_t>(i)];
         MetricRow& row = rows[static_cast<std::size_t>(i)];
         row = evaluate(*c.rendered, *c.real, options);

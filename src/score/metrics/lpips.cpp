@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
-// Metric", CVPR 2018) with AlexNet features. Five convolutions, each unrolled into one
-// matrix product: windows become columns, filters rows. An image is scored in well under
-// a second on a CPU, so nothing faster is needed; the weights come from a file and are no
-// part of the program.
+// Metric", CVPR 2018) with AlexNet features. Each of the five convolutions is a matrix
+// product of unrolled windows (columns) and filters (rows). It runs on the CPU, which is
+// fast enough. The weights are read from a file, because they are not part of the
+// program.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -21,12 +21,12 @@ namespace {
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr int kLayers = 5;
-constexpr int kMinEdge = 31;  // an edge of 31 becomes 7, 3, 1 pixels
+constexpr int kMinEdge = 31;  // an edge of 31 pixels becomes 7, 3 and then 1
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
-/// A convolution of AlexNet, and whether a 3 x 3 max-pooling of stride 2 comes before it.
+/// A convolution of AlexNet. `pooled`: a 3 x 3 max-pooling with stride 2 precedes it.
 struct Layer {
     int out, in, edge, stride, padding;
     bool pooled;
@@ -40,14 +40,15 @@ constexpr Layer kAlexNet[kLayers] = {{64, 3, 11, 4, 2, false},
                                      {256, 384, 3, 1, 1, false},
                                      {256, 256, 3, 1, 1, false}};
 
-/// Values by channel, each a rows x columns image.
+/// Feature images of rows x columns pixels, one for each channel.
 struct Features {
     int rows = 0, columns = 0;
     Matrix values;  ///< [channels, rows*columns]
 };
 
-/// Windows of a layer as columns, zero outside the image. @return [in*edge*edge,
-/// rows*columns of the result]
+/// Unrolls the windows of a convolution into the columns of a matrix. Pixels outside the
+/// image are 0.
+/// @return [in*edge*edge, rows*columns of the result]
 Matrix unroll(const Features& image, const Layer& layer, int rows, int columns) {
     Matrix windows =
         Matrix::Zero(Eigen::Index(layer.in) * layer.edge * layer.edge, Eigen::Index(rows) * columns);
@@ -68,7 +69,7 @@ Matrix unroll(const Features& image, const Layer& layer, int rows, int columns) 
     return windows;
 }
 
-/// Convolution and ReLU.
+/// Applies a convolution and ReLU.
 Features convolve(const Features& image, const Layer& layer, const std::vector<float>& weight,
                   const std::vector<float>& bias) {
     Features result;
@@ -82,7 +83,7 @@ Features convolve(const Features& image, const Layer& layer, const std::vector<f
     return result;
 }
 
-/// Maximum of 3 x 3 pixels, every second one.
+/// Applies a 3 x 3 max-pooling with stride 2.
 Features pool(const Features& image) {
     Features result{(image.rows - 3) / 2 + 1, (image.columns - 3) / 2 + 1, {}};
     result.values.resize(image.values.rows(), Eigen::Index(result.rows) * result.columns);
@@ -96,7 +97,8 @@ Features pool(const Features& image) {
     return result;
 }
 
-/// Mean over pixels of the weighted squared difference of features of unit length.
+/// Returns the mean over pixels of the weighted squared difference between features of
+/// unit length.
 double distance_of(const Features& a, const Features& b, const std::vector<float>& linear) {
     const Eigen::ArrayXXd fa = a.values.cast<double>().array(), fb = b.values.cast<double>().array();
     const Eigen::ArrayXd weight =

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weights of LPIPS from a safetensors file: arrays conv{0..4}.weight, conv{0..4}.bias,
-// lin{0..4}.weight, half or single precision.
+// Reads the weights of LPIPS from a safetensors file.
 #include <relidar/base/arrays.hpp>
 #include <relidar/score/metrics.hpp>
 

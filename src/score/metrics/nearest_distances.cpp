@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact nearest neighbours between two clouds, for Chamfer distance and F-score: a k-d
-// tree over the targets, the queries shared out among threads. Distances are computed in
-// double, as the points of a log may lie far from the origin.
+// Exact nearest neighbours between two point clouds, for Chamfer distance and F-score.
+// Uses a k-d tree over the targets and processes the queries in parallel. Distances are
+// in double precision, because the points of a log can be far from the origin.
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -16,7 +16,8 @@
 namespace relidar {
 namespace {
 
-/// What the tree asks of a container; the member names are nanoflann's.
+/// Adapter from a point list to the container interface of nanoflann, which defines the
+/// member names.
 struct TargetCloud {
     const std::vector<glm::dvec3>& points;
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The baseline a rendering has to beat: the two neighbouring real scans, moved by the
-// poses into the sweep in question and binned into its image. It knows no surfaces and
-// fills no holes, but where the sensor hardly moved it is nearly the truth.
+// The baseline for rendering: the two neighbouring real scans, moved by the poses into
+// another sweep and binned into its image. It does not know surfaces and does not fill
+// holes. But if the sensor has hardly moved, its result is close to the real scan.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -15,11 +15,12 @@
 namespace relidar {
 namespace {
 
-// columns between a ray and where its azimuth would put it: an HDL-64E log has up to 2.8
+// Maximum distance in columns between a ray and the column of its azimuth. In logs of an
+// HDL-64E it is up to 2.8.
 constexpr int kColumnSearch = 4;
 
-/// The nearest training frame of the same LiDAR before and after a position; one of them
-/// where the other does not exist.
+/// Returns the nearest training frames of the same LiDAR before and after a position, or
+/// only one if the other does not exist.
 std::vector<int> neighbours_of(const Sequence& sequence, int position, const std::vector<int>& train) {
     const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
@@ -28,17 +29,17 @@ std::vector<int> neighbours_of(const Sequence& sequence, int position, const std
         if (p < position) before = std::max(before, p);
         if (p > position && (after < 0 || p < after)) after = p;
     }
-    std::vector<int> found;
+    std::vector<int> neighbours;
     for (const int p : {before, after})
-        if (p >= 0) found.push_back(p);
-    if (found.empty())
+        if (p >= 0) neighbours.push_back(p);
+    if (neighbours.empty())
         throw DataError(fmt::format(
             "projecting neighbouring scans: no training frame beside position {}, expected at least one",
             position));
-    return found;
+    return neighbours;
 }
 
-/// The moving box that holds a world point at a time.
+/// Returns the moving box that contains a point in the world frame at a time, or null.
 const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m, double time_s) {
     const auto it = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
         return box->present(time_s) && box->holds(point_m, time_s, 0.0);
@@ -46,8 +47,8 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
     return it == moving.end() ? nullptr : *it;
 }
 
-/// A world point as the LiDAR of a frame sees it in that sweep: in the sensor's frame at
-/// the moment its head faces the point.
+/// Converts a point from the world frame to the sensor frame, at the time in the sweep at
+/// which the LiDAR's head faces the point.
 glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
@@ -66,15 +67,15 @@ void append_point(Scan& points, const glm::dvec3& sensor_m, float intensity) {
     points.intensity.push_back(intensity);
 }
 
-/// Place of a ray in a table.
+/// Row and column of a ray in a table.
 struct Place {
     int row = 0, column = 0;
 };
 
 double elevation_of(const glm::dvec3& v) { return std::asin(std::clamp(v.z / glm::length(v), -1.0, 1.0)); }
 
-/// A table of rays with the questions binning asks of it. Double throughout: the cosine
-/// of 0.02 degrees is 1 in float.
+/// A table of rays, with functions for binning. All of them use double precision, because
+/// the cosine of 0.02 degrees rounds to 1 in float.
 struct Beams {
     const RayTable& rays;
 
@@ -86,7 +87,7 @@ struct Beams {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(p)]);
     }
     glm::dvec3 direction(Place p) const { return rays.direction[at(p)]; }
-    /// How far a point is above a beam, as an angle.
+    /// Returns the elevation of a point above a beam, as an angle.
     double above(Place p, const glm::vec3& point_m) const {
         return elevation_of(from_origin(p, point_m)) - elevation_of(direction(p));
     }
@@ -94,8 +95,8 @@ struct Beams {
         const glm::dvec3 v = from_origin(p, point_m);
         return glm::dot(v, direction(p)) / glm::length(v);
     }
-    /// The beam of nearest elevation, then the ray of nearest direction of it and its
-    /// neighbours.
+    /// Returns the ray nearest to a point: finds the beam with the nearest elevation,
+    /// then the nearest direction among its rays and those of its neighbours.
     Place nearest(const glm::vec3& point_m) const {
         const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
         const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
@@ -110,8 +111,8 @@ struct Beams {
                 if (const double cos = cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
         return best;
     }
-    /// Outside the field of view: beyond an outermost beam by more than half the way to
-    /// its neighbour.
+    /// Returns true if a point is outside the field of view: beyond the outermost beam by
+    /// more than half the spacing to the next beam.
     bool outside(Place p, const glm::vec3& point_m) const {
         const double half_spacing =
             0.5 * std::abs(elevation_of(direction(p)) -
@@ -135,12 +136,13 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = world_return(sequence, frame, ray);
-            // as it was measured
+            // Uses the measured range, including the range offset of the beam.
             w.point_m +=
                 double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
-                // about the same part of the sweep
+                // The other sweep sees the box at about the same time after its reference
+                // time.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->present(then_s)) continue;
                 world_m =

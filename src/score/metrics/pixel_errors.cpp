@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Computes errors over the selected pixels of a pair of range images.
 #include "pixel_errors.hpp"
 
 #include <algorithm>
@@ -11,11 +12,12 @@
 namespace relidar::metrics_detail {
 namespace {
 
-constexpr double kClampLow = 1e-6;  // lower end of the peer's clamp, depth and intensity alike
+// lower limit of the clamp in the peer protocol, for depth and intensity
+constexpr double kClampLow = 1e-6;
 
 double clamped(float value, double high) { return std::clamp(double(value), kClampLow, high); }
 
-/// Middle value; mean of the two middle ones for an even count. Reorders its argument.
+/// Returns the median. For an even count, it is the mean of the two middle values.
 double median(Values values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
     std::nth_element(values.begin(), middle, values.end());

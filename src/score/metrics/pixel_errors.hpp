@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pixels of a range image chosen by a mask, and the errors over them. Private to metrics.
+// Selects pixels of range images by masks and computes errors over them. Private to
+// metrics.
 #pragma once
 
 #include <string>
@@ -13,30 +14,32 @@ namespace relidar::metrics_detail {
 using Mask = std::vector<bool>;
 using Values = std::vector<double>;
 
-inline constexpr double kRealDropThreshold = 0.5;  // a real image holds 0 or 1
+inline constexpr double kRealDropThreshold = 0.5;  // drop probabilities of a real image are 0 or 1
 inline constexpr double kMaxIntensity = 1.0;
 
-/// @throws DataError where the images are empty, differ in shape, or hold a value that is
+/// Checks a rendered and a real image.
+/// @throws DataError if the images are empty, differ in shape, or contain a value that is
 /// not finite
 void check_pair(const RangeImage& rendered, const RangeImage& real);
 
-/// Pixels whose drop probability is below the threshold.
+/// Returns the pixels whose drop probability is below the threshold.
 Mask not_dropped(const RangeImage& image, double threshold);
-/// Of these, the ones that have a range: a pixel whose ray met nothing is a drop,
-/// whatever its drop probability says.
+/// Returns the pixels whose drop probability is below the threshold and whose range is
+/// above 0. A ray that hit nothing counts as dropped, whatever its drop probability is.
 Mask returned(const RangeImage& image, double threshold);
 
-/// Every pixel clamped to [1e-6, high], 0 (hence the clamp's lower end) where the mask is
-/// unset.
+/// Returns all pixels, clamped to [1e-6, high]. Pixels outside the mask are set to 0
+/// before clamping.
 Values masked(const std::vector<float>& values, const Mask& mask, double high);
-/// The pixels of the mask alone, clamped to [1e-6, high].
+/// Returns only the pixels in the mask, clamped to [1e-6, high].
 Values selected(const std::vector<float>& values, const Mask& mask, double high);
 
 double mean_of(const Values& values);
 double mean_square(const Values& values);
 
-/// Adds <prefix>rmse<unit>, mae and medae; nothing where no pixel is left. @return mean
-/// squared error, or -1
+/// Adds the metrics <prefix>rmse<unit>, mae and medae to the row. Adds nothing if there
+/// are no pixels.
+/// @return mean squared error, or -1 if there are no pixels
 double add_errors(MetricRow& row, const std::string& prefix, const std::string& unit, const Values& a,
                   const Values& b);
 

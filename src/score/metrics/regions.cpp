@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Errors where users look: moving boxes, everything else, and bands of range. Pixels with
-// a real return, the rendered value as it is: what a drop probability hides must not make
-// a region look good; how much it hides is a metric of its own.
+// Errors in the regions that users examine: moving boxes, all other pixels, and bands of
+// range. Pixels with a real return are compared with the rendered value, even if the
+// rendered pixel counts as dropped, because drops must not improve the score of a region.
+// The fraction of rendered returns is a separate metric.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -33,11 +34,11 @@ Region range_band(const RangeImage& real, double low_m, double high_m) {
     return region;
 }
 
-/// Which rays of a frame have their return in one of some boxes that moves.
+/// Returns which returns of a frame are in a moving box.
 Mask returns_in_moving(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
                        const Pose& sensor_offset) {
     const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
-    // once, not at each point of a parked car
+    // moves() is expensive, so it is evaluated once for each box
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
@@ -68,8 +69,9 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
         const std::string name = region.name + "/";
         row[name + "pixels"] = double(n);
         if (n == 0) continue;
-        const Mask seen = both(mask, kept);
-        row[name + "returned"] = double(std::count(seen.begin(), seen.end(), true)) / double(n);
+        const Mask returned_both = both(mask, kept);
+        row[name + "returned"] =
+            double(std::count(returned_both.begin(), returned_both.end(), true)) / double(n);
         add_errors(row, name + "depth_", "_m", selected(rendered.range_m, mask, options.max_range_m),
                    selected(real.range_m, mask, options.max_range_m));
         add_errors(row, name + "intensity_", "", selected(rendered.intensity, mask, kMaxIntensity),
@@ -88,7 +90,8 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // whatever was discovered, the same returns are compared
+    // Without the poses that discover_tracks() added, so that the same returns are
+    // compared with and without discovered boxes.
     for (BoxTrack& box : labelled) box = box.labelled_part();
     return returns_in_moving(std::move(labelled), sequence, frame, sensor_offset);
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Line charts as inline SVG: axes with round ticks, grid lines, one path a curve. Colours
-// and fonts come from the page's style sheet (classes c0 ... c7, axis, grid, faint), so
-// that a chart follows its light and dark theme.
+// Draws line charts as inline SVG: axes with round ticks, grid lines, and one path for
+// each curve. Colours and fonts come from the page's style sheet (classes c0 ... c7,
+// axis, grid, faint), so that charts follow its light and dark themes.
 #include "chart.hpp"
 
 #include <algorithm>
@@ -17,12 +17,12 @@
 namespace relidar::export_detail {
 namespace {
 
-// margins in SVG units, as wide as the labels
+// Margins in SVG units; the labels must fit into them.
 constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
-constexpr std::size_t kManyPoints = 250;  // more are noise to the eye: draw a running mean
+constexpr std::size_t kManyPoints = 250;  // longer curves look noisy, so their running mean is drawn
 constexpr std::size_t kBuckets = 500;     // horizontal resolution of a drawn curve
 
-/// Data interval of one axis and where it lies on the page.
+/// Data interval of an axis and its position on the page.
 struct Axis {
     double low = 0.0, high = 1.0;
     double at_low = 0.0, at_high = 1.0;
@@ -45,7 +45,7 @@ struct Extent {
     bool empty() const { return low > high; }
 };
 
-/// Finite, and not so large that the axis would overflow.
+/// Returns true if a point is finite and small enough that the axis does not overflow.
 bool drawable(const ReportCurve& curve, std::size_t i) {
     return std::abs(curve.x[i]) < 1e100 && std::abs(curve.y[i]) < 1e100;
 }
@@ -66,7 +66,8 @@ std::vector<double> linear_ticks(const Axis& axis, int n_ticks) {
     return ticks;
 }
 
-/// Powers of ten, thinned out over many decades; 1, 2, 5 of each over few.
+/// Returns ticks at powers of ten, with fewer ticks if there are many decades. For few
+/// decades, the ticks are at 1, 2 and 5 times each power.
 std::vector<double> log_ticks(const Axis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
@@ -109,15 +110,17 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
     return axis;
 }
 
-/// At most two points a bucket, its lowest and highest, so that spikes survive. Points
-/// that are not finite are gaps.
+/// Returns the indices of a subsampled curve: at most two points for each bucket, its
+/// minimum and its maximum, so that spikes remain visible. Points that are not finite
+/// become gaps.
 std::vector<std::size_t> thinned(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
     std::vector<std::size_t> kept;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            if (!drawable(curve, i)) low = high = i;  // shows the gap
+            // keeps a point that is not finite, which shows as a gap
+            if (!drawable(curve, i)) low = high = i;
             else if (drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
         }
@@ -127,20 +130,21 @@ std::vector<std::size_t> thinned(const ReportCurve& curve) {
     return kept;
 }
 
-/// Mean over a centred window of 1/40 of the curve, of its finite values, at a few
-/// hundred places.
+/// Returns the running mean of a curve at a few hundred points. It averages the finite
+/// values in a centred window of 1/40 of the curve.
 ReportCurve running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t place = 0; place < n_places; ++place) {
         const std::size_t middle = place * (n - 1) / (n_places - 1);
-        // symmetric to the ends, or they would lag
+        // The window is symmetric up to the ends of the curve, because otherwise the mean
+        // would lag there.
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
             if (drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
-        result.y.push_back(sum / count);  // no value at all: not a number, a gap
+        result.y.push_back(sum / count);  // NaN if the window has no finite value, which shows as a gap
     }
     return result;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Line charts as inline SVG for the report. Private to export.
+// Line charts as inline SVG for the report. Private to the report.
 #pragma once
 
 #include <string>
@@ -9,16 +9,16 @@
 
 namespace relidar::export_detail {
 
-/// Colours a chart has before it repeats them; style classes c0 ... c7.
+/// Number of colours before a chart repeats them; style classes c0 ... c7.
 inline constexpr int kChartColours = 8;
 
-/// SVG of curves over common axes. The y axis is logarithmic where all values are
-/// positive and span more than a factor of 4. Values that are not finite leave gaps.
-/// Curves of many points are drawn faint, with their running mean solid.
-/// @throws DataError where x and y of a curve differ in length
+/// Returns curves with common axes as SVG. The y axis is logarithmic if all values are
+/// positive and span more than a factor of 4. Values that are not finite leave gaps. Long
+/// curves are drawn faint, with their running mean as a solid line.
+/// @throws DataError if x and y of a curve differ in length
 std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height);
 
-/// Whether svg_chart draws running means for any of these curves.
+/// Returns true if svg_chart() draws a running mean for any of these curves.
 bool has_running_mean(const std::vector<const ReportCurve*>& curves);
 
 }  // namespace relidar::export_detail

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text for HTML pages; see html.hpp. Base64 is that of RFC 4648 with padding.
+// Text for HTML pages. Base64 follows RFC 4648 with padding.
 #include "html.hpp"
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text for HTML pages: escaping, numbers people can read, pictures as data URLs. Private
-// to export.
+// Text for HTML pages: escaping, readable numbers, images as data URLs. Private to the
+// report.
 #pragma once
 
 #include <string>
@@ -10,16 +10,17 @@
 
 namespace relidar::export_detail {
 
-/// Text safe inside an element and inside a quoted attribute.
+/// Escapes text for use inside an element or inside a quoted attribute.
 std::string escape_html(std::string_view text);
 
-/// Four significant digits, e.g. 6.458, 0.03402, 1.2e-07; a dash for NaN.
+/// Formats a number with four significant digits, for example 6.458, 0.03402 or 1.2e-07.
+/// Returns a dash for NaN.
 std::string format_number(double value);
 
-/// RFC 4648, with padding.
+/// Encodes bytes as base64 (RFC 4648, with padding).
 std::string base64(const std::vector<std::uint8_t>& bytes);
 
-/// data:image/png;base64,...
+/// Returns an image as a URL of the form data:image/png;base64,...
 std::string png_data_url(const Image& image);
 
 }  // namespace relidar::export_detail

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The report: one HTML page that needs no file or network beside it. Everything that
-// comes from outside is escaped; script is our own and there for views alone. Curves
-// whose names share the part before '/' share a chart; metrics are grouped the same way.
+// Writes the report as a single HTML page that needs no other file and no network. All
+// external text is escaped. The page contains a script only if it has views. Curves with
+// the same part before '/' share a chart; metrics are grouped in the same way.
 #include <relidar/base/files.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/score/report.hpp>
@@ -26,7 +26,8 @@ namespace {
 using export_detail::escape_html;
 using export_detail::format_number;
 
-// a wider picture (66 x 1030) is drawn taller, or its rows could not be told apart
+// Wider images, for example 66 x 1030, are stretched vertically so that their rows remain
+// visible.
 constexpr double kMaxAspect = 10.0;
 
 std::string section(const std::string& title, const std::string& body) {
@@ -34,14 +35,14 @@ std::string section(const std::string& title, const std::string& body) {
                         : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
-/// A section that is closed until the reader opens it.
+/// Returns a section that is collapsed until the reader opens it.
 std::string folded(const std::string& title, const std::string& body) {
     return body.empty()
                ? ""
                : fmt::format("<details>\n<summary>{}</summary>\n{}</details>\n", escape_html(title), body);
 }
 
-/// A table that scrolls by itself where the page is narrow.
+/// Returns a table that scrolls horizontally on a narrow page.
 std::string table(const std::string& head, const std::string& rows) {
     return fmt::format(
         "<div class=\"scroll\"><table>\n<thead><tr>{}</tr></thead>\n<tbody>\n{}</tbody></table></div>\n",
@@ -56,14 +57,16 @@ std::string facts(const Report& report) {
     return "<dl>\n" + body + "</dl>\n";
 }
 
-/// "peer/depth_rmse_m" -> "peer", "depth_rmse_m"; a name without '/' has no group.
+/// Splits "peer/depth_rmse_m" into "peer" and "depth_rmse_m". A name without '/' has an
+/// empty group.
 std::pair<std::string, std::string> split_group(const std::string& name) {
     const std::size_t slash = name.find('/');
     if (slash == std::string::npos) return {"", name};
     return {name.substr(0, slash), name.substr(slash + 1)};
 }
 
-/// +1 where larger is better, -1 where smaller is, 0 where the name does not say.
+/// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
+/// and 0 if the name does not show it.
 int better_direction(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
@@ -78,7 +81,8 @@ std::optional<double> value_of(const MetricRow& row, const std::string& name) {
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
 
-/// Best value of a row where at least two columns have one and its direction is known.
+/// Returns the best value of a metric. Returns nothing if fewer than two columns have the
+/// metric or the better direction is unknown.
 std::optional<double> best_value(const Report& report, const std::string& name) {
     const int direction = better_direction(name);
     std::optional<double> best;
@@ -103,7 +107,7 @@ std::string metric_cells(const Report& report, const std::string& name) {
 }
 
 std::string metrics(const Report& report) {
-    std::set<std::string> names;  // sorted: groups come out together
+    std::set<std::string> names;  // a sorted set keeps the metrics of a group together
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
     if (names.empty()) return "";
@@ -130,7 +134,7 @@ std::string metrics(const Report& report) {
     return table(head, rows) + note;
 }
 
-/// The metrics that matter most, with what they say.
+/// Returns the table of key metrics with their explanations.
 std::string key_metrics(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
@@ -154,7 +158,7 @@ std::string chart(const std::string& title, const std::vector<const ReportCurve*
 }
 
 std::string curves(const Report& report) {
-    // in order of first appearance
+    // charts in the order in which their curves appear
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
@@ -174,11 +178,12 @@ std::string curves(const Report& report) {
                   : "");
 }
 
-/// One kernel: its time, its share of `whole`, and a bar as long as its part of
-/// `longest`. No bar where longest is 0.
-std::string timing_row(const std::string& name, double ms, double whole, double longest) {
+/// Returns a table row for a kernel: its time, its percentage of `total_ms`, and a bar
+/// whose length is its fraction of `longest`. There is no bar if `longest` is 0.
+std::string timing_row(const std::string& name, double ms, double total_ms, double longest) {
     const bool known = std::isfinite(ms) && ms >= 0.0;
-    const std::string share = known && whole > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / whole) : "\u2013";
+    const std::string share =
+        known && total_ms > 0.0 ? fmt::format("{:.1f} %", 100.0 * ms / total_ms) : "\u2013";
     const std::string bar = known && longest > 0.0
                                 ? fmt::format("<div style=\"width:{:.2f}%\"></div>", 100.0 * ms / longest)
                                 : "";
@@ -186,8 +191,8 @@ std::string timing_row(const std::string& name, double ms, double whole, double 
                        escape_html(name), ms, share, bar);
 }
 
-/// Longest first. Shares are of the entry "total" where there is one, else of the sum;
-/// that row comes last.
+/// Returns a table of kernels, the longest time first. Percentages refer to the entry
+/// "total", or to the sum if there is no such entry. That row is the last one.
 std::string timing_table(const MetricRow& timings) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;
@@ -200,10 +205,10 @@ std::string timing_table(const MetricRow& timings) {
         return (std::isfinite(a.second) ? a.second : -1.0) > (std::isfinite(b.second) ? b.second : -1.0);
     });
     const auto total = value_of(timings, "total");
-    const double whole = total.value_or(sum);
+    const double total_ms = total.value_or(sum);
     std::string body;
-    for (const auto& [name, ms] : rows) body += "<tr>" + timing_row(name, ms, whole, longest);
-    body += "<tr class=\"total\">" + timing_row(total ? "total" : "sum", whole, whole, 0.0);
+    for (const auto& [name, ms] : rows) body += "<tr>" + timing_row(name, ms, total_ms, longest);
+    body += "<tr class=\"total\">" + timing_row(total ? "total" : "sum", total_ms, total_ms, 0.0);
     return table(
         "<th style=\"width:26%\">Kernel</th><th style=\"width:12%\">ms</th><th style=\"width:12%\">share</th>"
         "<th>of the longest</th>",
@@ -219,7 +224,7 @@ std::string timings(const Report& report) {
 
 std::string figure(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
-    run_parallel(static_cast<int>(urls.size()), [&](int i) {
+    parallel_for(static_cast<int>(urls.size()), [&](int i) {
         urls[std::size_t(i)] = export_detail::png_data_url(figure.images[std::size_t(i)].second);
     });
     std::string body;
@@ -243,7 +248,7 @@ std::string page(const Report& report) {
     for (const ReportView& view : report.views)
         html += section(view.title, export_detail::view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
-    run_parallel(static_cast<int>(figures.size()),
+    parallel_for(static_cast<int>(figures.size()),
                  [&](int i) { figures[std::size_t(i)] = figure(report.figures[std::size_t(i)]); });
     for (std::size_t i = 0; i < figures.size(); ++i) html += section(report.figures[i].title, figures[i]);
     html += section("Curves", curves(report));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parts of the report with files of their own. Private to export.
+// Parts of the report that are implemented in separate files. Private to the report.
 #pragma once
 
 #include <cstddef>
@@ -9,13 +9,13 @@
 
 namespace relidar::export_detail {
 
-/// Canvases of a view's clouds, with their points as base64. @param n_views  of the page,
-/// among which its megabytes are divided
+/// Returns the canvases of a view, with the points of its clouds as base64.
+/// @param n_views  number of views of the page, which share its size limit
 std::string view_html(const ReportView& view, std::size_t n_views);
-/// The script that draws all views of a page.
+/// Returns the script that draws all views of a page.
 std::string view_script();
 
-/// Stacked bars as a table, which reads as numbers too.
+/// Returns stacked bars as a table that also shows the numbers.
 std::string bars_html(const ReportBars& bars);
 
 }  // namespace relidar::export_detail

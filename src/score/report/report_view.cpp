@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of a view as bytes: 8 a point, little-endian: x, y, z in centimetres (int16),
-// intensity in steps of 1/255, error of the range in steps of 4 mm up to 1 m, 255 where
-// it is not known. points/report.js reads them.
+// Packs the points of a view into 8 bytes each, little-endian: x, y, z in centimetres
+// (int16), intensity in steps of 1/255, and the range error in steps of 4 mm up to 1 m,
+// or 255 if it is unknown. points/report.js reads them.
 #include "report_parts.hpp"
 
 #include <algorithm>
@@ -16,13 +16,13 @@
 
 namespace relidar {
 
-// of cmake/Assets.cmake
+// defined in a file that cmake/Assets.cmake generates
 std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();
 
 namespace export_detail {
 namespace {
 
-constexpr std::size_t kMaxPoints = 500'000;  // of a page: 5.3 MB as base64
+constexpr std::size_t kMaxPoints = 500'000;  // maximum for a page: 5.3 MB as base64
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
@@ -50,7 +50,8 @@ std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points)
     return bytes;
 }
 
-/// A module as part of one script: without its imports, and with nothing exported.
+/// Returns the text of a JavaScript module as part of a single script: removes its
+/// imports and the keyword `export`.
 std::string inlined(std::string_view module) {
     std::string script;
     while (!module.empty()) {

@@ -26,10 +26,10 @@ RangeLimits configured_limits(const Config& config, const Sequence& sequence) {
     return {config.dataset.min_range_m, with_farthest(config, sequence).dataset.max_range_m};
 }
 
-/// Those of a Rosette are made for each scan.
+/// None for a sensor that has other rays in every scan.
 template <class Make>
-RayTable rays_of(const std::optional<FixedPattern>& pattern, const Make& make) {
-    return pattern && std::holds_alternative<Rosette>(*pattern) ? RayTable{} : make();
+RayTable rays_of(const std::optional<SensorPattern>& pattern, const Make& make) {
+    return pattern && describe_pattern(*pattern).has_rays_by_time ? RayTable{} : make();
 }
 
 /// Of the log's own sensor.
@@ -129,7 +129,7 @@ SensorChoice configured_sensor(const Config& config, const Sequence& sequence, i
 }
 
 SensorChoice sensor_choice(const SensorModel& sensor, int lidar) {
-    const std::optional<FixedPattern> pattern = fixed_pattern(sensor);
+    const std::optional<SensorPattern> pattern = fixed_pattern(sensor);
     return {.rays = rays_of(pattern, [&] { return make_rays(sensor); }),
             .pattern = pattern,
             .limits = sensor.limits,

@@ -103,8 +103,8 @@ SensorRays::SensorRays(Device& device)
       fire_(device, "simulate/render/fire_rays"),
       measure_(device, "simulate/render/measure_rays"),
       drop_channels_(device, "simulate/render/drop_channels"),
-      no_geometry_(device, std::span<const shared::RenderedGeometry>(std::array{shared::RenderedGeometry{}}),
-                   "geometry of no rays") {}
+      no_surfaces_(device, std::span<const shared::RenderedSurface>(std::array{shared::RenderedSurface{}}),
+                   "surfaces of no rays") {}
 
 bool SensorRays::has(const RayTable& rays, const std::string& sensor) const {
     return sensor == sensor_ && rays.rows == table_.rows && rays.columns == table_.columns &&
@@ -160,18 +160,17 @@ RayBatch SensorRays::batch() const {
 void SensorRays::measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how) {
     const auto beams = device_beams(how.beams);
     const auto response = device_response(how.response);
-    const Array<shared::RenderedGeometry>& geometry =
-        rendered.geometry ? rendered.geometry->rendered : no_geometry_;
+    const Array<shared::RenderedSurface>& surfaces = rendered.surfaces ? *rendered.surfaces : no_surfaces_;
     run(stream, measure_, table_.size(),
         {.rays = rays_.address(),
          .fired = fired_.address(),
          .rendered = rendered.rendered->address(),
-         .geometry = geometry.address(),
+         .surfaces = surfaces.address(),
          .beams = impl_of(stream).values(beams),
          .response = impl_of(stream).values(response),
          .measured = measured_.address(),
          .n_rays = std::uint32_t(table_.size()),
-         .n_geometry = std::uint32_t(geometry.size()),
+         .n_surfaces = std::uint32_t(surfaces.size()),
          .n_beams = std::uint32_t(beams.size()),
          .n_response = std::uint32_t(response.size()),
          .range_kind = range_kind(how.range),

@@ -81,7 +81,7 @@ private:
     Array<shared::MeasuredRay> measured_;
     std::optional<Readback> readback_, refined_readback_;
     Kernel<shared::DropChannelsParams> drop_channels_;
-    Array<shared::RenderedGeometry> no_geometry_;                       ///< one of zeros
+    Array<shared::RenderedSurface> no_surfaces_;                        ///< one of zeros
     Array<float, shared::DropSamples> samples_;                         ///< for a network
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;  ///< by it, since the last measure()
 };

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoints of a training: due by count or time, written without ever stopping it.
+// Writes checkpoints during training, by number of iterations or by time. A failed write
+// does not stop the training.
 #include "train/checkpoints/checkpoint_keeper.hpp"
 
 #include <new>
@@ -16,7 +17,8 @@
 namespace relidar {
 
 namespace {
-// checkpoints: the newest, and the one before where a machine fails while it is written
+// Checkpoints to keep: the newest, and one older in case the machine fails while the
+// newest is written.
 constexpr int kKept = 2;
 }  // namespace
 
@@ -69,7 +71,9 @@ bool CheckpointKeeper::due(int step) const {
 }
 
 void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
-    last_ = Clock::now();  // a full disk is tried again when the next one is due
+    // also set before a failed write, so that a full disk is tried again only at the next
+    // checkpoint
+    last_ = Clock::now();
     if (!folder_.wanted()) return;
     folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {
         StateWriter write(checkpoint);

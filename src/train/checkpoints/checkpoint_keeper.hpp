@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// When a training writes a checkpoint, and what a failure to write one means. Private to
-// train.
+// Decides when a training writes a checkpoint, and handles failures to write one. Private
+// to train.
 #pragma once
 
 #include <chrono>
@@ -17,21 +17,24 @@ namespace relidar {
 
 class TrainLoop;
 
-/// Checkpoints of one training, written into a folder without ever stopping it.
+/// Folder with the checkpoints of a training. A failed write does not stop the
+/// training.
 class CheckpointFolder {
 public:
-    /// The newest two are kept: one may be damaged where a machine fails.
-    /// @param folder  none: nothing is written @param newest  iteration of the newest
-    /// checkpoint in it; 0: none
-    /// @param count  what iterations are called, for messages: "iteration"
+    /// Keeps the two newest checkpoints, because one can be damaged if the machine fails.
+    /// @param folder  empty: nothing is written
+    /// @param newest  iteration of the newest checkpoint in the folder; 0: none
+    /// @param count  word for iterations in messages, for example "iteration"
     CheckpointFolder(std::filesystem::path folder, int newest, std::string count,
                      const std::function<void(const std::string&)>& note);
 
     bool wanted() const { return !folder_.empty(); }
     int newest() const { return newest_; }
-    /// Writes one. A disk or a memory that cannot take it costs a note, not the training.
-    /// @param fill  puts the state in @throws DataError where the state is not finite:
-    /// nothing could continue from it
+    /// Writes a checkpoint. If the disk or the memory is full, it prints a note and the
+    /// training continues.
+    /// @param fill  adds the state to the checkpoint
+    /// @throws DataError if the state is not finite, because training could not continue
+    /// from it
     void save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill);
 
 private:
@@ -46,19 +49,22 @@ public:
     CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config,
                      const TrainSession& session);
 
-    /// After this iteration: by count, by time, or the last one of a run long enough to
-    /// have had one before.
+    /// Returns true if a checkpoint should be written after this iteration: by number of
+    /// iterations or by time. The last iteration also counts if the run was long enough
+    /// for an earlier checkpoint.
     bool due(int step) const;
-    /// Writes the state after result.iterations. A disk that cannot take it costs a note,
-    /// not the training.
-    /// @throws DataError where the state is not finite: nothing could continue from it
+    /// Writes the state after result.iterations. If the disk is full, it prints a note
+    /// and the training continues.
+    /// @throws DataError if the state is not finite, because training could not continue
+    /// from it
     void save(TrainLoop& loop, const TrainResult& result, double train_s);
 
 private:
     using Clock = std::chrono::steady_clock;
     const TrainConfig& config_;
     CheckpointFolder folder_;
-    /// of every checkpoint of this training; hashes of a log take a while
+    /// Texts of every checkpoint of this training. A thread computes them, because
+    /// hashing a log takes some time.
     std::shared_future<std::map<std::string, std::string>> texts_;
     Clock::time_point last_ = Clock::now();
 };

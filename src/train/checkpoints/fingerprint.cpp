@@ -1,4 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
+// Computes hashes of logs and scenes, and compares them with those in a checkpoint.
 #include "train/checkpoints/fingerprint.hpp"
 
 #include <cstring>
@@ -20,7 +21,7 @@ constexpr const char* kSetting = "setting/";
 constexpr const char* kTrainAgain =
     "a checkpoint of another version of relidar cannot be continued: train again";
 
-/// Hash of everything added, in order.
+/// Hash of all added values, in order.
 class Hash {
 public:
     template <class T, class Allocator>

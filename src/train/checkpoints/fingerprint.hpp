@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a checkpoint says of the training it belongs to, and whether it is the same one:
-// settings by value, logs and scenes by hashes. Private to train.
+// Fingerprint of a training in its checkpoints: settings by value, logs and scenes by
+// hashes. It shows whether a checkpoint belongs to the same training. Private to train.
 #pragma once
 
 #include <map>
@@ -15,28 +15,31 @@
 
 namespace relidar {
 
-/// Something that must be as it was: its name in a checkpoint, what messages call it, and
-/// what it is now.
+/// A property that must not change: its key in a checkpoint, its name in messages, and
+/// its current value.
 struct Mark {
     std::string key, what, value;
 };
 
-/// Of a log with the scans of its training frames, in the order in which a difference is
-/// explained best.
+/// Returns the marks of a log with the scans of its training frames. They are ordered so
+/// that the first difference gives the best explanation.
 std::vector<Mark> marks_of(const Sequence& sequence, const Split& split);
-/// Of every surfel of a scene, those of its blocks too. @throws DataError as read_block()
+/// Returns the mark of all surfels of a scene, including its blocks.
+/// @throws DataError like read_block()
 Mark mark_of(const Scene& scene);
 
-/// Puts them among the texts of a checkpoint.
+/// Adds a setting or a mark to the texts of a checkpoint.
 void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
 void put(const Mark& mark, std::map<std::string, std::string>& texts);
-/// @param doing  how the message begins
-/// @throws UsageError for a setting with another value, DataError for a missing setting
-/// or another mark
+/// Compares settings or a mark with those in a checkpoint.
+/// @param doing  start of the error message
+/// @throws UsageError for a setting with another value
+/// @throws DataError for a missing setting or another mark
 void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
                 const std::string& doing);
 void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing);
-/// The settings that were put into it, by key. @throws DataError for an unknown key
+/// Returns the settings in a checkpoint, by key.
+/// @throws DataError for an unknown key
 std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint);
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which settings must be equal where training continues, and the log and times so far.
+// Compares the settings that must be equal when training is resumed. Saves and restores
+// the training log and times.
 #include "train/checkpoints/resume.hpp"
 
 #include <algorithm>
@@ -16,9 +17,11 @@
 namespace relidar {
 namespace {
 
-constexpr std::array kFollows{"refine.", "render."};  // settings of what begins where the steps end
-/// Settings that change where training ends, what it reports, or where the log lies, but
-/// not a step of it. Paths are free because the log itself is compared.
+// prefixes of settings that are used only after the training steps
+constexpr std::array kFollows{"refine.", "render."};
+/// Settings that may change when training is resumed. They determine the end of training,
+/// its reports, or the location of the log, but no training step. Paths may change
+/// because the log itself is compared.
 constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",
@@ -36,7 +39,7 @@ bool is_free(const std::string& key) {
            std::ranges::any_of(kFollows, [&](const char* group) { return key.starts_with(group); });
 }
 
-/// The log so far, column by column.
+/// The training log so far, by columns.
 struct LogColumns {
     std::vector<std::int32_t> iteration;
     std::vector<double> seconds;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What of a training goes into a checkpoint beside the state of its loop, and comes out
-// of it again. Private to train.
+// Data of a training that a checkpoint stores in addition to the state of the training
+// loop. Private to train.
 #pragma once
 
 #include <map>
@@ -14,23 +14,24 @@
 
 namespace relidar {
 
-/// Settings and fingerprint of the log: what must be the same where training continues.
+/// Returns the settings and the fingerprint of the log. They must be the same when
+/// training is resumed.
 std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split,
                                                   const Config& config);
 
-/// Puts what the result knows so far: log and times. @param train_s since training
-/// started
+/// Writes the log and the times of the result to a checkpoint.
+/// @param train_s  seconds since training started
 void write_result(StateWriter& write, const TrainResult& result, double train_s);
-/// Takes it out again.
+/// Reads the log and the times from a checkpoint.
 void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult& result);
 
-/// The scene at a checkpoint. @throws DataError where its arrays or its layout are not
-/// sound
+/// Returns the scene in a checkpoint.
+/// @throws DataError if its arrays or its layout are invalid
 Scene scene_of(const Checkpoint& checkpoint);
 
-/// Adds a line to the log. The rest takes as long as the pace since the first line says:
-/// before it drivers compile kernels. Infinite in the first one. @param seconds  since
-/// training started
+/// Adds a line to the log. The remaining time is estimated from the speed since the first
+/// line, because drivers compile kernels before it. In the first line it is infinite.
+/// @param seconds  seconds since training started
 void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds);
 
 }  // namespace relidar

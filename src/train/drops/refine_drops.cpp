@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The last stage of training (paper, section 3.5): training frames rendered once, and a
-// network that learns from them what the sensor dropped. Rays are the sensor's nominal
-// ones: those of a scan have jitter where they returned and none where they did not,
-// which would tell the answer.
+// The last stage of training (paper, section 3.5): renders training frames once and
+// trains a network that predicts which rays the sensor dropped. It uses the nominal rays
+// of the sensor. The rays of a scan have jitter only if they returned, which would reveal
+// the answer to the network.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -25,32 +25,35 @@ bool looks_at_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
-/// Rays of a frame's LiDAR; with refine.image = grid, binned.
+/// Returns the rays of a frame's LiDAR. With refine.image = grid, they are binned.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (!looks_at_grid(config)) return nominal_rays_of(config, sequence, frame);
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    sensor.rolling_shutter = sequence.rolling_shutter;  // like the scan that the network learns from
+    sensor.rolling_shutter = sequence.rolling_shutter;  // same as the scan from which the network learns
     return sensor;
 }
 
-/// Rays between a sensor's own: each turned towards the next column by a share of the
-/// way. Surfels have been fitted to the sensor's own rays, and what they make of those is
-/// better than what they make of held-out ones.
+/// Returns rays between those of a sensor: each is rotated towards the next column by a
+/// fraction of the spacing. Surfels are fitted to the sensor's rays, so these look better
+/// than rays of held-out frames. Rotated rays avoid this difference.
 RayTable turned_rays(RayTable rays, float share) {
-    const RayTable own = rays;
-    constexpr float kNear = 0.9f;  // cosine: the next column of a window's last one lies at its other end
-    for (std::size_t i = 0; i < own.size(); ++i) {
-        const std::size_t row = i / std::size_t(own.columns), next = (i + 1) % std::size_t(own.columns);
+    const RayTable original = rays;
+    // minimum cosine, because the column after the last one of a window is at its other
+    // end
+    constexpr float kNear = 0.9f;
+    for (std::size_t i = 0; i < original.size(); ++i) {
+        const std::size_t row = i / std::size_t(original.columns),
+                          next = (i + 1) % std::size_t(original.columns);
         const glm::vec3& towards =
-            own.direction[row * std::size_t(own.columns) + next % std::size_t(own.columns)];
-        if (glm::dot(own.direction[i], towards) > kNear)
-            rays.direction[i] = glm::normalize(glm::mix(own.direction[i], towards, share));
+            original.direction[row * std::size_t(original.columns) + next % std::size_t(original.columns)];
+        if (glm::dot(original.direction[i], towards) > kNear)
+            rays.direction[i] = glm::normalize(glm::mix(original.direction[i], towards, share));
     }
     return rays;
 }
 
-/// measured_drops() of the cells of config.sensor.grid. A cell is not known where
-/// something returned that is not.
+/// Returns measured_drops() for the cells of config.sensor.grid. A cell is unknown if it
+/// contains a return that is unknown.
 std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
                                        const std::vector<float>& dropped) {
     std::vector<float> cells = real_image(config, frame.scan).drop_prob;
@@ -63,7 +66,7 @@ std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
     return cells;
 }
 
-/// The training frames that have an image, of the shape that most of them share.
+/// Returns the training frames that are images, with the most frequent shape.
 std::vector<int> images_of(const Config& config, const Sequence& sequence, const std::vector<int>& train) {
     if (looks_at_grid(config)) return train;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
@@ -77,8 +80,8 @@ std::vector<int> images_of(const Config& config, const Sequence& sequence, const
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// What a network sees of the training frames and what came of it. @return nothing where
-/// stopped
+/// Returns the inputs of the network for the training frames, and their measured drops.
+/// Returns nothing if it was stopped.
 std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config,
                                        const RefineSession& session) {
     const std::vector<int> positions =
@@ -107,7 +110,7 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         if (looks_at_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-            // whatever the network says of it, it drops
+            // excludes rays that are dropped whatever the network predicts
             if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;
         if (session.stop && session.stop()) return {};
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// When the training of a ray-drop network writes a checkpoint, and what must be as it was
-// where it goes on: the scene and the log by hashes, and the settings that images and
-// network depend on.
+// Writes checkpoints of the training of a ray-drop network. Checks that its inputs are
+// unchanged when it is resumed: the scene and the log by hashes, and the settings of
+// images and network by value.
 #include "train/drops/refine_keeper.hpp"
 
 #include <algorithm>
@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-/// What images and network depend on beside the scene and the log.
+/// Returns true if images or the network depend on a setting.
 bool matters(const std::string& key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
     return key != "refine.enabled" &&
@@ -27,7 +27,7 @@ std::vector<Mark> marks_of(const Run& run) {
     return marks;
 }
 
-/// What a checkpoint says of what it was made from.
+/// Returns the fingerprint of the scene, the log and the settings.
 std::map<std::string, std::string> texts_of(const Run& run) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : config_keys(run.config))
@@ -51,7 +51,9 @@ void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
-    last_ = Clock::now();  // a full disk is tried again when the next one is due
+    // also set before a failed write, so that a full disk is tried again only at the next
+    // checkpoint
+    last_ = Clock::now();
     folder_.save({progress.step, texts_.get(), {}},
                  [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });
 }
@@ -68,7 +70,7 @@ void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
     std::erase_if(settings, [](const ConfigKey& key) { return !matters(key.key); });
     check_same(settings, checkpoint, doing);
     for (const Mark& mark : marks_of(run)) check_same(checkpoint, mark, doing);
-    refine_state(checkpoint);  // it is whole
+    refine_state(checkpoint);  // throws an error if the state is incomplete
 }
 
 void take_refine_settings(const Checkpoint& checkpoint, Config& config) {

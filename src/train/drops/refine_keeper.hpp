@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoints of the ray-drop network's training: after each epoch, by time, and where it
-// stops. Private to train.
+// Checkpoints of the training of a ray-drop network: after each epoch, by time, and when
+// it stops. Private to train.
 #pragma once
 
 #include <chrono>
@@ -21,21 +21,22 @@ class RefineKeeper {
 public:
     RefineKeeper(const Run& run, const RefineSession& session);
 
-    /// Writes a checkpoint where one is due. @throws DataError where the state is not
-    /// finite
+    /// Writes a checkpoint if necessary.
+    /// @throws DataError if the state is not finite
     void after_step(const RefineProgress& progress, bool stops, const std::function<RefineState()>& state);
 
 private:
     using Clock = std::chrono::steady_clock;
     const double minutes_;
     CheckpointFolder folder_;
-    /// of every checkpoint of this training; hashes of a log take a while
+    /// Texts of every checkpoint of this training. A thread computes them, because
+    /// hashing a log takes some time.
     std::shared_future<std::map<std::string, std::string>> texts_;
     Clock::time_point last_ = Clock::now();
 };
 
-/// The state in a checkpoint. @throws DataError where it is not one of a network's
-/// training
+/// Returns the state in a checkpoint.
+/// @throws DataError if the checkpoint is not from the training of a network
 RefineState refine_state(const Checkpoint& checkpoint);
 
 }  // namespace relidar

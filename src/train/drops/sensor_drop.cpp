@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counting ray-drop by beam and azimuth.
+// Counts ray-drop by beam and azimuth.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
@@ -11,10 +11,13 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-constexpr int kNeighbours = 2;  // bins to either side that a bin is expected to be like
-// fewer do not tell a blind spot from a hole that a few sweeps have seen
+// neighbouring bins on each side that are used for the expected fraction of a bin
+constexpr int kNeighbours = 2;
+// Minimum number of rays. With fewer rays, a blind spot cannot be distinguished from a
+// hole that a few sweeps have seen.
 constexpr std::uint32_t kCertainRays = 60;
-// returns assumed before anything was seen, and what the expectation counts in a bin
+// Weight of the prior in rays: of returns in the expected fraction, and of the expected
+// fraction in a bin.
 constexpr double kPriorRays = 8.0;
 
 int bins_of(const Sequence& sequence) {
@@ -53,8 +56,9 @@ DropTable DropCounts::persistent() const {
             if (rays < kCertainRays) continue;
             for (int bin = first; bin < end; ++bin) {
                 const std::size_t i = slot(channel, bin);
-                const float own = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
-                table.probability[i] = std::max(table.probability[i], std::min(own, share(drops, rays)));
+                const float bin_share = rays_[i] > 0 ? share(drops_[i], rays_[i]) : 1.0f;
+                table.probability[i] =
+                    std::max(table.probability[i], std::min(bin_share, share(drops, rays)));
             }
         }
     return table;
@@ -83,7 +87,7 @@ DropTable DropCounts::shrunk() const {
 
 DropTable observed_drops(const Sequence& sequence, const std::vector<int>& positions) {
     DropCounts counts(sequence);
-    run_parallel(static_cast<int>(positions.size()), [&](int k) {
+    parallel_for(static_cast<int>(positions.size()), [&](int k) {
         const Frame& frame = sequence.frames[std::size_t(positions[std::size_t(k)])];
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) counts.add(frame, i);
     });

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stretches of columns, in place of a whole image, for a network of single pixels: its
-// thousand parameters do not need every pixel of every frame. Neighbouring columns stay
-// together, because rays that look the same way are traced faster together.
+// Selects stripes of columns of an image to train a network that processes single pixels.
+// Such a network has about a thousand parameters, so it does not need every pixel of
+// every frame. Neighbouring columns stay together, because tracing is faster for rays
+// with similar directions.
 #pragma once
 
 #include <cstddef>
@@ -11,19 +12,20 @@
 
 namespace relidar {
 
-/// One stripe in so many leaves about 32,768 pixels of an image. @return below 2: all of
-/// it
+/// Returns the interval between selected stripes that leaves about 32,768 pixels of an
+/// image. Below 2, the full image is used.
 inline int stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
 
-/// Columns are a ring.
+/// Stripes of an image whose columns wrap around.
 class Stripes {
 public:
-    static constexpr int kColumns = 64;  ///< of a stripe
+    static constexpr int kColumns = 64;  ///< columns in a stripe
 
-    /// @param share  one stripe in so many is taken; below 2, or of an image that has not
-    /// as many stripes, the whole image is
-    /// @param of_frame  number of the frame: each begins a stripe further, so that
-    /// together they see all columns
+    /// Selects the stripes of a frame.
+    /// @param share  one of this many stripes is used. Below 2, or if the image has fewer
+    /// stripes, the full image is used.
+    /// @param of_frame  number of the frame. Each frame starts one stripe later, so that
+    /// the frames together use all columns.
     Stripes(int share, const RayTable& rays, std::size_t of_frame)
         : rows_(std::size_t(rays.rows)), columns_(std::size_t(rays.columns)) {
         const int n = rays.columns / kColumns;
@@ -32,7 +34,8 @@ public:
             first_.push_back((of_frame + std::size_t(k * share)) * kColumns % columns_);
     }
 
-    /// The rays of the stripes, as an image. @param all  of the whole image
+    /// Returns the rays of the stripes as an image.
+    /// @param all  rays of the full image
     RayTable rays(const RayTable& all) const {
         if (first_.empty()) return all;
         RayTable some = some_rays(all, places());
@@ -40,7 +43,8 @@ public:
         some.columns = int(first_.size()) * kColumns;
         return some;
     }
-    /// @param all [rows,columns] of the whole image @return those of the stripes' pixels
+    /// Returns the values of the pixels in the stripes.
+    /// @param all [rows,columns] values of the full image
     std::vector<float> values(const std::vector<float>& all) const {
         if (first_.empty()) return all;
         std::vector<float> some;
@@ -50,7 +54,7 @@ public:
 
 private:
     std::size_t rows_, columns_;
-    std::vector<std::size_t> first_;  ///< columns; none: the whole image
+    std::vector<std::size_t> first_;  ///< first columns of the stripes; empty: the full image
 
     std::vector<std::size_t> places() const {
         std::vector<std::size_t> places;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of train/gather_columns: the ways to take some rays of a frame.
+// Binding of train/gather_columns: selects the rays of a batch from a frame.
 #include "train/frames/batch.hpp"
 
 #include <algorithm>
@@ -16,7 +16,7 @@ namespace relidar {
 
 struct BatchSampler::Impl {
     TrainConfig config;
-    bool windows;  ///< batches are windows of neighbouring columns
+    bool windows;  ///< true: batches are windows of neighbouring columns
     Array<DeviceRay> rays;
     Array<DeviceTarget> targets;
     Kernel<shared::GatherColumnsParams> gather;
@@ -24,18 +24,19 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// n columns of an image, as far apart as every stride-th column.
+/// n columns of an image, distributed like every stride-th column.
 struct Columns {
     std::uint32_t stride = 1;
-    std::uint32_t n = 0;  ///< 0 = the batch is no choice of columns
+    std::uint32_t n = 0;  ///< 0: the batch is not a selection of columns
 };
 
 std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
-    const std::uint32_t wanted = static_cast<std::uint32_t>(config.rays_per_iteration);
-    return wanted == 0 ? 1u : std::max(1u, frame.n_rays / wanted);
+    const std::uint32_t n_rays = static_cast<std::uint32_t>(config.rays_per_iteration);
+    return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
-/// Image of a whole frame; one without image order is a row of rays.
+/// Returns the image shape of a full frame. A frame without image order is a single row
+/// of rays.
 ImageShape frame_image(const FrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
@@ -48,8 +49,8 @@ Columns window(const FrameData& frame, const TrainConfig& config) {
     return n < image.columns ? Columns{1, n} : Columns{};
 }
 
-/// One of n rays by groups of columns, so that neighbours of the batch are near each
-/// other in both directions, however many columns there are.
+/// Selects about one of n rays, by groups of columns. Neighbours in the batch are then
+/// close in both directions, whatever the number of columns.
 Columns every_nth(const FrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
@@ -60,7 +61,7 @@ Columns columns_of_batch(const FrameData& frame, const TrainConfig& config, bool
     return windows ? window(frame, config) : every_nth(frame, config);
 }
 
-/// Rays of the largest batch of columns.
+/// Returns the number of rays of the largest batch of columns.
 std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const FrameData& frame : frames)
@@ -69,7 +70,8 @@ std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config&
     return largest;
 }
 
-/// @param setting  that compares neighbouring pixels
+/// Checks that all frames are images.
+/// @param setting  name of the setting that compares neighbouring pixels
 void check_images(const char* setting, const std::vector<FrameData>& frames) {
     for (const FrameData& frame : frames)
         if (!frame.image.is_image())
@@ -87,15 +89,10 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
                      {device, "train/gather_columns"}}) {
     if (config.loss.intensity * config.loss.intensity_ssim > 0.0f)
         check_images("loss.intensity_ssim", frames);
-    if (config.loss.normal > 0.0f) check_images("loss.normal", frames);
-    if (config.loss.normal > 0.0f && !kind_of(config.image.primitive).has_normals)
-        throw UsageError(fmt::format(
-            "setting loss.normal: found image.primitive={}, which has no normal, expected surfel, or 0",
-            kind_of(config.image.primitive).name));
 }
 BatchSampler::~BatchSampler() = default;
 
-/// The columns are those of frame_column() in shaders/train/columns.glsl.
+/// Uses the same columns as frame_column() in shaders/train/columns.glsl.
 std::size_t SampledBatch::ray_of_frame(std::uint32_t k) const {
     if (window.columns == 0) return rays.first + std::size_t(k) * rays.stride;
     const std::uint32_t row = k / window.n_columns, column = k % window.n_columns,
@@ -114,7 +111,7 @@ std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) c
     std::uint32_t choices = n_batches(frame);
     if (columns.n > 0) {
         const ImageShape image = frame_image(frame);
-        // only a window must not jump
+        // only a window must not wrap around the end of the image
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
     return static_cast<std::uint32_t>(random.next() % choices);
@@ -142,7 +139,8 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
              .first_column = first,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // of the whole frame's count: unbiased, and no sector counts more for being empty
+        // Scales the counts of the full frame instead of counting in the batch. This is
+        // unbiased, and a sector with few returns gets no higher weight.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which rays of a frame one iteration looks at.
+// Selects the rays of a frame that an iteration uses.
 #pragma once
 
 #include <memory>
@@ -15,48 +15,51 @@ namespace relidar {
 struct Config;
 struct FrameData;
 
-/// Columns of a frame, whole, copied into a batch of their own:
-/// shared::GatherColumnsParams says which.
+/// Columns of a frame that are copied to the arrays of a batch.
+/// shared::GatherColumnsParams defines the selection.
 struct ColumnWindow {
-    std::uint32_t columns = 0;  ///< of the frame; 0 = the batch points into the frame's own rays
+    std::uint32_t columns = 0;  ///< columns of the frame; 0: the batch refers to the rays of the frame
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_columns = 0;
 };
 
-/// Rays of one iteration and what they measured.
+/// Rays of an iteration and their measurements.
 struct SampledBatch {
     RayBatch rays;
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Which ray of the frame ray k of the batch is.
+    /// Returns the index in the frame of ray k of the batch.
     std::size_t ray_of_frame(std::uint32_t k) const;
 };
 
-/// Samples about train.rays_per_iteration rays of a frame: all of them (0); every n-th
-/// group of RELIDAR_COLUMN_GROUP neighbouring columns, the first column drawn from all of
-/// them; or, where structural similarity or normal consistency want it
-/// (Config::needs_images), a window of neighbouring columns. Both are images, and rays
-/// which run together open the same nodes: by groups of four a step of `quick` takes 0.78
-/// of what it takes by single columns. Of a frame without image order every n-th ray is
-/// taken.
+/// Samples about train.rays_per_iteration rays of a frame; 0 means all rays. By default
+/// it takes every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns, starting at a
+/// random column. If structural similarity or normal consistency needs images
+/// (Config::needs_images), it takes a window of neighbouring columns. Both selections are
+/// images. Groups of columns make a step faster than single columns, because rays that
+/// run together then visit the same nodes. For a frame without image order, it takes
+/// every n-th ray.
 class BatchSampler {
 public:
-    /// @throws UsageError where structural similarity or normal consistency is wanted of
-    /// batches or frames that are no images
+    /// Creates the arrays of the batches.
+    /// @throws UsageError if structural similarity or normal consistency is enabled and
+    /// batches or frames are not images
     BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);
     ~BatchSampler();
-    /// Records what is needed to have the batch on the device; valid until the next call.
+    /// Records the commands that create a batch on the device. The batch is valid until
+    /// the next call.
     SampledBatch sample(Stream& stream, const FrameData& frame, Random& random);
-    /// The same for several batches of a frame, which share its rays out, but for a few
-    /// columns where a ring closes; windows do not.
-    /// @param first  where the first of them begins, from draw_first() @param k  which
-    /// one
+    /// Records one of several batches that together contain all rays of a frame once,
+    /// except for a few columns where a ring closes. Windows do not partition the frame.
+    /// @param first  start of the first batch, from draw_first()
+    /// @param k  index of the batch
     SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k);
-    /// Draws the column, or ray, that a batch begins at.
+    /// Draws the column or ray at which a batch starts.
     std::uint32_t draw_first(const FrameData& frame, Random& random) const;
-    /// How many batches share the rays of a frame out; 1 of windows.
+    /// Returns how many batches together contain all rays of the frame. Returns 1 for
+    /// windows.
     std::uint32_t n_batches(const FrameData& frame) const;
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training rays and targets from scans.
+// Computes training rays and targets from scans.
 #include "train/frames/frame_data.hpp"
 
 #include <algorithm>
@@ -14,11 +14,12 @@ namespace relidar {
 
 namespace {
 
-/// A moving box in a sweep, grown by the margin.
+/// A moving box in a sweep, enlarged by the margin.
 struct MaskedBox {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    double reach_m;  ///< of all that it sweeps, from its centre at placed.world_from_model
+    /// radius of the volume that it sweeps, around its centre at placed.world_from_model
+    double reach_m;
 
     bool may_meet(const WorldRay& ray) const {
         const glm::dvec3 to_centre = placed.world_from_model.translation - ray.origin_m;
@@ -45,7 +46,9 @@ std::vector<MaskedBox> masked_boxes_in(const Sequence& sequence, const SweepMome
     return result;
 }
 
-/// @param after_s  when the ray is fired, from the reference time of the sweep
+/// Returns true if a ray may have hit a moving box, so that its measurement must be
+/// ignored.
+/// @param after_s  firing time of the ray, relative to the reference time of the sweep
 bool is_unknown(const std::vector<MaskedBox>& boxes, const WorldRay& ray, double after_s, double range_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const MaskedBox& box) {
         if (!box.may_meet(ray)) return false;
@@ -81,10 +84,14 @@ std::uint32_t most_rays(std::span<const FrameData> frames) {
 }
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
-    const bool whole = image.columns % stride == 0 && first < stride;  // every stride-th column of each row
-    return {
-        &rays(),   first, stride, (n_rays - first + stride - 1) / stride, whole ? image.columns / stride : 0,
-        &targets()};
+    // true if the batch contains every stride-th column of each row
+    const bool is_column_subset = image.columns % stride == 0 && first < stride;
+    return {&rays(),
+            first,
+            stride,
+            (n_rays - first + stride - 1) / stride,
+            is_column_subset ? image.columns / stride : 0,
+            &targets()};
 }
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sweep as published results train on it: an image of cells of elevation and azimuth
-// (train.grid), instead of the rays that were fired.
+// Converts a sweep to the form that published results use for training: an image of cells
+// of elevation and azimuth (train.grid) instead of the fired rays.
 #pragma once
 
 #include <relidar/log/sensor.hpp>
@@ -8,10 +8,11 @@
 
 namespace relidar {
 
-/// The frame with one ray a cell, through its centre, from the sensor's origin. The
-/// nearest return in a cell is the cell's: its range is that of the point (Eq. 6-7),
-/// intensity, time and beam are those of its ray. A cell without one is a dropped ray,
-/// fired when the head faced it. Further returns are left out.
+/// Returns the frame with a ray for each cell. The ray goes from the sensor origin
+/// through the centre of the cell. A cell uses its nearest return: its range is the range
+/// of the point (Eq. 6-7); intensity, time and beam are those of the return's ray. A cell
+/// without a return is a dropped ray, fired when the head faces the cell. Second returns
+/// are removed.
 Frame on_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training frames rendered beside what was measured, for what is learnt of a sensor after
-// training. Private to train.
+// Renders training frames for comparison with their measurements, to estimate properties
+// of the sensor after training. Private to train.
 #pragma once
 
 #include <vector>
@@ -14,18 +14,19 @@
 
 namespace relidar {
 
-/// Rays of a frame's LiDAR: the nominal ones where they are in the order of its scan,
-/// else those of the scan.
+/// Returns the nominal rays of a frame's LiDAR if they have the same order as its scan,
+/// otherwise the rays of the scan.
 SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, const Frame& frame);
 
-/// Where nothing is known of what was measured: moving things that are not in the scene.
+/// Returns which measurements are unknown: those of moving objects that are not in the
+/// scene.
 Unknown masks_of(const Config& config, const Scene& scene);
 
-/// What came back of a frame, 1 dropped, -1 where a moving thing that is not in the scene
-/// was or may have been.
+/// Returns the measured drops of a frame: 0 returned, 1 dropped. -1 means unknown,
+/// because a moving object that is not in the scene was or may have been there.
 std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
 
-/// At most n of the positions, spread over all; 0: all.
+/// Returns at most n of the positions, evenly distributed. 0: all of them.
 std::vector<int> spread(const std::vector<int>& positions, int n);
 
 }  // namespace relidar

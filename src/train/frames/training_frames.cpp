@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which frames stay is fixed: in random order any choice of as many serves as well, and
-// this one needs no bookkeeping. A copy is part of the stream, between the iteration that
-// uses the place before it and the one that wants the frame, so that one place is enough.
+// Keeps the first frames on the device. Since the order of training is random, any
+// selection of frames is equally good, and this one needs no bookkeeping. All other
+// frames share one set of arrays. One set is enough, because the upload is recorded in
+// the stream between the iterations that use the previous and the next frame.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -18,14 +19,14 @@
 namespace relidar {
 namespace {
 
-// frames whose rays are on the host together on their way to where they stay
+// Frames that are prepared in host memory at the same time before they are uploaded.
 constexpr std::size_t kPreparedAtOnce = 32;
 
 double firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A frame as it is trained on: one of the log, or made from it.
+/// A frame of the log, or the frame that was computed from it for a grid.
 struct TrainedFrame {
     std::optional<Frame> binned;
     const Frame& frame;
@@ -104,16 +105,16 @@ TrainingFrames::~TrainingFrames() = default;
 
 void TrainingFrames::keep_on_device(Device& device) {
     for (std::size_t first = 0; first < n_staying_; first += kPreparedAtOnce) {
-        std::vector<HostFrame> some(std::min(kPreparedAtOnce, n_staying_ - first));
-        run_parallel(static_cast<int>(some.size()),
-                     [&](int k) { some[std::size_t(k)] = prepare(first + std::size_t(k)); });
-        for (std::size_t k = 0; k < some.size(); ++k) {
+        std::vector<HostFrame> batch(std::min(kPreparedAtOnce, n_staying_ - first));
+        parallel_for(static_cast<int>(batch.size()),
+                     [&](int k) { batch[std::size_t(k)] = prepare(first + std::size_t(k)); });
+        for (std::size_t k = 0; k < batch.size(); ++k) {
             FrameData& frame = frames_[first + k];
             frame.arrays = std::make_shared<FrameArrays>(
-                FrameArrays{{device, std::span<const DeviceRay>(some[k].rays), "training rays"},
-                            {device, std::span<const DeviceTarget>(some[k].targets), "training targets"},
-                            {device, std::span<const shared::RayPlace>(some[k].places), "places of rays"}});
-            count(frame, some[k].targets);
+                FrameArrays{{device, std::span<const DeviceRay>(batch[k].rays), "training rays"},
+                            {device, std::span<const DeviceTarget>(batch[k].targets), "training targets"},
+                            {device, std::span<const shared::RayPlace>(batch[k].places), "places of rays"}});
+            count(frame, batch[k].targets);
         }
     }
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// All training frames. As many as fit into a budget stay on the device; of the others
-// each comes when its turn is there, to a place that they share. So the memory of the
-// device does not grow with the log.
+// All training frames. Frames within a memory budget are resident on the device. The
+// others are uploaded to shared arrays when they are needed, so that device memory does
+// not grow with the log.
 #pragma once
 
 #include <cstdint>
@@ -16,37 +16,41 @@
 
 namespace relidar {
 
-/// What of the frames is wanted on the device.
+/// What the device needs of the frames.
 struct FrameUse {
     Unknown unknown;
-    bool moves_rays = false;           ///< poses of the vehicle are corrected: FrameArrays::places are there
-    std::uint64_t stay_bytes = ~0ull;  ///< of frames that stay on the device, at most
-    std::optional<RangeGrid> grid = {};  ///< rays are those of its cells: on_grid()
+    bool moves_rays = false;  ///< true: vehicle poses are corrected, so FrameArrays::places is needed
+    std::uint64_t stay_bytes = ~0ull;  ///< maximum device memory of resident frames
+    /// if set, the rays are those of the grid's cells, see on_grid()
+    std::optional<RangeGrid> grid = {};
 };
 
 class TrainingFrames {
 public:
-    /// @param sequence  must outlive this: its scans are read whenever a frame comes
-    /// @param positions  of the frames in Sequence::frames @throws DataError where one
-    /// has no ray
+    /// Creates the frames and uploads the resident ones.
+    /// @param sequence  must outlive this object, because its scans are read for each
+    /// upload
+    /// @param positions  indices into Sequence::frames of the frames
+    /// @throws DataError if a frame has no ray
     TrainingFrames(Device& device, const Sequence& sequence, const std::vector<int>& positions, FrameUse use);
     ~TrainingFrames();
 
     const std::vector<FrameData>& all() const { return frames_; }
     FrameData& operator[](std::size_t i) { return frames_[i]; }
-    /// What the frames' targets leave out.
+    /// Returns the measurements that the targets exclude.
     const Unknown& unknown() const { return use_.unknown; }
-    /// How many stay on the device.
+    /// Returns the number of resident frames.
     std::size_t n_staying() const { return n_staying_; }
 
-    /// Records what brings frame i to the device, where it is not: its arrays are there
-    /// until another one comes.
+    /// Records the upload of frame i if it is not on the device. Its arrays are valid
+    /// until another frame is uploaded.
     FrameData& bring(Stream& stream, std::size_t i);
-    /// Frame i comes next: where it has to be brought, a thread begins to prepare it.
+    /// Announces that frame i is next. If it needs an upload, a thread starts to prepare
+    /// it.
     void expect(std::size_t i);
 
 private:
-    /// A frame as it goes to the device.
+    /// Arrays of a frame in host memory, before the upload.
     struct HostFrame {
         std::vector<DeviceRay> rays;
         std::vector<DeviceTarget> targets;
@@ -56,8 +60,8 @@ private:
     const Sequence& sequence_;
     const FrameUse use_;
     std::vector<FrameData> frames_;
-    std::size_t n_staying_ = 0;                  ///< the first ones
-    std::shared_ptr<const FrameArrays> shared_;  ///< of all others
+    std::size_t n_staying_ = 0;                  ///< number of resident frames, which are the first ones
+    std::shared_ptr<const FrameArrays> shared_;  ///< arrays that all other frames share
     std::future<HostFrame> coming_;
     std::size_t coming_frame_ = 0;
 

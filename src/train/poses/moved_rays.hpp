@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rays of the training frames where the corrected poses of the sensor have them, and
-// gradients of rays as gradients of those poses.
+// Computes the rays of training frames from corrected sensor poses, and converts
+// gradients of rays to gradients of these poses.
 #pragma once
 
 #include <cstdint>
@@ -27,27 +27,28 @@ struct PoseGradient {
 class MovedRays {
 public:
     MovedRays(Device& device, const std::vector<FrameData>& frames);
-    /// Records the rays of a frame that is on the device, and has the frame point to
-    /// them. They serve until the next call.
+    /// Records the computation of the rays of a frame that is on the device, and lets the
+    /// frame refer to them. They are valid until the next call.
     void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
-    /// Records gradients of the poses between which the batch's rays were fired, from
-    /// dL/d(ray) of a backward pass; the frame was moved last. The direction from which
-    /// spherical harmonics are seen is taken as fixed.
+    /// Records the gradients of the poses between which the batch's rays were fired, from
+    /// dL/d(ray) of a backward pass. The frame must be the one that was moved last. The
+    /// direction for evaluating spherical harmonics is treated as constant.
     void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
                        const Array<float, shared::DeviceRayGradients>& d_rays);
-    /// [kRows, poses of a frame at most, 6] of the last sum_gradients().
+    /// Returns [kRows, maximum poses of a frame, 6] partial sums of the last
+    /// sum_gradients().
     const Array<float>& gradient_rows() const { return rows_; }
-    /// What they mean, of a frame.
+    /// Sums the rows to a gradient for each pose of a frame.
     std::vector<PoseGradient> gradients_in(std::span<const float> gradient_rows,
                                            const FrameData& frame) const;
 
 private:
-    /// workgroups a pose: together enough rays at a time for a GPU
+    /// Workgroups for each pose: enough parallel rays to use a GPU.
     static constexpr std::uint32_t kRows = 16;
 
     std::uint32_t most_knots_;
-    Array<DeviceRay> moved_;         ///< [rays of a frame at most] of the frame moved last
-    Array<shared::PoseKnot> knots_;  ///< [most_knots] of the frame moved last
+    Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame that was moved last
+    Array<shared::PoseKnot> knots_;  ///< [most_knots] poses of the frame that was moved last
     Array<float, shared::KnotGradientRows> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Held-out scans placed on the scene that was trained without them: six numbers of each
-// are found from its own returns, so that scores are of the scene, not of where a scan
-// was thought to be.
+// Aligns held-out scans with the scene that was trained without them. The six pose
+// parameters of each are estimated from its returns. Then metrics measure the scene and
+// not the error of the scan's pose.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -17,10 +17,10 @@
 namespace relidar {
 namespace {
 
-constexpr float kFewestWeight = 0.5f;  // of a ray that has met a surface
+constexpr float kFewestWeight = 0.5f;  // minimum blending weight of a ray that has hit a surface
 
-/// What a run's background shows. Actors are no place to stand on: their own poses are
-/// estimates.
+/// Renders the background of a run for the alignment. Actors are excluded, because their
+/// own poses are estimates.
 class RunView {
 public:
     RunView(Device& device, const Run& run)
@@ -38,7 +38,7 @@ public:
         const RenderedScan scan = renderer_.render(
             sensor, {frame.time_s, shifted_track(moved_track(world_from_vehicle, mounted), offset_m), {}});
         const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
-        std::vector<SeenSurface> seen(rays.size());
+        std::vector<SeenSurface> surfaces(rays.size());
         FiringPoses firing(scan);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const std::int32_t instance = scan.instance[i];
@@ -48,9 +48,9 @@ public:
             const Pose& pose = firing.at(i);
             const glm::vec3 point_m =
                 sensor.rays.origin[i] + scan.median_range_m[i] * sensor.rays.direction[i];
-            seen[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
+            surfaces[i] = {pose * glm::dvec3(point_m) - offset_m, pose.rotation * glm::dvec3(normals[i])};
         }
-        return seen;
+        return surfaces;
     }
 
 private:
@@ -78,7 +78,7 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
-    std::set<std::size_t> poses;  // of sweeps: LiDARs that sweep together are placed together
+    std::set<std::size_t> poses;  // poses of sweeps; LiDARs that sweep together are aligned together
     for (const int position : run.split.test)
         poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A box at one moment, and where rays are inside of it.
+// A box at one point in time, and the intersection of rays with it.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -13,8 +13,9 @@ struct PlacedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
 
-    /// Distances along a ray, from 0 on, between which it is inside of the box grown on
-    /// every side. @return entry > exit where it misses
+    /// Returns the distances, at least 0, at which a ray enters and leaves the box.
+    /// @param grown_m  enlarges the box on every side
+    /// @return entry > exit if the ray misses the box
     glm::dvec2 interval(const WorldRay& ray, double grown_m = 0.0) const;
 };
 

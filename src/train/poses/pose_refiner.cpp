@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pose refinement: gradients of rays and of instances become steps of the poses between
+// Refines poses: converts gradients of rays and instances to steps of the poses between
 // which they are interpolated.
 #include "train/poses/pose_refiner.hpp"
 
@@ -17,13 +17,14 @@
 namespace relidar {
 namespace {
 
-constexpr double kFinalShare = 0.1;  // of the rates, at the end of training
-/// Rates follow train.pose_rate_m, the sensor's in metres. A turn moves what is 10 m
-/// away, where most returns are, as far as a shift does at a tenth of the rate a metre;
-/// boxes start ten times as far off as a sensor that registration has placed.
+constexpr double kFinalShare = 0.1;  // learning rates at the end of training, relative to their start
+/// Learning rates are relative to train.pose_rate_m, the sensor's rate in metres. The
+/// rotation rate is a tenth per metre, because most returns are about 10 m away. The
+/// rates of boxes are ten times as high, because their initial errors are about ten times
+/// those of a registered sensor.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
-/// Weights of the squares of every correction in the loss, per square metre and per
-/// square radian: so small that they only hold what no ray tells.
+/// Weights of the squared corrections in the loss, per square metre and per square
+/// radian. They are small, so that they affect only what no ray constrains.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 Sequence without_scans(const Sequence& sequence) {
@@ -36,7 +37,7 @@ Sequence without_scans(const Sequence& sequence) {
     return result;
 }
 
-/// Room for an array of the last kReadbackLag iterations.
+/// Allocates readbacks for an array of the last kReadbackLag iterations.
 void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats, const char* what) {
     while (readbacks.size() < kReadbackLag) readbacks.emplace_back(device, n_floats * sizeof(float), what);
 }
@@ -143,8 +144,10 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
-        for (double& g : twist) g *= 0.5;          // both ends of the time that it is seen move alike
-        for (std::size_t end = 0; end < 2; ++end)  // zeros where it was absent, which count as not seen
+        // half of the gradient for each end of the time in which the actor is seen
+        for (double& g : twist) g *= 0.5;
+        // zeros if the actor was absent; the correction treats them as no observation
+        for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));
     }

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Corrections of the sensor's poses and of the actors' boxes, found together with the
-// scene (train.refine_poses). Gradients come from the device, steps are taken on the
-// host, where a few poses are no work and double precision is at hand: a fixed number of
-// iterations later, so that nothing waits (readback_lag.hpp). A checkpoint holds what is
-// on its way, so that resuming changes nothing.
+// Corrects the poses of the sensor and of the actors' boxes during training
+// (train.refine_poses). The device computes gradients. The host updates the poses in
+// double precision, because there are only a few. It does so a fixed number of iterations
+// later, so that nothing waits (readback_lag.hpp). A checkpoint includes the pending
+// gradients, so that resuming a training changes nothing.
 #pragma once
 
 #include <memory>
@@ -30,29 +30,29 @@ struct WantedGradients;
 
 class PoseRefiner {
 public:
-    /// @param layout of the scene: the tracks of its instances are those corrected
-    /// @param config  train.refine_poses says what is corrected; with "none" this does
-    /// nothing
+    /// Creates the corrections.
+    /// @param layout  layout of the scene; the tracks of its instances are corrected
+    /// @param config  train.refine_poses selects the corrected poses; with "none" this
+    /// object does nothing
     PoseRefiner(Device& device, const Sequence& sequence, const Scene& layout, const TrainConfig& config,
                 const TrainingFrames& frames);
     ~PoseRefiner();
 
     bool is_active() const { return is_active_; }
-    /// What record() needs of a backward pass.
+    /// Returns the gradients that record() needs from a backward pass.
     WantedGradients wanted() const;
-    /// Rays, actors and view origin of a frame that is on the device, as corrected so
-    /// far. Records.
+    /// Records the corrected rays, actors and view origin of a frame that is on the
+    /// device.
     void place(Stream& stream, FrameData& frame);
-    /// Records the gradients of the poses that this batch has seen, on their way to
-    /// take_steps().
-    /// @param step counts from 1
+    /// Records the pose gradients of this batch and their readback for take_steps().
+    /// @param step  counts from 1
     void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
                 const Gradients& gradients, int step);
-    /// Takes the steps of all iterations up to `last` that were not taken yet, in order.
-    /// Waits where gradients are not there yet.
+    /// Applies the pending steps of all iterations up to `last`, in order. Waits for
+    /// gradients that are not ready yet.
     void take_steps(Stream& stream, int last);
-    /// Waits for the gradients on their way: they are then part of the state. No step is
-    /// taken.
+    /// Waits for the pending gradients, so that they become part of the state. Applies no
+    /// step.
     void fetch(Stream& stream);
     RefinedPoses poses() const;
 
@@ -67,38 +67,42 @@ public:
         visit("poses/coming/actor_time_s", coming_.actor_time_s);
         visit("poses/coming/gradient", coming_.gradient);
     }
-    /// After state was read back. @return whether it can be gone on with
+    /// Completes the object after its state was read from a checkpoint.
+    /// @return false if the state is invalid
     bool take_over();
 
 private:
     struct Actor {
-        std::size_t instance;  ///< of the scene
-        std::size_t box;       ///< of the sequence
+        std::size_t instance;  ///< index of the instance in the scene
+        std::size_t box;       ///< index of the box in the sequence
         TrackCorrection correction;
     };
 
-    /// Iterations whose steps are to be taken, oldest first.
+    /// Iterations whose steps are pending, oldest first.
     struct Coming {
         std::vector<std::uint64_t> step;
-        std::vector<std::uint64_t> frame;  ///< index of the constructor's frames
-        /// [iterations, actors, 2] first and last time at which each was seen
+        /// index of the frame in the constructor's list of training frames
+        std::vector<std::uint64_t> frame;
+        /// [iterations, actors, 2] first and last time at which each actor was seen
         std::vector<double> actor_time_s;
-        std::vector<float> gradient;  ///< [iterations, floats_of_rays_ + floats_of_instances_] once fetched
+        /// [iterations, floats_of_rays_ + floats_of_instances_] gradients after fetch()
+        std::vector<float> gradient;
     };
 
     const TrainConfig& config_;
     const bool is_active_;
     const TrainingFrames& frames_;
     Scene layout_;
-    Sequence poses_;  ///< the log without its scans, as corrected so far
+    Sequence poses_;  ///< the log without its scans, with the current corrections
     std::optional<TrackCorrection> sensor_;
     std::unique_ptr<MovedRays> rays_;
     std::vector<Actor> actors_;
     Coming coming_;
     std::size_t floats_of_rays_ = 0, floats_of_instances_ = 0;
-    std::vector<Readback> of_rays_, of_instances_;  ///< [kReadbackLag] by iteration; none where not refined
+    /// [kReadbackLag] used in turn by iterations; empty if not refined
+    std::vector<Readback> of_rays_, of_instances_;
 
-    /// What iteration i of those coming has left, when it is there.
+    /// Returns the gradients of the i-th pending iteration. Waits until they are ready.
     std::span<float> fetch(Stream& stream, std::size_t i);
     void take_oldest_step(Stream& stream);
     void update_poses();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam (Kingma and Ba 2015) on a few poses, on the host. The second moment forgets faster
-// than usual: a pose is seen tens of times in a training, not thousands.
+// Adam (Kingma and Ba 2015) for a few poses, on the host. The second moment decays faster
+// than usual, because a pose gets tens of gradients in a training, not thousands.
 #include "train/poses/track_correction.hpp"
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// write_atomically leaves the complete file or nothing: whatever goes wrong, no temporary
-// file and no changed target.
+// Tests that write_atomically() creates the complete file or nothing. On any error, there
+// must be no temporary file and no changed target.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
@@ -105,7 +105,7 @@ TEST_F(AtomicFile, NamesAFolderThatCannotBeWritten) {
 
 TEST_F(AtomicFile, NamesAFileSystemThatCannotBeWritten) {
     if (!fs::is_directory("/proc/self")) GTEST_SKIP() << "no /proc";
-    // refused to root as well
+    // not writable for root either
     const std::string message = data_error([&] { write_text("/proc/relidar.txt", "x"); });
     EXPECT_NE(message.find("/proc/relidar.txt"), std::string::npos) << message;
 }
@@ -118,7 +118,7 @@ TEST_F(AtomicFile, LeftoversOfAKilledProcessAreRemoved) {
     remove_temporaries(folder);
     remove_temporaries(folder / "nowhere");
     EXPECT_EQ(files().size(), 5u);
-    pid_t child = ::fork();  // the names are those that really are left behind
+    pid_t child = ::fork();  // uses real leftovers of a killed process
     if (child == 0)
         write_atomically(folder / "b.txt",
                          [](const fs::path& temporary) { put(temporary, "half"), ::_exit(0); });
@@ -165,12 +165,14 @@ TEST_F(StagedFolders, LeaveNothingWhereTheyAreNotFinished) {
 TEST_F(StagedFolders, OfKilledProcessesAreRemovedByTheNextOfTheName) {
     const pid_t child = ::fork();
     if (child == 0) {
-        new StagedFolder(folder / "log");  // as a process that is killed: its destructor does not run
+        // simulates a killed process, in which the destructor does not run
+        new StagedFolder(folder / "log");
         ::_exit(0);
     }
     ::waitpid(child, nullptr, 0);
     EXPECT_EQ(files().size(), 1u);
-    fs::create_directory(folder / fmt::format(".log.tmp-{}", ::getppid()));  // of one that runs
+    // folder of a running process
+    fs::create_directory(folder / fmt::format(".log.tmp-{}", ::getppid()));
     fs::create_directory(folder / fmt::format(".other.tmp-{}", child));
     { const StagedFolder staged(folder / "log"); }
     EXPECT_EQ(files().size(), 2u);
@@ -178,15 +180,17 @@ TEST_F(StagedFolders, OfKilledProcessesAreRemovedByTheNextOfTheName) {
 
 TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
     std::vector<float> noise(64 * 64);
-    // does not compress
+    // values that cannot be compressed
     for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;
     const NamedArray array = make_array("noise", {64, 64}, noise.data(), noise.size());
     PointCloud cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096), {}, {}};
     Report report;
     report.summary = std::string(20'000, 'x');
     const std::vector<std::function<void(const fs::path&)>> writers = {
-        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },  // fails in the last flush
-        [&](const fs::path& path) { write_text(path, std::string(5'000'000, 'x')); },  // fails in the write
+        // fails in the last flush
+        [&](const fs::path& path) { write_text(path, std::string(5000, 'x')); },
+        // fails in the write
+        [&](const fs::path& path) { write_text(path, std::string(5'000'000, 'x')); },
         [&](const fs::path& path) { write_npz(path, {array}); },
         [&](const fs::path& path) { write_safetensors(path, {array}, {}); },
         [&](const fs::path& path) { write_ply(path, cloud); },

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Feather files: what the tests' writer was given comes back, and so do the values of
-// files that pyarrow wrote (../shared/data/fixtures, skipped where RELIDAR_SHARED does
-// not hold them). Damage of any byte is an error or changes values, never a crash.
+// Tests Feather files: values from the tests' writer and from files of pyarrow
+// (../shared/data/fixtures, skipped if RELIDAR_SHARED does not contain them). Any damaged
+// byte must cause an error or different values, never a crash.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
@@ -69,8 +69,8 @@ TEST(Feather, ValuesOfEveryTypeComeBack) {
 }
 
 TEST(Feather, CompressibleColumnsAreBounded) {
-    // zstd makes 160 kB about 20 bytes: more than a file of nothing else is believed to
-    // hold
+    // zstd compresses 160 kB to about 20 bytes. A file with only such a column would
+    // exceed the limit of plausible sizes.
     const std::vector<double> zeros(20000, 0.0);
     std::vector<std::int64_t> noise;
     for (std::int64_t i = 0; i < 20000; ++i) noise.push_back(i * 7919 % 20011);
@@ -99,7 +99,7 @@ TEST(Feather, SaysWhatIsWrong) {
     expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes that do not begin with ARROW1", only_open);
     expect(good.substr(0, good.size() - 1), "cut short: it does not end with ARROW1", only_open);
     std::string bad = good;
-    bad[bad.size() - 7] = '\x7f';  // the footer's length
+    bad[bad.size() - 7] = '\x7f';  // length of the footer
     expect(bad, "a footer at -", only_open);
     expect(good, "column 'wider': no such column among 'wide, narrow, ",
            [](const Feather& t) { t.numbers("wider"); });
@@ -116,7 +116,7 @@ TEST(Feather, SaysWhatIsWrong) {
            [](const Feather& t) { t.integers("x"); });
 }
 
-/// Every byte of a small file in turn.
+/// Damages every byte of a small file in turn.
 TEST(Feather, DamagedBytesAreErrorsOrOtherValues) {
     for (const FeatherCodec codec : {FeatherCodec::none, FeatherCodec::lz4, FeatherCodec::zstd}) {
         const std::string good =
@@ -153,7 +153,7 @@ TEST(Feather, ReadsWhatPyarrowWrote) {
         const Feather table(folder / file);
         EXPECT_EQ(table.rows(), 5000u);
         for (const NamedArray& array : truth) {
-            if (array.name == "offset_ns") {  // beyond a float's digits
+            if (array.name == "offset_ns") {  // more digits than a float has
                 std::vector<std::int32_t> expected(5000);
                 ASSERT_EQ(array.bytes.size(), 4 * expected.size());
                 std::memcpy(expected.data(), array.bytes.data(), array.bytes.size());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes Feather V2 files for tests: Arrow IPC files, their metadata by flatbuffers' own
+// Writes Feather V2 files (Arrow IPC) for tests, with the metadata from the flatbuffers
 // builder.
 #pragma once
 
@@ -14,8 +14,8 @@ struct FeatherColumn {
     std::string name;
     int bits = 0;
     bool is_signed = false;
-    std::string values;              ///< of numbers: their bytes
-    std::vector<std::string> texts;  ///< of text
+    std::string values;              ///< bytes of numbers
+    std::vector<std::string> texts;  ///< values of a text column
     bool by_dictionary = false;
 
     std::size_t rows() const {
@@ -36,14 +36,15 @@ FeatherColumn number_column(const std::string& name, const std::vector<T>& value
     column.values.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(T));
     return column;
 }
-/// Half precision, rounded to the nearest.
+/// Returns a column in half precision, rounded to nearest.
 FeatherColumn half_column(const std::string& name, const std::vector<float>& values);
 FeatherColumn text_column(const std::string& name, const std::vector<std::string>& texts,
                           bool by_dictionary = false);
 
 enum class FeatherCodec { none, lz4, zstd };
 
-/// The bytes of a file. @param rows_a_batch  0: all rows in one record batch
+/// Returns the bytes of a file.
+/// @param rows_a_batch rows per record batch; 0: all rows in one record batch
 std::string feather_bytes(const std::vector<FeatherColumn>& columns, FeatherCodec codec = FeatherCodec::none,
                           std::size_t rows_a_batch = 0);
 

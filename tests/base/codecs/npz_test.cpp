@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// npz files: round trips of every type, files numpy wrote, and refusal of whatever is
-// damaged. Every cut and every changed byte of a small archive either reads back equal or
-// throws a DataError.
+// Tests npz files: round trips of every type, files written by numpy, and rejection of
+// damaged files. Every truncation and every changed byte of a small archive must either
+// give equal values or throw a DataError.
 #include <relidar/base/arrays.hpp>
 
 #include <cstring>
@@ -130,7 +130,7 @@ TEST_F(Npz, SurvivesEveryChangedByte) {
             changed[i] = char(changed[i] ^ change);
             put(folder / "changed.npz", changed);
             try {
-                // a field nobody needs, such as a date
+                // a changed field that is ignored, such as a date
                 EXPECT_EQ(read_npz(folder / "changed.npz").size(), 4u) << i;
             } catch (const DataError&) {
                 ++n_refused;
@@ -144,7 +144,7 @@ TEST_F(Npz, RefusesAbsurdSizes) {
     const std::size_t directory = file.find("PK\x01\x02");
     ASSERT_NE(directory, std::string::npos);
     const std::uint32_t absurd = 0xFFFFFFF0;
-    // the unpacked size of the first entry
+    // unpacked size of the first entry
     std::memcpy(file.data() + directory + 24, &absurd, sizeof absurd);
     put(folder / "a.npz", file);
     EXPECT_NE(data_error([&] { read_npz(folder / "a.npz"); }).find("impossible"), std::string::npos);
@@ -187,7 +187,8 @@ TEST(NamedArray, ConvertsToFloat) {
 }
 
 TEST_F(Npz, TextsComeBackPadded) {
-    // a lead without its tail, a surrogate, an end in the middle
+    // invalid UTF-8: a lead byte without continuation, a surrogate, and a truncated
+    // character
     const std::string broken = "a\xC3(\xED\xA0\x80\xF0\x9F";
     write_npz(folder / "a.npz", {make_text_array("names", {"Fußgänger", "", "车\U0001F697", broken}),
                                  make_text_array("none", {})});

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// EXR and PNG files read back by OpenEXR and libpng themselves; colour maps and stacks by
-// their pixels.
+// Tests EXR and PNG files by reading them with OpenEXR and libpng, and colour maps and
+// stacked images by their pixels.
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 
@@ -43,7 +43,8 @@ std::vector<float> read_channel(const std::filesystem::path& path, const std::st
 }
 
 TEST_F(Picture, ExrKeepsEveryBit) {
-    constexpr int rows = 37, columns = 53;  // not a multiple of the 16 rows OpenEXR packs together
+    // not a multiple of the 16 rows that OpenEXR compresses together
+    constexpr int rows = 37, columns = 53;
     std::vector<float> range(rows * columns), intensity(rows * columns);
     for (std::size_t i = 0; i < range.size(); ++i) {
         range[i] = 80.0f * float(i * 2654435761u % 1009u) / 1009.0f;
@@ -85,7 +86,7 @@ Image read_png(const std::vector<std::uint8_t>& bytes) {
     return image;
 }
 
-/// What libpng finds of text in a file in memory.
+/// Returns the text entries that libpng reads from a file in memory.
 std::vector<std::pair<std::string, std::string>> png_texts(const std::vector<std::uint8_t>& bytes) {
     png_structp png = png_create_read_struct(PNG_LIBPNG_VER_STRING, nullptr, nullptr, nullptr);
     png_infop info = png_create_info_struct(png);

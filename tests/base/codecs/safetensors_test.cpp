@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// safetensors files: round trips, the layout byte by byte, and refusal of every cut and
-// of headers whose sizes, ranges or types do not hold.
+// Tests safetensors files: round trips, the layout byte by byte, and rejection of
+// truncated files and of headers with invalid sizes, ranges or types.
 #include <relidar/base/arrays.hpp>
 
 #include <algorithm>
@@ -13,7 +13,7 @@ namespace {
 
 using Safetensors = TemporaryFolder;
 
-/// A file of this header and data, the header size filled in.
+/// Returns a file with this header and data, including the size of the header.
 std::string file_of(const std::string& header, const std::string& data) {
     const std::uint64_t size = header.size();
     std::string bytes(sizeof size, '\0');
@@ -46,7 +46,7 @@ TEST_F(Safetensors, RoundTrips) {
         EXPECT_EQ(it->shape, array.shape);
         EXPECT_EQ(it->bytes, array.bytes);
     }
-    EXPECT_EQ(read[0].name, "mask");  // order of the data, not of the alphabet
+    EXPECT_EQ(read[0].name, "mask");  // in the order of the data, not in alphabetical order
     EXPECT_EQ(read[1].name, "z_first");
 }
 
@@ -82,7 +82,7 @@ TEST_F(Safetensors, SurvivesEveryChangedByte) {
             put(folder / "changed", changed);
             try {
                 (void)read_safetensors(folder / "changed");
-            } catch (const DataError&) {  // anything else fails the test
+            } catch (const DataError&) {  // any other exception fails the test
             }
         }
 }
@@ -105,22 +105,23 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     refused("{");
     refused("{\"a\":1}");
     refused("{\"a\":{}}");
-    refused("{}");  // 8 bytes nobody owns
+    refused("{}");  // 8 bytes that belong to no array
     refused("{\"a\":" + entry("F33", "[2]", "[0,8]") + "}");
-    refused("{\"a\":" + entry("F32", "[3]", "[0,8]") + "}");   // size
+    refused("{\"a\":" + entry("F32", "[3]", "[0,8]") + "}");   // wrong size
     refused("{\"a\":" + entry("F32", "[2]", "[4,12]") + "}");  // beyond the end
     refused("{\"a\":" + entry("F32", "[2]", "[8,0]") + "}");
     refused("{\"a\":" + entry("F32", "[-2]", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "[2.0]", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "2", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "[2]", "[0]") + "}");
-    refused("{\"a\":" + entry("F32", "[4611686018427387904,4,2]", "[0,8]") + "}");  // product overflows
+    // the product overflows
+    refused("{\"a\":" + entry("F32", "[4611686018427387904,4,2]", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "[18446744073709551616]", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "[1]", "[0,4]") + "}");  // gap at the end
     refused("{\"a\":" + entry("F32", "[1]", "[4,8]") + "}");  // gap at the start
     // overlap
     refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[1]", "[4,8]") + "}");
-    // named twice
+    // duplicate name
     refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
     refused("{\"a\":" + entry("F32", "[2]", "[0,8]") + ",\"b\":" + entry("F32", "[0]", "[8,8]") +
             ",\"b\":" + entry("F32", "[0]", "[8,8]") + "}");
@@ -129,8 +130,8 @@ TEST_F(Safetensors, RefusesHeadersThatDoNotHold) {
     refused("{\"__metadata__\":3,\"a\":" + entry("F32", "[2]", "[0,8]") + "}");
 }
 
-// A header of 1.5 MB took 32 s with a JSON object that looks for each new name among all
-// before it.
+// Reads many arrays. A JSON object that compares each new name with all earlier ones
+// would take quadratic time.
 TEST_F(Safetensors, ReadsManyArraysInTheOrderOfTheFile) {
     std::string header = "{";
     constexpr int kArrays = 25000;
@@ -159,7 +160,7 @@ TEST_F(Safetensors, RefusesBadArrays) {
     const NamedArray good = make_array("a", {2}, values, 2);
     NamedArray reserved = good, latin1 = good;
     reserved.name = "__metadata__";
-    latin1.name = "caf\xE9";  // JSON is UTF-8
+    latin1.name = "caf\xE9";  // invalid, because JSON is UTF-8
     for (const std::vector<NamedArray>& arrays : {std::vector{good, good}, {reserved}, {latin1}})
         data_error([&] { write_safetensors(folder / "a", arrays, {}); });
     EXPECT_TRUE(files().empty());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tests of export share: a folder that goes away with the test, whole files as
-// strings, failures as text.
+// Provides a temporary folder that is removed with the test, and functions that return
+// file contents and error messages as strings.
 #pragma once
 
 #include <filesystem>
@@ -27,7 +27,7 @@ protected:
     }
     void TearDown() override { std::filesystem::remove_all(folder); }
 
-    /// Names of all files, the hidden ones too.
+    /// Returns the names of all files, including hidden ones.
     std::vector<std::string> files() const {
         std::vector<std::string> names;
         for (const auto& entry : std::filesystem::directory_iterator(folder))
@@ -44,13 +44,14 @@ inline std::string contents(const std::filesystem::path& path) {
 }
 
 inline void put(const std::filesystem::path& path, std::string_view bytes) {
-    // ext4 flushes a file that is truncated and rewritten: slow over thousands of them
+    // Removes the file first, because ext4 flushes a file that is truncated and
+    // rewritten, which is slow.
     std::filesystem::remove(path);
     std::ofstream(path, std::ios::binary).write(bytes.data(), std::streamsize(bytes.size()));
 }
 
-/// Message of the error of this kind that a call throws; a test failure where it throws
-/// none or another.
+/// Returns the message of the error of this type that a call throws. Fails the test if
+/// the call throws nothing or another type.
 template <class Wanted, class Call>
 std::string error_message(const Call& call) {
     try {

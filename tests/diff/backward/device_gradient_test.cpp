@@ -82,8 +82,7 @@ protected:
             d_rays.push_back(reference::backward(scene.world, brute, settings, scene.rays[i], trace.chunk,
                                                  upstream[i], expected));
 
-        trace.geometry = how.outputs != Outputs::image && how.outputs != Outputs::likelihood;
-        if (how.outputs == Outputs::likelihood || how.outputs == Outputs::all) trace.likelihood = kKernel;
+        if (how.outputs != Outputs::image) trace.likelihood = kKernel;
         for (const Way& way : ways_of(how)) {
             const Forced forced(device(), {.brute_force = how.brute_force});
             trace.order = way.order;
@@ -111,9 +110,8 @@ protected:
         for (const auto& [name, group] : table.groups()) {
             EXPECT_LE(group.worst_error(), how.tolerance) << name << ", " << title;
             EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
-            const bool constant =
-                (name == "sh hit" && image.single_drop_logit) ||
-                (name.starts_with("sh ") && how.outputs != Outputs::image && how.outputs != Outputs::all);
+            const bool constant = (name == "sh hit" && image.single_drop_logit) ||
+                                  (name.starts_with("sh ") && how.outputs == Outputs::likelihood);
             EXPECT_EQ(group.nonzero_rows() == 0u, constant) << name << ", " << title;
         }
     }
@@ -133,8 +131,8 @@ TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
     expect_agreement({.sh_direction = ShDirection::surfel}, options,
-                     {.tolerance = tolerance, .outputs = Outputs::normal, .chunk = 4},
-                     "normals of models that move");
+                     {.tolerance = tolerance, .outputs = Outputs::likelihood, .chunk = 4},
+                     "likelihood, models that move");
 }
 
 TEST_F(DeviceGradient, ShAlongSurfelWithInstance) {
@@ -200,33 +198,26 @@ TEST_F(DeviceGradient, SingleDropLogit) {
                      "one drop logit, SH along sensor -> mean");
 }
 
-/// Blended normal, distortion and likelihood (M10-M12), each alone and with the image,
-/// short chunks and long lists.
-TEST_F(DeviceGradient, Geometry) {
+/// The image and the likelihood (M12) together, short chunks and long lists.
+TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .every_way = true, .outputs = Outputs::all},
-                     "image and geometry, SH along the ray");
-    options.actor_instances = 1, options.seed = 62;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::normal, .chunk = 4},
-                     "blended normal alone");
-    options.seed = 63;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options,
-                     {.outputs = Outputs::distortion, .chunk = 4}, "distortion alone");
+                     "image and likelihood, SH along the ray");
     options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0,
     options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
     expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::all},
-                     "image and geometry, transparent, long lists");
+                     "image and likelihood, transparent, long lists");
     options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5,
     options.opacity_high = 0.98, options.wide_surfels = 2;
     expect_agreement(
         {.sh_direction = ShDirection::ray}, options,
         {.brute_force = true, .tolerance = 10.0 * test::kKernelGradient, .outputs = Outputs::all, .chunk = 2},
-        "image and geometry, opaque with clamps");
+        "image and likelihood, opaque with clamps");
 }
 
-/// The likelihood (M12) alone, without the rest of the geometry. In small rows the hits
+/// The likelihood (M12) alone. In small rows the hits
 /// of many rays cancel, and show that a GPU's exp and division are off by up to 3 and 2.5
 /// units in the last place, where a processor's are off by half a unit.
 TEST_F(DeviceGradient, Likelihood) {

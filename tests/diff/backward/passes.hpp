@@ -56,22 +56,13 @@ struct Passes {
           view_origin(s.view_origin) {
         renderer.scene().set_poses(placed.world_from_instance);
         std::vector<shared::RayGradient> u;
-        std::vector<shared::GeometryGradient> q;
         for (std::size_t i = 0; i < s.rays.size(); ++i) {
-            const reference::PixelGradient& d = g[i];
-            u.push_back({.depth = float(d.depth),
-                         .weight = float(d.weight),
-                         .intensity = float(d.intensity),
-                         .hit_logit = float(d.hit_logit),
-                         .drop_logit = float(d.drop_logit)});
-            q.push_back({.normal = glm::vec3(d.normal),
-                         .distortion = float(d.distortion),
-                         .point = glm::vec3(0.0f),
-                         .range = 0.0f,
-                         .likelihood = float(d.likelihood)});
+            shared::RayGradient& d = u.emplace_back();
+#define RELIDAR_COPY(name, built, value, input, slope, meaning) d.name = float(g[i].name);
+            RELIDAR_BLENDED_VALUES(RELIDAR_COPY)
+#undef RELIDAR_COPY
         }
         renderer.batch().upstream->upload(u);
-        if (RayGeometry* geometry = renderer.batch().geometry) geometry->gradient.upload(q);
     }
 
     RayBatch batch() const { return {&rays, 0, 1, static_cast<std::uint32_t>(rays.size()), 0, &targets}; }
@@ -85,7 +76,7 @@ struct Passes {
         renderer.record_backward();
         renderer.stream().finish();
     }
-    /// sum over rays of upstream . rendered, in double, geometry left out
+    /// sum over rays of upstream . rendered, in double
     double loss() {
         run_forward();
         renderer.stream().finish();
@@ -93,9 +84,9 @@ struct Passes {
         const std::vector<shared::RayGradient> u = renderer.batch().upstream->download();
         double sum = 0.0;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            sum += double(r[i].depth) * u[i].depth + double(r[i].weight) * u[i].weight +
-                   double(r[i].intensity) * u[i].intensity;
-            sum += double(r[i].hit_logit) * u[i].hit_logit + double(r[i].drop_logit) * u[i].drop_logit;
+#define RELIDAR_ADD(name, built, value, input, slope, meaning) sum += double(r[i].name) * u[i].name;
+            RELIDAR_BLENDED_VALUES(RELIDAR_ADD)
+#undef RELIDAR_ADD
         }
         return sum;
     }

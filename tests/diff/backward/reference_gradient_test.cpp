@@ -32,8 +32,6 @@ struct Problem {
         scene = test::make_random_scene(options, settings);
         settings.view_origin = scene.view_origin;
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
-        if (options.primitive == Primitive::gaussian)
-            for (PixelGradient& g : upstream) g.normal = glm::dvec3(0.0);  // it has none
     }
 
     /// All hits in one chunk, which is quicker: the derivatives take short ones, and that
@@ -109,7 +107,7 @@ std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std
 
 void check_surfels(const Problem& p, const Gradients& gradients, GradientTable& table) {
     std::vector<std::vector<Row>> surfels(p.scene.world.surfels.size());
-    run_parallel(int(surfels.size()),
+    parallel_for(int(surfels.size()),
                  [&](int i) { surfels[std::size_t(i)] = surfel_rows(p, gradients, std::size_t(i)); });
     for (const std::vector<Row>& rows : surfels)
         for (const Row& r : rows) table.add_row(r.group, r.expected, r.actual);
@@ -165,7 +163,7 @@ void expect_differences_agree(ShDirection direction, const test::RandomSceneOpti
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kReferenceGradient) << name << ", seed " << options.seed;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
-        // geometry alone does not depend on the channels
+        // the likelihood alone does not depend on the channels
         const bool values = outputs == test::Outputs::all;
         const bool constant = (name == "view origin" && !(direction == ShDirection::surfel && values)) ||
                               (name == "sh hit" && single_drop_logit) || (name.starts_with("sh ") && !values);
@@ -185,16 +183,11 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
                              "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// Each output of the geometric losses alone (M10-M12); all other tests have them beside
-/// the image.
-TEST(ReferenceGradient, GeometryAlone) {
+/// The likelihood alone (M12); all other tests have it beside the image.
+TEST(ReferenceGradient, LikelihoodAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;
     options.background_surfels = 24, options.actor_surfels = 8, options.rays = 12;
-    expect_differences_agree(ShDirection::ray, options, 4, "blended normal alone", false,
-                             test::Outputs::normal);
-    expect_differences_agree(ShDirection::surfel, options, 4, "distortion alone", false,
-                             test::Outputs::distortion);
     expect_differences_agree(ShDirection::surfel, options, 4, "likelihood alone", false,
                              test::Outputs::likelihood);
     options.primitive = Primitive::gaussian;

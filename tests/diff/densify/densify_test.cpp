@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A densification as a whole (diff/densify/classify, allot, move, spawn) against the
-// reference in double: who survives, is cloned, split or shared, in which order; what
+// reference in double: who survives, is cloned or split, in which order; what
 // becomes of values, moments and statistics; models; and the ends of the range.
 #include <algorithm>
 #include <cmath>
@@ -85,14 +85,10 @@ std::vector<Fate> expected_fates(const Case& c, int step) {
         const double extent = c.densifier.extents_m()[m];
         reference::DensifyRules rules;
         rules.min_opacity = std::max(c.options.min_opacity, double(kAlphaMin));
-        rules.max_scale = step > c.options.large_from && c.options.strategy != DensifyStrategy::mcmc
-                              ? c.options.max_extent_share * extent
-                              : 1e30;
+        rules.max_scale = step > c.options.large_from ? c.options.max_extent_share * extent : 1e30;
         rules.clone_scale = c.options.clone_extent_share * extent;
-        if (c.options.strategy == DensifyStrategy::adaptive)
-            rules.gradient_threshold = c.options.gradient_threshold;
+        rules.gradient_threshold = c.options.gradient_threshold;
         rules.half_size = glm::dvec3(model.half_size_m);
-        rules.share = c.options.strategy == DensifyStrategy::mcmc;
         rules.key = static_cast<std::uint32_t>(hash64(hash64(kSeed, 1), std::uint64_t(step)));
         for (std::uint32_t i = model.first; i < model.first + model.count; ++i)
             fates.push_back(reference::fate_of(test::densified(c.scene.surfels, i),
@@ -107,9 +103,8 @@ bool survives(Fate fate) { return fate >= Fate::keep; }
 /// Where a new row comes from.
 struct Row {
     std::uint32_t source;
-    Fate fate;        // of the source; keep where it got no copy
-    bool is_copy;     // not the first row of its source
-    std::uint32_t n;  // rows of the source
+    Fate fate;     // of the source; keep where it got no copy
+    bool is_copy;  // not the first row of its source
 };
 
 std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, std::uint32_t n_new, int step) {
@@ -117,12 +112,7 @@ std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, st
     std::uint32_t total = 0;
     for (std::size_t i = 0; i < fates.size(); ++i) {
         const bool grows = fates[i] == Fate::clone || fates[i] == Fate::split;
-        weight.push_back(
-            fates[i] == Fate::share
-                ? std::max(1u,
-                           std::uint32_t(float(test::densified(c.scene.surfels, i).opacity) * 255.0f + 0.5f))
-            : grows ? 1u
-                    : 0u);
+        weight.push_back(grows ? 1u : 0u);
         total += weight.back();
     }
     const std::uint32_t phase =
@@ -131,7 +121,7 @@ std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, st
     std::vector<Row> rows;
     for (std::uint32_t i = 0; i < fates.size(); ++i)
         for (std::uint32_t k = 0; survives(fates[i]) && k < 1 + copies[i]; ++k)
-            rows.push_back({i, copies[i] ? fates[i] : Fate::keep, k > 0, 1 + copies[i]});
+            rows.push_back({i, copies[i] ? fates[i] : Fate::keep, k > 0});
     return rows;
 }
 
@@ -149,11 +139,6 @@ void expect_values(const Case& c, const Row& row, const Surfels& now, std::size_
                                      reference::random_normal2(key, std::uint32_t(i), 3).x);
         s.scale /= 1.6;
         if (s.scale_w) *s.scale_w /= 1.6;
-    } else if (row.fate == Fate::share) {
-        const reference::SharedSurfel shared = reference::share(s.opacity, int(row.n));
-        s.opacity = std::max(shared.opacity, std::max(c.options.min_opacity, double(kAlphaMin)));
-        s.scale *= shared.scale_factor;
-        if (s.scale_w) *s.scale_w *= shared.scale_factor;
     } else {
         EXPECT_EQ(now.mean[i], was.mean[row.source]);
         EXPECT_EQ(now.log_scale[i], was.log_scale[row.source]);
@@ -175,7 +160,7 @@ void expect_state(Case& c, const std::vector<Row>& rows) {
                                      frames = s.frames.download(2 * rows.size());
     for (std::size_t i = 0; i < rows.size(); ++i) {
         const std::uint32_t from = rows[i].source;
-        const bool fresh = rows[i].is_copy || rows[i].fate == Fate::split || rows[i].fate == Fate::share;
+        const bool fresh = rows[i].is_copy || rows[i].fate == Fate::split;
         ASSERT_EQ(m1.opacity_logit[i], fresh ? 0.0f : c.moment1.opacity_logit[from]) << i;
         ASSERT_EQ(m2.opacity_logit[i], fresh ? 0.0f : c.moment2.opacity_logit[from]) << i;
         ASSERT_EQ(m1.mean[i], fresh ? glm::vec3(0.0f) : c.moment1.mean[from]);
@@ -265,27 +250,6 @@ TEST_F(Densify, GaussiansAgreeWithTheReference) {
     const DensifyReport r = expect_reference(c, 3100);
     for (const std::uint32_t n : {r.invalid, r.faint, r.large, r.outside, r.clones, r.splits})
         EXPECT_GT(n, 5u) << "a case that is not tested";
-    options.strategy = DensifyStrategy::mcmc;
-    Case shared(device(), scene, options, true);
-    EXPECT_GT(expect_reference(shared, 600).added, 50u);
-}
-
-TEST_F(Densify, MonteCarloMovesTheDeadToTheLiving) {
-    DensifyOptions options;
-    options.strategy = DensifyStrategy::mcmc;
-    Case c(device(), test::random_model_scene({600, 0, 400}, 13), options, true);
-    DensifyReport r = expect_reference(c, 600);
-    EXPECT_EQ(r.after, 1050u) << "as many as before and 5 %";
-    EXPECT_GT(r.added, 100u);
-    Case capped(
-        device(), test::random_model_scene({600, 0, 400}, 13),
-        [&] {
-            options.max_surfels = 990;
-            return options;
-        }(),
-        true);
-    r = expect_reference(capped, 600);
-    EXPECT_EQ(r.after, 990u);
 }
 
 TEST_F(Densify, CapIsExactAndSpreadOverTheScene) {
@@ -325,17 +289,13 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     EXPECT_EQ(c.device_scene.layout().models[1].count, 0u);
     EXPECT_GT(c.device_scene.layout().models[2].count, 0u);
 
-    for (const DensifyStrategy strategy : {DensifyStrategy::adaptive, DensifyStrategy::mcmc}) {
-        DensifyOptions options;
-        options.strategy = strategy;
-        for (float& x : scene.surfels.opacity_logit) x = -20.0f;
-        Case all(device(), scene, options);
-        EXPECT_EQ(expect_reference(all, 600).after, 0u);
-        EXPECT_EQ(all.run(700).after, 0u) << "and nothing comes of nothing";
-        all.densifier.after_step(all.stream, all.device_scene, all.adam, 3000, 1.0);
-        all.stream.finish();
-        EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
-    }
+    for (float& x : scene.surfels.opacity_logit) x = -20.0f;
+    Case all(device(), scene, adaptive());
+    EXPECT_EQ(expect_reference(all, 600).after, 0u);
+    EXPECT_EQ(all.run(700).after, 0u) << "and nothing comes of nothing";
+    all.densifier.after_step(all.stream, all.device_scene, all.adam, 3000);
+    all.stream.finish();
+    EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
 }
 
 /// What the training loop makes for the scene afterwards takes empty models and empty

@@ -3,7 +3,7 @@
 // diff/forward/blend) against that by chunks (diff/forward/trace), for every hit
 // provider, on the conformance cases of traversal: lists that are empty, long, full, of
 // equal depths, of hits reported twice. Against the double reference both stand in
-// render_test.cpp, geometry_test.cpp and tests/diff/backward.
+// render_test.cpp, on_demand_test.cpp and tests/diff/backward.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -87,7 +87,7 @@ struct Placed {
             .rendered = rendered.address(),
             .kept = {},
             .n_overfull = {},
-            .geometry = {},
+            .surfaces = {},
             .n_kept = 0,
             .kept_in_lists = 0,
             .surface_gap_m = 0.0f};
@@ -260,7 +260,7 @@ TEST_F(Lists, Grow) {
                                         .rendered = rendered.address(),
                                         .kept = {},
                                         .n_overfull = {},
-                                        .geometry = {},
+                                        .surfaces = {},
                                         .n_kept = 0,
                                         .kept_in_lists = 0,
                                         .surface_gap_m = 0.0f};

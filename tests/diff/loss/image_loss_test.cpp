@@ -111,11 +111,11 @@ TEST_F(ImageLossTest, MaskedRaysTakeNoPartAndStrideSelects) {
 std::vector<std::string> made(Device& device, const LossWeights& weights) {
     std::vector<std::string> names;
     for (const std::unique_ptr<Loss>& loss : make_losses(device, weights, 64))
-        names.push_back(dynamic_cast<ImageLoss*>(loss.get())      ? "image"
-                        : dynamic_cast<GeometryLoss*>(loss.get()) ? "geometry"
-                        : dynamic_cast<ChamferLoss*>(loss.get())  ? "chamfer"
-                        : dynamic_cast<SurfelLoss*>(loss.get())   ? "surfel"
-                                                                  : "another");
+        names.push_back(dynamic_cast<ImageLoss*>(loss.get())        ? "image"
+                        : dynamic_cast<LikelihoodLoss*>(loss.get()) ? "likelihood"
+                        : dynamic_cast<ChamferLoss*>(loss.get())    ? "chamfer"
+                        : dynamic_cast<SurfelLoss*>(loss.get())     ? "surfel"
+                                                                    : "another");
     return names;
 }
 
@@ -127,9 +127,9 @@ TEST_F(ImageLossTest, ComesFirstAndEachOtherLossOnceWhereATermAsksForIt) {
     EXPECT_EQ(of({.depth = 0.0f, .intensity = 0.0f, .drop = 0.0f}, 0.0f), Names{"image"})
         << "it outputs what others add to";
     EXPECT_EQ(of({}, 0.1f), (Names{"image", "chamfer"}));
-    EXPECT_EQ(of({.likelihood = 0.1f}, 0.0f), (Names{"image", "geometry"}));
-    EXPECT_EQ(of({.box = 0.1f, .distortion = 0.1f, .normal = 0.1f}, 0.1f),
-              (Names{"image", "surfel", "chamfer", "geometry"}));
+    EXPECT_EQ(of({.likelihood = 0.1f}, 0.0f), (Names{"image", "likelihood"}));
+    EXPECT_EQ(of({.opacity = 0.1f, .box = 0.1f, .likelihood = 0.1f}, 0.1f),
+              (Names{"image", "surfel", "chamfer", "likelihood"}));
 }
 
 }  // namespace

@@ -127,7 +127,7 @@ Sequence drive_around_block(int n_frames) {
              .scan = {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)}});
     }
     const street::StreetCaster town(make_town());
-    run_parallel(n_frames, [&](int k) {
+    parallel_for(n_frames, [&](int k) {
         Frame& frame = drive.frames[std::size_t(k)];
         Random random(hash64(11, std::uint64_t(k)));
         for (std::size_t ray = 0; ray < rays.size(); ++ray) {

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include <gtest/gtest.h>
@@ -13,7 +14,7 @@
 #include <relidar/log/scatter.hpp>
 
 #include "base/random.hpp"
-#include "log/scatter/context.hpp"
+#include "log/scatter/ray_features.hpp"
 
 namespace relidar {
 namespace {
@@ -171,24 +172,48 @@ TEST(Scatter, TheSeedReproducesAndDroppedRaysHaveNone) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(drawn[i] == kNoIntensity, i % 3 == 0) << i;
 }
 
-/// Rows are drawn at the same time, and asked about each other all the same as one after
-/// the other.
+/// The first rows and columns of an image.
+RenderedIntensities cut_out(const RenderedIntensities& image, int rows, int columns) {
+    const auto cut = [&](const std::vector<float>& values) {
+        std::vector<float> part;
+        for (int row = 0; row < rows; ++row) {
+            const auto first = values.begin() + std::ptrdiff_t(row) * image.columns;
+            part.insert(part.end(), first, first + columns);
+        }
+        return part;
+    };
+    return {rows,
+            columns,
+            cut(image.intensity),
+            cut(image.range_m),
+            cut(image.spread_m),
+            cut(image.cosine),
+            cut(image.elevation_rad)};
+}
+
+/// Tiles are drawn at the same time. The widths have a narrow last tile, one tile, and
+/// less than a tile looks ahead.
 TEST(Scatter, IsDrawnAsOneRayAfterTheOther) {
     const IntensityScatter scatter = fit_scatter(scans_of(40, grain));
-    const RenderedIntensities image = panels();
-    std::vector<float> expected(kRays, kNoIntensity);
-    const scatter_detail::Context context(image, expected);
-    for (std::size_t i = 0; i < kRays; ++i) {
-        const scatter_detail::Features asked = context.of(int(i / kColumns), int(i % kColumns));
-        const IntensityScatter::Node* node = &scatter.nodes[0];
-        while (node->feature >= 0)
-            node = &scatter.nodes[std::size_t(node->child) +
-                                  (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
-        expected[i] =
-            scatter.values[node->first + std::size_t(Random(hash64(11, i)).uniform() * double(node->count))];
+    for (const auto& [rows, columns] :
+         {std::pair(kRows, kColumns), {kRows, 129}, {kRows, 64}, {1, kColumns}, {kRows, 2}}) {
+        const RenderedIntensities image = cut_out(panels(), rows, columns);
+        std::vector<float> expected(image.intensity.size(), kNoIntensity);
+        const scatter_detail::Context context(image, expected);
+        for (std::size_t i = 0; i < expected.size(); ++i) {
+            const scatter_detail::Features asked = context.of(int(i) / columns, int(i) % columns);
+            const IntensityScatter::Node* node = &scatter.nodes[0];
+            while (node->feature >= 0)
+                node = &scatter.nodes[std::size_t(node->child) +
+                                      (asked[std::size_t(node->feature)] <= node->at ? 0 : 1)];
+            expected[i] =
+                scatter
+                    .values[node->first + std::size_t(Random(hash64(11, i)).uniform() * double(node->count))];
+        }
+        const std::vector<std::uint8_t> all(expected.size(), 1);
+        for (int repetition = 0; repetition < 20; ++repetition)
+            ASSERT_EQ(draw_intensities(scatter, image, all, 11), expected) << rows << " x " << columns;
     }
-    for (int repetition = 0; repetition < 20; ++repetition)
-        ASSERT_EQ(draw_intensities(scatter, image, kAll, 11), expected);
 }
 
 TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {

@@ -3,6 +3,7 @@
 // from, Ouster's metadata against Ouster's own equation for its points, and the messages
 // for files that are wrong.
 #include <relidar/log/sensor_files.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 
 #include <cmath>
 #include <filesystem>
@@ -221,9 +222,9 @@ TEST(SensorFiles, WrongFilesAreNamed) {
                                             std::string(50'000, ']') + "}")),
                 HasSubstr("nested too deep"));
     EXPECT_THAT(message(write("e.json", "[1,")), HasSubstr("e.json: no valid JSON"));
-    EXPECT_THAT(
-        message(write("f.json", "{}")),
-        HasSubstr("found none of \"directions\", \"window\", \"rosette\" and \"beam_altitude_angles\""));
+    EXPECT_THAT(message(write("f.json", "{}")),
+                HasSubstr("found none of \"spinning\", \"window\", \"rosette\", \"rays\", \"directions\" and "
+                          "\"beam_altitude_angles\""));
     EXPECT_THAT(
         message(
             write("g.json",
@@ -291,6 +292,43 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     // Rolled about x first, then turned left: up comes down, forward goes left.
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(1, 0, 0) - glm::dvec3(1, 3, 3)), 1e-12);
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(0, 0, 1) - glm::dvec3(1, 2, 2)), 1e-12);
+}
+
+/// The JSON object of a sensor, in a file, in a rig and as text, makes the same rays.
+TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
+    RayTable cones = make_rays(*known_sensor("rosette"), 0.37);
+    for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));
+    std::vector<SensorModel> sensors{
+        {"cones", "", {0.5, 90.0}, cones},
+        {"thirds",
+         "",
+         {1.0 / 3.0, 200.0 / 3.0},
+         ScanningWindow{"thirds", 4, 6, 1.0 / 3.0, -0.3, 0.1, -0.2, 1.0 / 30.0, 1e-3 / 3.0}}};
+    for (const char* name : {"HDL-64E-KITTI:400x7", "kitti360", "AT128", "window-128", "rosette"})
+        sensors.push_back(find_sensor(name));
+    for (const SensorModel& sensor : sensors) {
+        const std::string text = write_sensor_json(sensor);
+        const std::vector<MountedSensor> rig =
+            find_rig(write("inline.json", R"({"sensors": [{"name": "a", "sensor": )" + text + "}]}")).value();
+        for (const SensorModel& read : {find_sensor(write("any.json", text)), rig.at(0).sensor}) {
+            EXPECT_EQ(read.name, sensor.name);
+            EXPECT_EQ(read.pattern.index(), sensor.pattern.index());
+            EXPECT_EQ(std::pair(read.limits.min_m, read.limits.max_m),
+                      std::pair(sensor.limits.min_m, sensor.limits.max_m));
+            const RayTable a = make_rays(read, 0.7), b = make_rays(sensor, 0.7);
+            EXPECT_EQ(std::pair(a.rows, a.columns), std::pair(b.rows, b.columns)) << sensor.name;
+            EXPECT_TRUE(a.origin == b.origin && a.direction == b.direction &&
+                        a.time_offset_s == b.time_offset_s && a.channel == b.channel &&
+                        a.divergence_rad == b.divergence_rad && a.ray_divergence_rad == b.ray_divergence_rad)
+                << sensor.name;
+            EXPECT_EQ(write_sensor_json(read), text);
+            EXPECT_EQ(describe_pattern(read.pattern).n_rays, b.size());
+        }
+    }
+    EXPECT_THAT(message(write("p.json", R"({"spinning": {"columns": 90}})")), HasSubstr("found no beams"));
+    EXPECT_THAT(
+        message(write("q.json", R"({"window": {"rows": 1, "columns": 1, "left_deg": 1, "left_rad": 1}})")),
+        HasSubstr("found left_deg and left_rad, expected one of them"));
 }
 
 TEST(SensorFiles, RangeOfAFileThatGivesNoneIsTheCallers) {

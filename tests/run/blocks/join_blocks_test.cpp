@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs of blocks joined to one: what it holds, what it renders against the same surfels
-// in one piece, and what is wrong with its files.
+// Tests joining the runs of blocks into one run: its content, its rendering against the
+// same surfels in a single model, and errors in its files.
 #include <algorithm>
 #include <set>
 
@@ -23,8 +23,8 @@ using testing::SizeIs;
 
 constexpr int kFrames = 80;
 
-/// 790 m in four blocks, a wall each 7 m beside the way, and a car that two blocks have
-/// learnt.
+/// Makes 790 m of road in four blocks, walls at 7 m intervals, and a car that two blocks
+/// were trained with.
 class JoinedBlocks : public test::DeviceTest {
 protected:
     void SetUp() override {
@@ -47,7 +47,7 @@ protected:
         std::vector<float> xs;
         for (float x = -40.0f; x < 830.0f; x += 7.0f) xs.push_back(x);
         whole = make_background_scene(test::walls_at(xs));
-        // none across the way
+        // no surfels on the road
         for (std::size_t i = 1; i < whole.surfels.size(); i += 3) whole.surfels.mean[i].y = 14.0f;
         blocks = plan_blocks(log, run.split, {200.0, 40.0});
         ASSERT_THAT(blocks, SizeIs(4));
@@ -60,15 +60,15 @@ protected:
         DeviceTest::TearDown();
     }
 
-    /// As training leaves it. Blocks 0 and 1 have learnt the car; the first saw it near
-    /// in more frames.
+    /// Saves a block as training does. Blocks 0 and 1 contain the car; the first one saw
+    /// it near in more frames.
     void save_block(std::size_t k) {
         const BlockLog part = block_log(log, run.split, blocks[k], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));
         relidar::Run block{folders.back(), part.config, part.sequence, part.split, whole};
         keep_own_surfels(block.scene, log, blocks, k);
         block.scene.sensor_drop = {1, 2, {0.25f * float(k), 0.5f}};
-        // as refined
+        // poses as after refinement
         for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(k);
         block.refined_poses = "sensor";
         if (k < 2) {
@@ -150,7 +150,8 @@ TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     std::uint64_t most = 0;
     {
         ScanRenderer in_blocks(device(), run.scene, config, log);
-        // along the way, and back to its beginning: blocks come and go
+        // drives along the road and back to its beginning, so that blocks are loaded and
+        // released
         for (const int frame : {0, 20, 21, 40, 60, 79, 3}) {
             const RenderedScan scan = in_blocks.render(sensor, log.frames[std::size_t(frame)].time_s);
             most = std::max(most, device().allocated_bytes() - before);
@@ -183,7 +184,7 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
     EXPECT_THAT(data_error([&] { whole_scene(load_run(run.folder).scene); }),
                 HasSubstr("blocks/002/model.safetensors: found "));
     Scene scene = run.scene;
-    scene.blocks[1].file = folder / "aside" / kModelFile;  // not below the run
+    scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder
     save_model(run.folder / kModelFile, scene);
     EXPECT_THAT(data_error([&] { load_run(run.folder); }),
                 HasSubstr("expected a file in the folder of the model"));

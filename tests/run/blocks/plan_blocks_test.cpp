@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocks of known ways: which sweeps they have, what of the log they are trained on,
-// which surfels they keep. Judged by brute force.
+// Tests the division of known routes into blocks: the sweeps of each block, the frames
+// that train it, and the surfels that it keeps. Compares with brute force.
 #include <algorithm>
 #include <numeric>
 
@@ -25,8 +25,8 @@ glm::dvec3 place(const Sequence& log, int position) {
     return log.world_from_vehicle.pose[std::size_t(position)].translation;
 }
 
-/// Every frame is in one block, in order; training frames are those within the halo and
-/// no others.
+/// Checks that each frame belongs to one block, in order, and that the training frames of
+/// a block are exactly those within the halo.
 void expect_sound(const Sequence& log, const Split& split, const std::vector<Block>& blocks, double halo_m) {
     std::vector<int> own;
     for (const Block& block : blocks) {
@@ -56,7 +56,7 @@ TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
     const Sequence log = log_along(201, [](int i) { return glm::dvec3(1.0 * i, 0.0, 0.0); });
     const Split split = split_frames(log, 10);
     const std::vector<Block> blocks = plan_blocks(log, split, {60.0, 25.0});
-    ASSERT_THAT(blocks, SizeIs(4));  // three of 60 m are 180 m
+    ASSERT_THAT(blocks, SizeIs(4));  // three blocks of 60 m would cover only 180 m
     for (const Block& block : blocks) EXPECT_NEAR(block.end_m - block.begin_m, 50.0, 1e-9);
     EXPECT_THAT(blocks[1].own, ElementsAre(50, 51, 52, 53, 54, 55, 56, 57, 58, 59, 60, 61, 62, 63, 64, 65, 66,
                                            67, 68, 69, 70, 71, 72, 73, 74, 75, 76, 77, 78, 79, 80, 81, 82, 83,
@@ -66,7 +66,7 @@ TEST(PlanBlocks, StraightStreetIsCutIntoEqualParts) {
 }
 
 TEST(PlanBlocks, SecondWayThroughAStreetTeachesTheSameBlocks) {
-    // 150 m there, 150 m back on the other lane
+    // 150 m forward and 150 m back on the other lane
     const Sequence log = log_along(
         301, [](int i) { return i <= 150 ? glm::dvec3(i, 0.0, 0.0) : glm::dvec3(300 - i, 3.0, 0.0); });
     const Split split = split_frames(log, 0);
@@ -104,8 +104,8 @@ TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
 }
 
 TEST(BlockLog, MovesAsTheLogDoes) {
-    // there and back with a long way round between, so that a block has frames with a gap
-    // of time between them
+    // Drives along a road and back after a long detour, so that a block has frames with a
+    // time gap between them.
     const Sequence log = log_along(300, [](int i) {
         if (i < 100) return glm::dvec3(0.8 * i, 0.0, 0.0);
         return i < 200 ? glm::dvec3(80.0, 5.0 * (i - 100), 0.0) : glm::dvec3(0.8 * (299 - i), 2.0, 0.0);
@@ -142,8 +142,8 @@ TEST(BlockLog, HasTheBoxesThatComeNear) {
              {{from_s, to_s}, {Pose{{1, 0, 0, 0}, {x, 5, 0}}, Pose{{1, 0, 0, 0}, {x + 9, 5, 0}}}}});
     };
     box_at("near", 30.0, 2.0, 5.0);
-    box_at("far", 350.0, 2.0, 5.0);     // while the sensor is at 20 to 50 m
-    box_at("later", 30.0, 38.0, 39.0);  // when it has gone
+    box_at("far", 350.0, 2.0, 5.0);     // visible while the sensor is at 20 to 50 m
+    box_at("later", 30.0, 38.0, 39.0);  // visible after the sensor has passed
     const Split split = split_frames(log, 10);
     const std::vector<Block> blocks = plan_blocks(log, split, {100.0, 40.0});
     Config config = make_preset("quick");

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Logs that drive known ways, without scans, and walls that stand beside them.
+// Makes logs along known routes without scans, and walls next to the routes.
 #pragma once
 
 #include <cmath>
@@ -9,7 +9,8 @@
 
 namespace relidar::test {
 
-/// A log of n frames, a tenth of a second each, whose vehicle is at way(i) at frame i.
+/// Returns a log of n frames at intervals of 0.1 s, whose vehicle is at way(i) in frame
+/// i.
 inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
     Sequence log;
     log.name = "way";
@@ -21,8 +22,8 @@ inline Sequence log_along(int n, const std::function<glm::dvec3(int)>& way) {
     return log;
 }
 
-/// Surfels that return, of 1 m standard deviation, facing along x, 10 m apart along y at
-/// each x.
+/// Returns surfels with a standard deviation of 1 m that face along x, at intervals of 10
+/// m along y for each x.
 inline Surfels walls_at(const std::vector<float>& xs) {
     Surfels surfels;
     surfels.resize(3 * xs.size());
@@ -32,8 +33,9 @@ inline Surfels walls_at(const std::vector<float>& xs) {
         surfels.log_scale[i] = glm::vec2(0.0f);
         surfels.opacity_logit[i] = 6.0f;
         for (std::size_t k = 0; k < kShFloats; ++k) surfels.sh[i * kShFloats + k] = 0.0f;
-        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;              // hit logit
-        surfels.sh[i * kShFloats] = 0.01f * (xs[i / 3] - 100.0f) / 3.0f;  // another brightness each
+        surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
+        // each wall has a different brightness
+        surfels.sh[i * kShFloats] = 0.01f * (xs[i / 3] - 100.0f) / 3.0f;
     }
     return surfels;
 }

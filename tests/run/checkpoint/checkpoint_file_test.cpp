@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoint files: whatever is wrong with one is noticed and said in one line, the one
-// before it is taken, and the last good one is never lost. Python reads them with what
-// the face says about the format.
+// Tests checkpoint files. Every damage must be detected and reported in one line, the
+// previous checkpoint must be used instead, and the last good one must never be lost.
+// Python must read the files according to the documented format.
 #include <cstdlib>
 #include <limits>
 #include <random>
@@ -39,7 +39,7 @@ void expect_equal(const Checkpoint& a, const Checkpoint& b) {
     }
 }
 
-/// The newest checkpoint of a folder, and what was noted on the way.
+/// Newest valid checkpoint of a folder, and the notes reported while loading.
 struct Loaded {
     std::optional<Checkpoint> checkpoint;
     std::vector<std::string> notes;
@@ -103,7 +103,7 @@ TEST_F(CheckpointFile, CutAnywhereItIsRefusedAndTheOneBeforeIsTaken) {
         EXPECT_EQ(loaded.checkpoint->iteration, 100);
         EXPECT_EQ(loaded.notes.size(), 1u);
     }
-    put(newest, whole.substr(0, whole.size() - 1));  // and the last byte
+    put(newest, whole.substr(0, whole.size() - 1));  // without the last byte
     EXPECT_EQ(load(folder).checkpoint->iteration, 100);
 }
 
@@ -118,7 +118,7 @@ TEST_F(CheckpointFile, EveryFlippedBitIsNoticed) {
         flipped[bit / 8] = static_cast<char>(flipped[bit / 8] ^ (1 << bit % 8));
         put(folder / "a", flipped);
         try {
-            // one blank of the header's padding for another, at most
+            // at most one blank in the padding of the header may differ
             expect_equal(read_checkpoint(folder / "a"), example(400));
         } catch (const DataError&) {}
     }
@@ -161,13 +161,15 @@ TEST_F(CheckpointFile, KeepsTheNewestAndLeavesNoFuture) {
     put(folder / "c" / "notes.txt", "somebody's");
     ASSERT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 40);
-    put(list_checkpoints(folder / "c").back(), "damaged");  // training goes on from 30 ...
+    put(list_checkpoints(folder / "c").back(), "damaged");  // training resumes from 30 ...
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 30);
-    save_checkpoint(folder / "c", example(35), 2);  // ... and the damaged future of 40 must not outlive 30
+    // ... and the damaged checkpoint 40 must not be newer than those saved after 30
+    save_checkpoint(folder / "c", example(35), 2);
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 2u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 35);
     EXPECT_TRUE(load(folder / "c").notes.empty());
-    save_checkpoint(folder / "c", example(100'000'000), 1);  // more digits than the name pads to
+    // more digits than the padding of the file name
+    save_checkpoint(folder / "c", example(100'000'000), 1);
     EXPECT_EQ(list_checkpoints(folder / "c").size(), 1u);
     EXPECT_EQ(load(folder / "c").checkpoint->iteration, 100'000'000);
     remove_checkpoints(folder / "c");

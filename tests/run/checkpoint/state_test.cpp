@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// State through StateWriter and StateReader: host and device come back bit by bit, and
-// what does not fit is named.
+// Tests StateWriter and StateReader: host and device values must be restored bit by bit,
+// and values that do not fit must be named in the error.
 #include <bit>
 
 #include <relidar/run/checkpoint.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings: every key survives TOML, wrong keys and values get one clear line, presets
-// are what docs/method.md says.
+// Tests settings: every key must be preserved in TOML, wrong keys and values must cause a
+// one-line error, and presets must equal docs/method.md.
 #include <relidar/run/stage_options.hpp>
 
 #include <map>
@@ -51,7 +51,7 @@ Config through_toml(const Config& config, const std::filesystem::path& folder) {
     return result;
 }
 
-/// Gives a key another value that it accepts.
+/// Sets a key to a different valid value.
 bool change(Config& config, const std::string& key) {
     const std::string before = value_of(config, key);
     for (const char* value :
@@ -101,7 +101,8 @@ TEST_F(ConfigFile, ValuesReadBackBitByBit) {
     EXPECT_EQ(read.train.seed, config.train.seed);
 }
 
-/// A run of another version has other settings than this one.
+/// A saved file with missing or additional settings comes from another version and must
+/// be rejected.
 TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     const std::string whole = to_toml(make_preset("quick"));
     const auto error = [&](const std::string& text) {
@@ -129,8 +130,8 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
               file + "sensor.rolling_shutter: found \"true\", expected one of auto, true, false in quotes");
 }
 
-/// What nobody needs to know is left out, unless it was chosen; what is shown reads back
-/// to the same settings.
+/// The short form omits default values of minor settings. Reading it must give the same
+/// settings.
 TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
     for (const char* name : {"paper", "quick"}) {
         Config config = make_preset(name);
@@ -175,7 +176,7 @@ TEST(Config, UnknownKeyNamesTheNearest) {
     EXPECT_EQ(set_error("train.iteration", "1"),
               "setting train.iteration: unknown key, did you mean train.iterations?");
     EXPECT_NE(set_error("", "1").find("unknown key"), std::string::npos);
-    // constants of the presets are no settings
+    // constants of the presets are not settings
     for (const char* key : {"train.mean_rate", "init.flatness", "densify.from", "refine.batch"})
         EXPECT_NE(set_error(key, "1").find(std::string("setting ") + key + ": unknown key"),
                   std::string::npos)
@@ -236,7 +237,7 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(c.loss.intensity, 0.1f);
     EXPECT_EQ(c.loss.intensity_ssim, 0.0f);
     EXPECT_EQ(c.loss.chamfer, 0.01f);
-    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.distortion + c.loss.normal + c.loss.likelihood, 0.0f);
+    EXPECT_EQ(c.loss.box + c.loss.opacity + c.loss.likelihood, 0.0f);
     EXPECT_FALSE(c.loss.normalised_depth);
     EXPECT_EQ(c.image.sh_direction, ShDirection::ray);
     EXPECT_EQ(c.render.range, "expected");
@@ -248,7 +249,7 @@ TEST(Config, PaperIsThePaper) {
     EXPECT_EQ(make_preset("default").densify.strategy, DensifyStrategy::none);
 }
 
-/// docs/method.md section 5, column by column: three weights, and nothing else.
+/// Compares the presets with docs/method.md section 5: they differ in three weights only.
 TEST(Config, ReleasedDiffersFromThePaperInThreeLosses) {
     Config c = make_preset("released");
     EXPECT_EQ(c.loss.intensity_ssim, 0.15f);
@@ -271,28 +272,24 @@ TEST(Config, EnumFieldsReachTheirStages) {
     EXPECT_EQ(trace_options(config).chunk, 8);
 }
 
-/// Rendering casts rays without what losses want of them, except for the normals of
-/// surfels; training with it.
+/// Training must trace rays with the values that the losses need. Rendering must omit
+/// them, except for the normals of surfels.
 TEST(Config, LossesReachTheTraceOfTraining) {
     Config config;
-    EXPECT_FALSE(training_trace_options(config).wants_geometry());
+    EXPECT_FALSE(training_trace_options(config).likelihood);
     set_key(config, "loss.likelihood", "0.1");
     config.loss.likelihood_scale_m = 0.2f;
     const TraceOptions likelihood = training_trace_options(config);
-    EXPECT_FALSE(likelihood.geometry);
+    EXPECT_FALSE(likelihood.has_surfaces());
     ASSERT_TRUE(likelihood.likelihood);
     EXPECT_EQ(likelihood.likelihood->scale_m, 0.2f);
-    EXPECT_TRUE(rendering_trace_options(config).geometry);
+    EXPECT_TRUE(rendering_trace_options(config).normals);
     set_key(config, "image.primitive", "gaussian");
-    EXPECT_FALSE(rendering_trace_options(config).wants_geometry());
+    EXPECT_FALSE(rendering_trace_options(config).has_surfaces());
     set_key(config, "render.range", "mode");
     set_key(config, "sensor.return_separation_m", "0.7");
     EXPECT_EQ(rendering_trace_options(config).mode_gap_m, 0.7f);
     EXPECT_FALSE(training_trace_options(config).mode_gap_m);
-    set_key(config, "loss.likelihood", "0");
-    set_key(config, "loss.normal", "0.1");
-    EXPECT_TRUE(training_trace_options(config).geometry);
-    EXPECT_FALSE(training_trace_options(config).likelihood);
 }
 
 TEST_F(ConfigFile, BadFilesNameFileAndKey) {
@@ -337,7 +334,7 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
 
 TEST_F(ConfigFile, FileStartsFromItsPresetAndFailsWhole) {
     Config config;
-    // no preset: what is not named stays
+    // without a preset, other settings stay unchanged
     put(folder / "c.toml", "[train]\niterations = 5\n[loss]\ndepth = 1\n");
     set_key(config, "train.seed", "42");
     load_config(config, folder / "c.toml");

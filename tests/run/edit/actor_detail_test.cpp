@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How many rays meet an actor where it comes nearest, against the solid angle of its box.
+// Tests the number of rays that hit an actor at its nearest position, against the solid
+// angle of its box.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -11,8 +12,8 @@
 namespace relidar {
 namespace {
 
-/// A LiDAR at the origin with 200 beams from 30 degrees down to 30 up and 3600 columns; a
-/// cube of 2 m that drives by at 10 m on the left.
+/// Returns a LiDAR at the origin with 200 beams from -30 to 30 degrees and 3600 columns,
+/// and a cube of 2 m that drives by at 10 m on the left.
 DrivingScene passing_cube(std::uint32_t n_surfels) {
     DrivingScene d;
     d.scene.surfels.resize(n_surfels);
@@ -38,8 +39,8 @@ TEST(ActorDetail, CountsTheRaysThatMeetTheBoxWhereItIsNearest) {
     EXPECT_DOUBLE_EQ(detail.nearest_m, 10.0);
     EXPECT_NEAR(detail.time_s, 0.5, 1e-12);
     EXPECT_EQ(detail.surfels, 500u);
-    // the near face of 2 x 2 m at 9 m hides the rest: rays in steps of azimuth and
-    // elevation
+    // The near face of 2 x 2 m at 9 m hides the other faces. Counts rays by steps of
+    // azimuth and elevation.
     double expected = 0.0;
     for (int column = 0; column < 3600; ++column) {
         const double azimuth = (column + 0.5) * 2.0 * kPi / 3600.0 - kPi;

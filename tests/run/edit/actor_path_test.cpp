@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trajectory files: header or none, three or six degrees of freedom, and every way to get
-// one wrong.
+// Tests trajectory files with and without header, with three and six degrees of freedom,
+// and with all kinds of errors.
 #include <relidar/run/edit.hpp>
 
 #include <cmath>
@@ -55,8 +55,7 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
         "yaw_deg,z,y,x,time_s,pitch_deg,roll_deg\n90,6,5,4,0,30,20\n90,6,5,4,1,30,20\n",
         fmt::format("time_s,x,y,z,yaw_rad,pitch_rad,roll_deg\n0,4,5,6,{0},{1},20\n1,4,5,6,{0},{1},20\n",
                     90 * degree, 30 * degree)};
-    // R = Rz(90) Ry(30) Rx(20) by hand: forward is turned to the left, then its nose goes
-    // down
+    // R = Rz(90) Ry(30) Rx(20) by hand: turns forward to the left, then lowers the nose
     const glm::dvec3 forward(0.0, std::cos(30 * degree), -std::sin(30 * degree));
     for (const std::string& text : same) {
         const Pose pose = read(text).pose[1];
@@ -81,7 +80,8 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
 TEST_F(TrajectoryFile, IsReadBackAsItWasWritten) {
     PoseTrack track;
     for (int i = 0; i < 50; ++i) {
-        track.time_s.push_back(1317042272.25 + 0.1 * i);  // seconds since 1970, metres of a large world
+        // seconds since 1970, and coordinates of a large world in metres
+        track.time_s.push_back(1317042272.25 + 0.1 * i);
         track.pose.push_back(
             {glm::normalize(glm::dquat(std::cos(i), std::sin(2.0 * i), std::cos(3.0 * i), std::sin(i))),
              {455000.123 + i, 5428000.5 - i, 113.0}});

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits change tracks and instances as their equations say and leave everything else,
-// surfels included, bit by bit; an edited scene renders what was edited.
+// Tests edits. They must change tracks and instances according to their equations and
+// leave everything else, including surfels, unchanged bit by bit. An edited scene must
+// render the edit.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -25,8 +26,8 @@ Pose at(double x, double y, double yaw_rad = 0.0) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0, 0, 1)), {x, y, 0.5}};
 }
 
-/// Ten frames, a background of 3 surfels, a van of 2 that drives a bend, a car of 4, a
-/// pedestrian without a model.
+/// Returns ten frames with a background of 3 surfels, a van of 2 surfels that drives a
+/// curve, a car of 4 surfels, and a pedestrian without a model.
 DrivingScene example() {
     DrivingScene d;
     d.scene.surfels = numbered(3, 0.0f);
@@ -62,7 +63,7 @@ std::vector<std::string> tracks(const DrivingScene& d) {
     return names;
 }
 
-/// x of the first surfel an instance places, and how many.
+/// Returns x of the first surfel of an instance, and the number of its surfels.
 std::pair<float, std::uint32_t> model_of(const DrivingScene& d, std::size_t instance) {
     const Model& m = d.scene.models[d.scene.instances[instance].model];
     return {m.count ? d.scene.surfels.mean[m.first].x : 0.0f, m.count};
@@ -84,9 +85,9 @@ TEST(Edit, RemovedActorsLeaveWithTheirSurfelsAndBoxes) {
     EXPECT_EQ(d.scene.sensor_drop.probability, std::vector<float>{0.25f}) << "the sensor has not changed";
 }
 
-/// Its labels are at 0 to 0.9 s: 0.4 s later, frames 0 to 3 have lost it (half a step
-/// before the first one allowed), and with another path from 0.2 to 0.5 s frames 0, 1, 6,
-/// 7, 8 and 9.
+/// The van has labels from 0 to 0.9 s. If it is delayed by 0.4 s, it is absent from
+/// frames 0 to 3 (a track extends half a step before its first pose). With another path
+/// from 0.2 to 0.5 s, it is absent from frames 0, 1, 6, 7, 8 and 9.
 TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const DrivingScene before = example();
     const BoxTrack van = box(before, "van");
@@ -107,7 +108,7 @@ TEST(Edit, MoveIsInTheFrameOfTheBoxAtEachTime) {
                                           {glm::angleAxis(0.2, glm::dvec3(0, 0, 1)), {1.0, 3.5, 0.25}});
     for (std::size_t i = 0; i < 10; ++i) {
         const Pose& from = box(before, "van").world_from_box.pose[i];
-        const double yaw = 0.1 * double(i);  // the bend
+        const double yaw = 0.1 * double(i);  // heading along the curve
         const glm::dvec3 forward(std::cos(yaw), std::sin(yaw), 0.0), left(-std::sin(yaw), std::cos(yaw), 0.0);
         const glm::dvec3 expected = from.translation + forward + 3.5 * left + glm::dvec3(0, 0, 0.25);
         expect_near(box(after, "van").world_from_box.pose[i],

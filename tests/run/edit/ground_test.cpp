@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors put on the ground: on a slope that is known, below a roof, beside a wall, and on
-// the street whose ground is at a known height.
+// Tests placing actors on the ground: on a known slope, below a roof, next to a wall, and
+// on the synthetic street with its known ground height.
 #include <cmath>
 
 #include <gmock/gmock.h>
@@ -35,8 +35,8 @@ void add_surfel(Surfels& surfels, const glm::dvec3& mean, const glm::dvec3& norm
 
 double slope_height(double x, double y) { return kAlong * x + kAcross * y; }
 
-/// Slope of 40 x 20 m about the origin in steps of 0.25 m, 2 cm of noise; a van whose box
-/// ends 0.2 m above it, driving uphill.
+/// Returns a slope of 40 x 20 m around the origin in steps of 0.25 m with noise of 2 cm,
+/// and a van that drives uphill with its box 0.2 m above the slope.
 DrivingScene slope() {
     DrivingScene d;
     int n = 0;
@@ -68,7 +68,7 @@ Start put_down(const DrivingScene& d, const GroundPlace& place, const std::strin
     return start_on_ground({d.scene, d.sequence}, place, {d.scene, d.sequence}, track);
 }
 
-/// Pose in relidar's world of the van at a place.
+/// Returns the pose of the van at a position, in relidar's world.
 Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw_rad = {}) {
     Start start = put_down(d, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
     EXPECT_EQ(start.speed_mps, 3.0);
@@ -76,8 +76,8 @@ Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw
     return start.dataset_from_box;
 }
 
-/// The van stands on the slope at x, y, as high above it as its own box is, and faces
-/// where it should.
+/// Checks that the van is at x, y on the slope, with its original height above the ground
+/// and the expected heading.
 void expect_on_slope(const Pose& pose, double x, double y, double yaw_rad) {
     EXPECT_NEAR(pose.translation.x, x, 1e-9);
     EXPECT_NEAR(pose.translation.y, y, 1e-9);
@@ -93,12 +93,12 @@ TEST(Ground, GivesHeightAndTiltOfASlope) {
     const DrivingScene d = slope();
     expect_on_slope(placed(d, 6.0, 3.0, 2.0), 6.0, 3.0, 2.0);
     expect_on_slope(placed(d, -4.0, -5.0, -1.0), -4.0, -5.0, -1.0);
-    expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);  // as the log's vehicle drives
+    expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);  // same heading as the recording vehicle
 }
 
 TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
     const DrivingScene d = slope();
-    const DrivingScene alone = keep_actors(d);  // an asset has no ground of its own
+    const DrivingScene alone = keep_actors(d);  // an asset does not contain any ground
     EXPECT_NEAR(ground_clearance({d.scene, d.sequence}, "van").value_or(-1.0), 0.2, 0.02);
     EXPECT_FALSE(ground_clearance({alone.scene, alone.sequence}, "van"));
     EXPECT_THROW(ground_clearance({d.scene, d.sequence}, "nobody"), UsageError);
@@ -119,7 +119,7 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
     for (double x = 2.0; x <= 10.0; x += 0.1)
         for (double y = -1.0; y <= 7.0; y += 0.1) {
             add_surfel(others, {x, y, slope_height(x, y) + 6.0}, {0, 0, 1});  // a bridge
-            // a wall along the van's side
+            // a wall next to the van
             if (y > 4.0) add_surfel(others, {x, 4.0, slope_height(x, 4.0) + (y - 4.0)}, {0, 1, 0});
             add_surfel(others, {x, y, slope_height(x, y) + 0.8}, {0, 0, 1});  // haze
             others.opacity_logit.back() = -6.0f;
@@ -136,7 +136,9 @@ TEST(Ground, IsNeitherARoofNorAWallNorWhatIsFaint) {
 
 TEST(Ground, IsNotTiltedByAFewSurfelsOfWhatStoodThere) {
     DrivingScene d = slope();
-    Surfels rings;  // of a far sweep, a metre and more apart, and the side of a car that passed
+    // rings of a distant sweep at intervals of 1 m or more, and the side of a car that
+    // passed
+    Surfels rings;
     for (const double x : {-2.0, -1.0, 0.6, 1.2})
         for (const double y : {-0.9, -0.6, -0.3, 0.0}) add_surfel(rings, {x, y, 0.0}, {0, 0, 1});
     add_surfel(rings, {0.6, 0.3, 0.07}, {0, 0, 1});
@@ -184,7 +186,7 @@ TEST(Ground, SaysWhereThereIsNone) {
 TEST(Ground, BelowACarThatHidItIsWhereTheCarStands) {
     DrivingScene d = slope();
     const auto n = static_cast<std::size_t>(d.scene.models[0].count);
-    Surfels seen;  // nothing within 4.5 m of where the van starts
+    Surfels seen;  // no surfels within 4.5 m of the van's start
     for (std::size_t i = 0; i < n; ++i)
         if (std::hypot(d.scene.surfels.mean[i].x + 8.0f, d.scene.surfels.mean[i].y) > 4.5f)
             seen.append(d.scene.surfels.slice(i, 1));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small run with values that no short decimal form holds, for the tests of run folders.
+// Makes a small run for tests of run folders. Its values have no short decimal form.
 #pragma once
 
 #include <cmath>
@@ -33,7 +33,7 @@ inline Run example_run(const std::filesystem::path& folder) {
     Run run;
     run.folder = folder;
     run.config = make_preset("quick");
-    run.config.dataset.max_range_m = 80.0;  // loading would replace 0 by the log's own limit
+    run.config.dataset.max_range_m = 80.0;  // not 0, because loading replaces 0 by the limit of the log
     run.config.dataset.path = "/data/log \"one\"";
     Sequence& s = run.sequence;
     s.name = "example \xC3\xA9";

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// model.safetensors: exact round trip, and refusal of cut files, missing or misshapen
-// arrays, values that are not finite and models that do not cover the surfels.
+// Tests model.safetensors: an exact round trip, and errors for truncated files, missing
+// arrays, wrong shapes, values that are not finite, and models that do not cover the
+// surfels.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
@@ -99,7 +100,8 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
               std::string::npos);
 }
 
-/// A row of relidar/scene/primitives.h is all that files need to know of a primitive.
+/// Each primitive in relidar/scene/primitives.h must be restored from a file without
+/// further code.
 TEST_F(ModelFile, EveryPrimitiveComesBack) {
     for (const PrimitiveKind& kind : kPrimitives) {
         make_primitive(scene.surfels, kind.primitive, 0.3);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Run folders: what was saved comes back bit by bit; anything cut, missing or changed is
-// refused by file and field.
+// Tests run folders: saved values must be restored bit by bit, and truncated, missing or
+// changed files must be rejected with the name of file and field.
 #include <relidar/run/run.hpp>
 
 #include <relidar/base/arrays.hpp>
@@ -24,7 +24,7 @@ protected:
     std::string load_error() {
         return data_error([&] { load_run(run.folder); });
     }
-    /// Message after scene.json has been changed.
+    /// Returns the error message after a change of scene.json.
     std::string error_with(const Json& changed) {
         put(run.folder / "scene.json", changed.dump());
         return load_error();
@@ -311,8 +311,8 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         .name = "flower", .deflection_rad = 0.17, .first_hz = 121.57, .second_hz = -77.73, .n_rays = 30};
     RayTable cones = make_rays(rosette, 0.37);
     for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));
-    for (const FixedPattern& pattern : {FixedPattern(window), FixedPattern(rosette), FixedPattern(cones),
-                                        FixedPattern(make_rays(rosette, 0.37))}) {
+    for (const SensorPattern& pattern : {SensorPattern(window), SensorPattern(rosette), SensorPattern(cones),
+                                         SensorPattern(make_rays(rosette, 0.37))}) {
         s.lidars[0].sensor = {.name = "fixed", .beams = {}, .columns = 0, .period_s = 0.0};
         s.lidars[0].pattern = pattern;
         s.frames[1].azimuth_shift_rad.clear();
@@ -328,16 +328,18 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
         EXPECT_EQ(to_vector(a.ray_divergence_rad), to_vector(b.ray_divergence_rad));
     }
     Json broken = Json::parse(contents(run.folder / "scene.json"));
-    broken["lidars"][0]["pattern"]["rays"]["direction"].push_back(1.0);
+    Json& rays = broken["lidars"][0]["sensor"]["rays"];
+    rays["origin"].push_back(1.0);
     put(run.folder / "scene.json", broken.dump());
     EXPECT_NE(data_error([&] {
                   load_run(run.folder);
-              }).find("pattern.rays.direction: found 91 numbers, expected 90"),
+              }).find("lidars[0].sensor.rays: origin has 91 numbers, expected 90"),
               std::string::npos);
-    broken["lidars"][0]["pattern"]["rays"]["direction"].erase(90);
-    broken["lidars"][0]["pattern"]["rays"]["ray_divergence_rad"] = std::vector<double>(30, -1e-3);
+    rays["origin"].erase(90);
+    rays.erase("divergence_rad");
+    rays["divergence"] = std::vector<double>(30, -1e-3);
     put(run.folder / "scene.json", broken.dump());
-    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("ray_divergence_rad: found -0.001"),
+    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("divergence in radians, number 0 is -0.001"),
               std::string::npos);
 }
 
@@ -351,14 +353,15 @@ TEST_F(RunFolder, TruncatedSceneIsRefused) {
 
 TEST_F(RunFolder, EveryFieldIsNeeded) {
     const Json whole = Json::parse(scene);
-    // for people only; edits: a run as trained has none
-    const std::vector<std::string> told = {"/relidar", "/units", "/conventions",
-                                           "/lidars/0/sensor/beam_fields", "/edits"};
+    // for people only; members of a sensor have usual values; edits: a run as trained has
+    // none
+    const std::vector<std::string> told = {"/relidar", "/units", "/conventions", "/lidars/0/sensor/spinning/",
+                                           "/edits"};
     int n_tried = 0;
     const Json flat = whole.flatten();
     for (const auto& [pointer, value] : flat.items()) {
         std::string field = pointer;
-        // an array goes as a whole
+        // removes arrays as a unit
         while (std::isdigit(static_cast<unsigned char>(field.back())))
             field = field.substr(0, field.find_last_of('/'));
         if (std::any_of(told.begin(), told.end(),
@@ -408,22 +411,22 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
         changed[Json::json_pointer(pointer)] = value;
         return error_with(changed);
     };
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/7", 1e308)
-                  .find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 1000"),
+    EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1/range_offset_m", 1e308)
+                  .find("lidars[0].sensor.spinning.beams[1].range_offset_m: found 1e+308"),
               std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1/3", 1e308)
-                  .find("lidars[0].sensor.beams[1]: found 1e+308, expected numbers within 100"),
+    EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1/origin_up_m", 1e308)
+                  .find("lidars[0].sensor.spinning.beams[1].origin_up_m: found 1e+308"),
               std::string::npos);
     Json many = whole;
-    many["lidars"][0]["sensor"]["columns"] = 1000000;
-    for (int i = 0; i < 200; ++i)
-        many["lidars"][0]["sensor"]["beams"].push_back(many["lidars"][0]["sensor"]["beams"][0]);
-    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 100000000 rays"),
+    Json& spinning = many["lidars"][0]["sensor"]["spinning"];
+    spinning["columns"] = 1000000;
+    for (int i = 0; i < 200; ++i) spinning["beams"].insert(spinning["beams"].begin(), spinning["beams"][0]);
+    EXPECT_NE(error_with(many).find("beams x 1000000 columns, expected at most 16777216 rays"),
               std::string::npos)
         << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
     EXPECT_NE(replaced("/version", 1).find("version: found 1, this relidar"), std::string::npos);
-    EXPECT_NE(replaced("/version", 1).find("reads version 2: train the run again"), std::string::npos);
+    EXPECT_NE(replaced("/version", 1).find("reads version 3: train the run again"), std::string::npos);
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
     EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
     EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"),
@@ -432,14 +435,14 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
               std::string::npos);
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"),
               std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/columns", -1)
-                  .find("lidars[0].sensor.columns: found -1, expected an integer in 0.."),
+    EXPECT_NE(replaced("/lidars/0/sensor/spinning/columns", -1)
+                  .find("lidars[0].sensor.spinning.columns: found -1, expected an integer in 1.."),
               std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", {0.0, 0.0, 0.0, 0.0, 0.0, 1.0})
-                  .find("lidars[0].sensor.beams[1]: found 6 numbers, expected 8"),
+    EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1", {0.0, 1.0})
+                  .find("lidars[0].sensor.spinning.beams[1]: found an array of 2, expected an object"),
               std::string::npos);
-    EXPECT_NE(replaced("/lidars/0/sensor/beams/1", "x")
-                  .find("lidars[0].sensor.beams[1]: found \"x\", expected an array"),
+    EXPECT_NE(replaced("/lidars/0/sensor", {{"name", "x"}})
+                  .find("lidars[0].sensor: found no sensor, expected one of \"spinning\""),
               std::string::npos);
     EXPECT_NE(replaced("/boxes/0/size_m/1", 0.0)
                   .find("boxes[0].size_m: found 4.2 x 0 x 1.5 m, expected all above 0"),
@@ -485,7 +488,7 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
     EXPECT_NE(data_error([&] { save_run(run); }).find("3 poses of the vehicle at 4 times"),
               std::string::npos);
     run = example_run(folder / "second");
-    run.config.train.mean_rate *= 2.0;  // a constant of the preset: config.toml cannot hold it
+    run.config.train.mean_rate *= 2.0;  // a constant of the preset, which config.toml cannot contain
     EXPECT_NE(
         data_error([&] { save_run(run); }).find("an option that is no setting differs from preset quick"),
         std::string::npos);

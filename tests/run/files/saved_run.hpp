@@ -8,7 +8,7 @@
 
 namespace relidar {
 
-/// Saves the example run.
+/// Fixture that saves the example run.
 class SavedRun : public TemporaryFolder {
 protected:
     void SetUp() override {

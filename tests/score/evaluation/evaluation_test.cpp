@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluations of many frames against each of them scored by itself; their images are
-// there while they are seen, and go.
+// Tests the evaluation of many frames against the evaluation of each single frame. The
+// images of a frame must exist while the caller sees them and be released afterwards.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kFrames = 35;  // more than are scored at once, twice
+constexpr int kFrames = 35;  // more than twice the number of frames that are evaluated simultaneously
 
 class EvaluationOf : public test::DeviceTest {
 protected:
@@ -32,7 +32,8 @@ protected:
         std::iota(positions.begin(), positions.end(), 0);
     }
 
-    /// Every frame was seen with its images, and all but the middle one are forgotten.
+    /// Checks that every frame was seen with its images, and that the evaluation keeps
+    /// only the images of the middle frame.
     void expect_forgotten(const Evaluation& evaluation, const std::vector<ScoredFrame>& seen) {
         ASSERT_EQ(evaluation.frames.size(), std::size_t(kFrames));
         ASSERT_EQ(seen.size(), std::size_t(kFrames));
@@ -99,7 +100,8 @@ TEST_F(EvaluationOf, ALogWithoutIntensitiesHasNoScoresOfThem) {
 TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     run.split = {{}, {}};
     for (int i = 0; i < kFrames; ++i) {
-        run.split.train.push_back(i);  // its own neighbours: what is scored is beside the point
+        // each frame is its own neighbour, because the scores do not matter here
+        run.split.train.push_back(i);
         run.split.test.push_back(i);
     }
     std::vector<ScoredFrame> seen;
@@ -109,7 +111,7 @@ TEST_F(EvaluationOf, ABaselineForgetsImagesToo) {
     EXPECT_EQ(evaluation.title, "baseline nearest");
 }
 
-/// Errors by range against the images, ray by ray.
+/// Compares the errors by range with the images, ray by ray.
 TEST_F(EvaluationOf, CountsErrorsByRange) {
     ScanRenderer renderer(device(), run);
     std::vector<ScoredFrame> seen;

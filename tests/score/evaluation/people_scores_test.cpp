@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scores of people: of the scan itself, of one that is 5 cm off, of one that lost them;
-// their points against those of each ray at the moment of its firing.
+// Tests the scores of people for three scans: an exact copy, one with an offset of 5 cm,
+// and one without people. Compares their points with those of each ray at its firing
+// time.
 #include "score/evaluation/people.hpp"
 
 #include <gtest/gtest.h>

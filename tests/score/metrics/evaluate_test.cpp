@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Both metric protocols on images small enough to work out by hand, and the cases where a
-// metric is not defined.
+// Tests both metric protocols on small images with values by hand, and cases in which a
+// metric is undefined.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -15,8 +15,8 @@
 namespace relidar {
 namespace {
 
-/// An image whose rays all start at (0, 0, 1) and point along x, y, z in turn, so that
-/// pixels i, j < 3 never share a ray.
+/// Returns an image whose rays start at (0, 0, 1) and point along x, y, z in turn, so
+/// that no two of the pixels 0 to 2 share a ray.
 RangeImage image_of(int rows, int columns, std::vector<float> range_m, std::vector<float> intensity,
                     std::vector<float> drop_prob) {
     RangeImage image{rows, columns, std::move(range_m), std::move(intensity), std::move(drop_prob), {}, {}};
@@ -53,7 +53,7 @@ TEST(Evaluate, PeerImageErrorsByHand) {
     EXPECT_NEAR(row.at("peer/intensity_mae"), (i0 + i1 + i2) / 3.0, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_medae"), 0.25, 1e-12);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), -10.0 * std::log10(intensity_mse), 1e-12);
-    EXPECT_FALSE(row.contains("peer/depth_ssim"));  // one row is less than a window
+    EXPECT_FALSE(row.contains("peer/depth_ssim"));  // one row is smaller than an SSIM window
 }
 
 TEST(Evaluate, PeerCloudByHand) {
@@ -63,11 +63,11 @@ TEST(Evaluate, PeerCloudByHand) {
     const double to_real = (near * near + (100.0 + 25.0)) / 2.0;
     const double to_rendered = (near * near + (400.0 + 25.0)) / 2.0;
     EXPECT_NEAR(row.at("peer/cd_sq_m2"), to_real + to_rendered, 1e-9);
-    EXPECT_NEAR(row.at("peer/f_score"), 0.5, 1e-12);  // precision and recall 1/2
+    EXPECT_NEAR(row.at("peer/f_score"), 0.5, 1e-12);  // precision and recall are 1/2
 }
 
 TEST(Evaluate, StrictByHand) {
-    // Returned in both: pixels 0 and 1. Rendered drops: none; real drops: pixel 2.
+    // Returned in both images: pixels 0 and 1. Rendered drops: none. Real drops: pixel 2.
     const MetricRow row = evaluate(kRendered, kReal);
     const double e0 = double(10.02f) - 10.0, e1 = 10.0;
     EXPECT_NEAR(row.at("strict/depth_rmse_m"), std::sqrt((e0 * e0 + e1 * e1) / 2.0), 1e-12);
@@ -80,7 +80,7 @@ TEST(Evaluate, StrictByHand) {
     EXPECT_EQ(row.at("strict/drop_precision"), 0.0);
     EXPECT_EQ(row.at("strict/drop_recall"), 0.0);
     EXPECT_EQ(row.at("strict/drop_f1"), 0.0);
-    // Rendered (10.02,0,1), (0,30,1), (0,0,6); real (10,0,1), (0,20,1).
+    // Rendered points (10.02,0,1), (0,30,1), (0,0,6); real points (10,0,1), (0,20,1).
     const double to_real = (e0 + 10.0 + std::sqrt(125.0)) / 3.0, to_rendered = (e0 + 10.0) / 2.0;
     EXPECT_NEAR(row.at("strict/cd_mean_m"), to_real + to_rendered, 1e-9);
     EXPECT_NEAR(row.at("strict/cd_sq_m2"), (e0 * e0 + 100.0 + 125.0) / 3.0 + (e0 * e0 + 100.0) / 2.0, 1e-9);
@@ -103,7 +103,8 @@ TEST(Evaluate, PointsMayHaveOtherRangesThanTheImage) {
 
 TEST(Evaluate, ThresholdsOfTheFScore) {
     const RangeImage real = image_of(1, 2, {10, 10}, {0, 0}, {0, 0});
-    const RangeImage rendered = image_of(1, 2, {10.04f, 10.2f}, {0, 0}, {0, 0});  // 4 cm and 20 cm off
+    // errors of 4 cm and 20 cm
+    const RangeImage rendered = image_of(1, 2, {10.04f, 10.2f}, {0, 0}, {0, 0});
     const MetricRow row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("strict/f_5cm"), 0.5, 1e-12);
     EXPECT_NEAR(row.at("strict/f_22cm"), 1.0, 1e-12);
@@ -114,14 +115,14 @@ TEST(Evaluate, DropsByHand) {
     const RangeImage real = image_of(1, 5, {1, 0, 0, 1, 0}, {0, 0, 0, 0, 0}, {0, 1, 1, 0, 1});
     const RangeImage rendered =
         image_of(1, 5, {1, 1, 1, 1, 0}, {0, 0, 0, 0, 0}, {0.2f, 0.9f, 0.3f, 0.5f, 0.1f});
-    // rendered drops 1, 3 (p = 0.5 is a drop), 4 (no range)
+    // rendered drops: 1, 3 (p = 0.5 is a drop), 4 (no range)
     const MetricRow row = evaluate(rendered, real);
     EXPECT_NEAR(row.at("strict/drop_accuracy"), 3.0 / 5.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_precision"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_recall"), 2.0 / 3.0, 1e-12);
     EXPECT_NEAR(row.at("strict/drop_f1"), 2.0 / 3.0, 1e-12);
-    // 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1, as the probabilities are: where there
-    // is no range, too
+    // Differences of the probabilities: 0.2 - 0, 0.9 - 1, 0.3 - 1, 0.5 - 0, 0.1 - 1.
+    // Pixels without a range are included.
     EXPECT_NEAR(row.at("strict/drop_rmse"), std::sqrt((0.04 + 0.01 + 0.49 + 0.25 + 0.81) / 5.0), 1e-7);
 }
 
@@ -164,10 +165,11 @@ TEST(Evaluate, IdenticalImagesArePerfect) {
          {"peer/depth_ssim", "peer/intensity_ssim", "peer/f_score", "strict/f_5cm", "strict/f_22cm",
           "strict/drop_accuracy", "strict/drop_precision", "strict/drop_recall", "strict/drop_f1"})
         EXPECT_NEAR(row.at(name), 1.0, 1e-12) << name;
-    // capped, not infinite
+    // limited, not infinite
     EXPECT_NEAR(row.at("peer/depth_psnr_db"), 10.0 * std::log10(6400.0 / 1e-20), 1e-9);
     EXPECT_NEAR(row.at("peer/intensity_psnr_db"), 200.0, 1e-9);
-    EXPECT_EQ(row.size(), 37u);  // peer 12, strict 25; no LPIPS without weights
+    // 12 of the peer protocol, 25 of the strict one; no LPIPS without weights
+    EXPECT_EQ(row.size(), 37u);
 }
 
 TEST(Evaluate, LeavesOutWhatIsNotDefined) {
@@ -180,7 +182,8 @@ TEST(Evaluate, LeavesOutWhatIsNotDefined) {
     EXPECT_EQ(nothing.at("strict/drop_f1"), 1.0);
     const MetricRow missed = evaluate(dropped, returned);
     EXPECT_FALSE(missed.contains("strict/cd_mean_m"));
-    EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);  // all points missed is the worst score, not none
+    // if all points are missed, the score is 0 and not undefined
+    EXPECT_EQ(missed.at("strict/f_22cm"), 0.0);
     for (const auto& [name, value] : missed) EXPECT_TRUE(std::isfinite(value)) << name;
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// All metrics of a seeded pair of images against an independent script,
-// ../shared/bench/evaluate.py, run here. Skipped where RELIDAR_SHARED (default: ../shared
-// beside the repository) does not hold it or Python lacks numpy or scipy.
+// Compares all metrics of a seeded pair of images with an independent script,
+// ../shared/bench/evaluate.py, which the test runs. Skipped if RELIDAR_SHARED (default:
+// ../shared next to the repository) does not contain it, or if Python lacks numpy or
+// scipy.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -31,8 +32,8 @@ struct Pair {
     std::vector<float> moving;
 };
 
-/// Correlated images on random directions; ranges reach beyond 80 m, intensities beyond
-/// 1.
+/// Returns correlated images with random directions. Ranges exceed 80 m, intensities
+/// exceed 1.
 Pair random_pair() {
     std::mt19937 random(20261120);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Nearest neighbours against brute force, on clouds that are random, clustered, planar
-// and far from the origin.
+// Tests nearest neighbours against brute force, for random, clustered and planar clouds
+// and clouds far from the origin.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -44,12 +44,12 @@ TEST(NearestDistances, AgreeWithBruteForce) {
     const glm::dvec3 origin(0.0), wide(30.0, 30.0, 2.0);
     expect_exact(random_points(500, origin, wide, 1), random_points(700, origin, wide, 2));
     expect_exact(random_points(300, origin, wide, 3), random_points(1, origin, wide, 4));
-    // a line
+    // points on a line
     expect_exact(random_points(300, origin, wide, 5), random_points(400, origin, {30.0, 0.0, 0.0}, 6));
-    // a map grid
+    // coordinates of a map grid
     expect_exact(random_points(300, {4e5, 5e6, 100.0}, wide, 7),
                  random_points(400, {4e5, 5e6, 100.0}, wide, 8));
-    // all equal
+    // all points equal
     expect_exact(random_points(300, origin, wide, 9), Points(1000, glm::dvec3(1.0, 2.0, 3.0)));
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The baseline of neighbouring scans: points where the poses put them, boxes that move,
-// rays that get their own points back; and the regions metrics are given for.
+// Tests the baseline of neighbouring scans: points moved by the poses and by moving
+// boxes, and rays that get their points back. Also tests the regions of the metrics.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -19,7 +19,7 @@ Pose turned(double yaw_rad, glm::dvec3 translation) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), translation};
 }
 
-/// A frame whose returns are these points, all fired at one time offset.
+/// Returns a frame whose returns are the given points, all with one time offset.
 Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, float offset_s) {
     Frame frame{index, time_s, {}};
     for (const glm::vec3& p : points) {
@@ -35,8 +35,8 @@ Frame frame_of(int index, double time_s, const std::vector<glm::vec3>& points, f
     return frame;
 }
 
-/// Five sweeps, 0.1 s apart, of a sensor that drives and turns; sweep 2 is in question.
-/// Each sees one point.
+/// Returns five sweeps at intervals of 0.1 s from a sensor that drives and turns. Each
+/// sweep sees one point. The tests evaluate sweep 2.
 Sequence drive(bool rolling_shutter) {
     Sequence s;
     s.rolling_shutter = rolling_shutter;
@@ -51,7 +51,7 @@ Sequence drive(bool rolling_shutter) {
 
 TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
     const Sequence s = drive(false);
-    const Scan points = neighbour_points(s, 2, {0, 1, 4}, BoxMotion::stay);  // 3 is held out too
+    const Scan points = neighbour_points(s, 2, {0, 1, 4}, BoxMotion::stay);  // frame 3 is held out too
     ASSERT_EQ(points.range_m.size(), 2u);
     const int frames[] = {1, 4};
     for (std::size_t k = 0; k < 2; ++k) {
@@ -61,12 +61,12 @@ TEST(Neighbours, AreTheNearestTrainingFramesMovedByThePoses) {
         EXPECT_LT(glm::distance(glm::dvec3(points.point(k)), expected), 1e-5);
         EXPECT_EQ(points.intensity[k], float(frames[k]) + 0.25f);
     }
-    EXPECT_EQ(neighbour_points(s, 4, {0, 1}, BoxMotion::stay).range_m.size(), 1u);  // nothing comes after
+    // no later frame exists
+    EXPECT_EQ(neighbour_points(s, 4, {0, 1}, BoxMotion::stay).range_m.size(), 1u);
     EXPECT_THROW((void)neighbour_points(s, 2, {}, BoxMotion::stay), DataError);
 }
 
-/// With a rolling shutter a point is fired from and seen from where the sensor is on its
-/// way.
+/// With a rolling shutter, the sensor positions at the firing times of both scans matter.
 TEST(Neighbours, FollowTheRollingShutter) {
     const Sequence s = drive(true);
     const Scan points = neighbour_points(s, 2, {1, 3}, BoxMotion::stay);
@@ -75,10 +75,10 @@ TEST(Neighbours, FollowTheRollingShutter) {
         const Frame& from = s.frames[k == 0 ? 1 : 3];
         const glm::dvec3 world = s.world_from_vehicle.at(from.time_s + 0.01) * glm::dvec3(from.scan.point(0));
         const glm::dvec3 seen(points.point(k));
-        // a clockwise head
+        // a head that turns clockwise
         const double azimuth = std::atan2(seen.y, seen.x),
                      t_s = 0.2 - azimuth / (2.0 * kPi) * s.lidars[0].sensor.period_s;
-        // azimuth moves while the head gets there
+        // the azimuth changes while the head turns towards the point
         EXPECT_LT(glm::distance(s.world_from_vehicle.at(t_s) * seen, world), 2e-3);
         EXPECT_GT(glm::distance(s.world_from_vehicle.at(0.2) * seen, world), 0.01);
     }
@@ -87,7 +87,7 @@ TEST(Neighbours, FollowTheRollingShutter) {
 TEST(Neighbours, MoveWithTheirBoxes) {
     Sequence s = drive(false);
     for (Pose& pose : s.world_from_vehicle.pose) pose = {};
-    // drives 1 m a frame; the points of frames 1 and 3 lie in it
+    // A box that drives 1 m per frame and contains the points of frames 1 and 3.
     BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
@@ -105,7 +105,7 @@ TEST(Neighbours, MoveWithTheirBoxes) {
             box.world_from_box.pose[2] * (inverse(box.world_from_box.pose[f]) * world);
         EXPECT_LT(glm::distance(glm::dvec3(moved.point(k)), expected), 1e-5);
     }
-    s.boxes[0].world_from_box.time_s.resize(2);  // the box is gone in sweep 2
+    s.boxes[0].world_from_box.time_s.resize(2);  // the box does not exist in sweep 2
     s.boxes[0].world_from_box.pose.resize(2);
     EXPECT_EQ(neighbour_points(s, 2, {1, 3}, BoxMotion::follow).range_m.size(), 1u);
 }
@@ -147,13 +147,14 @@ TEST(BinOntoRays, TakesTheNearestAndLeavesOutWhatNoBeamMeets) {
     points.rays.direction = {rays.direction[ray], rays.direction[ray], rays.direction[ray], at(5.4),
                              at(-12.8)};
     const Scan scan = bin_onto_rays(rays, points);
-    EXPECT_EQ(scan.count_returns(), 1u);  // 5.4 and -12.8 degrees: beyond half the way to the next beam
+    // 5.4 and -12.8 degrees are beyond half the distance to the next beam
+    EXPECT_EQ(scan.count_returns(), 1u);
     EXPECT_NEAR(scan.range_m[ray], 10.0, 1e-5);
     EXPECT_EQ(scan.intensity[ray], 0.1f);
     points.rays.direction[3] = at(5.1);
     points.rays.direction[4] = at(-12.2);
     EXPECT_EQ(bin_onto_rays(rays, points).count_returns(), 3u);
-    EXPECT_THROW((void)bin_onto_rays(points.rays, points), DataError);  // no image order
+    EXPECT_THROW((void)bin_onto_rays(points.rays, points), DataError);  // the rays have no image order
 }
 
 RangeImage image_of(std::vector<float> range_m, std::vector<float> drop_prob) {
@@ -173,14 +174,14 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
     const MetricRow row =
         evaluate_regions(rendered, real, standard_regions(real, {true, false, true, true, false}));
     EXPECT_EQ(row.at("moving_boxes/pixels"), 2.0);    // pixel 3 has no return
-    EXPECT_EQ(row.at("moving_boxes/returned"), 0.5);  // pixel 2 is dropped, and scored all the same
+    EXPECT_EQ(row.at("moving_boxes/returned"), 0.5);  // pixel 2 is dropped, but counts
     EXPECT_NEAR(row.at("moving_boxes/depth_medae_m"), 2.0, 1e-12);
     EXPECT_NEAR(row.at("moving_boxes/depth_rmse_m"), std::sqrt(5.0), 1e-12);
     EXPECT_EQ(row.at("moving_boxes/intensity_rmse"), 0.0);
     EXPECT_EQ(row.at("static/pixels"), 2.0);
     EXPECT_EQ(row.at("all/pixels"), 4.0);
     EXPECT_NEAR(row.at("all/depth_mae_m"), 1.0, 1e-12);
-    EXPECT_EQ(row.at("range_0_20_m/pixels"), 2.0);  // 20 m belongs to the nearer band
+    EXPECT_EQ(row.at("range_0_20_m/pixels"), 2.0);  // 20 m belongs to the nearer range
     EXPECT_EQ(row.at("range_20_40_m/pixels"), 1.0);
     EXPECT_EQ(row.at("range_40_80_m/returned"), 1.0);
     const MetricRow none = evaluate_regions(rendered, real, {{"nothing", std::vector<bool>(5)}});
@@ -190,7 +191,7 @@ TEST(Regions, ScoreTheirRealReturnsWhateverIsDropped) {
 
 TEST(Regions, KnowWhatMoves) {
     Sequence s = drive(true);
-    BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};  // around the point of frame 2 at the time it was fired
+    BoxTrack box{"1", "Car", {4.0, 2.0, 2.0}, {}};  // contains the point of frame 2 at its firing time
     for (int i = 0; i < 5; ++i) {
         box.world_from_box.time_s.push_back(0.1 * i);
         box.world_from_box.pose.push_back(
@@ -208,7 +209,8 @@ TEST(Regions, KnowWhatMoves) {
     EXPECT_EQ(discovered_returns(s, s.frames[4]), std::vector<bool>{false});
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false}) << "it is scored on its own";
     s.boxes[0].category = "Car";
-    s.boxes[0].n_after = 3;  // the labels end before frame 2: what discovery adds changes no score
+    // The labels end before frame 2. Poses added by the discovery must not change scores.
+    s.boxes[0].n_after = 3;
     EXPECT_EQ(moving_returns(s, s.frames[2]), std::vector<bool>{false});
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity against a direct evaluation of its definition, 49 pixels a
-// window, and against closed forms.
+// Tests structural similarity against a direct evaluation of its definition with 49
+// pixels per window, and against closed forms.
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -15,7 +15,7 @@ namespace {
 
 using Values = std::vector<double>;
 
-/// Two passes a window: means first, then central moments divided by 48.
+/// Evaluates each window in two passes: means, then central moments divided by 48.
 double reference_ssim(const Values& a, const Values& b, int rows, int columns, double data_range) {
     const double c1 = 1e-4 * data_range * data_range, c2 = 9e-4 * data_range * data_range;
     double total = 0.0;
@@ -61,7 +61,7 @@ TEST(Ssim, IdenticalImagesScoreOne) {
 }
 
 TEST(Ssim, ConstantImagesHaveAClosedForm) {
-    const Values a(100, 2.0), b(100, 3.0);  // no variance: only the luminance term is left
+    const Values a(100, 2.0), b(100, 3.0);  // without variance, only the luminance term remains
     const double c1 = 1e-4 * 16.0;
     EXPECT_NEAR(ssim(a, b, 10, 10, 4.0), (12.0 + c1) / (13.0 + c1), 1e-12);
 }

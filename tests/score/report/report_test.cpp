@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The HTML report: complete, self-contained, well-formed, and safe whatever the names in
-// it hold.
+// Tests the HTML report: it must be complete, self-contained and well-formed, and safe
+// for any names.
 #include <relidar/base/images.hpp>
 #include <relidar/score/report.hpp>
 
@@ -37,8 +37,8 @@ Report some_report() {
     return report;
 }
 
-/// The same with three points at (1.5, -2, 0.25) m, beyond what is shown, and without a
-/// number.
+/// Returns the report with three points: one at (1.5, -2, 0.25) m, one beyond the
+/// displayed range, and one that is NaN.
 Report report_with_view() {
     Report report = some_report();
     const float nan = std::nanf("");
@@ -48,7 +48,7 @@ Report report_with_view() {
     return report;
 }
 
-/// What stands between two texts.
+/// Returns the text between two texts.
 std::string between(const std::string& text, const std::string& before, const std::string& after) {
     const std::size_t start = text.find(before) + before.size();
     return text.substr(start, text.find(after, start) - start);
@@ -65,7 +65,7 @@ std::size_t count(const std::string& text, const std::string& part) {
     return n;
 }
 
-/// Every element of the body that opens also closes, in order.
+/// Checks that every opened element of the body is closed, in order.
 void expect_well_formed(const std::string& html) {
     std::vector<std::string> open;
     std::size_t at = html.find("<body>");
@@ -87,7 +87,7 @@ void expect_well_formed(const std::string& html) {
     EXPECT_TRUE(open.empty());
 }
 
-/// Heights of the points of the first path drawn.
+/// Returns the heights of the points of the first path.
 std::vector<double> path_heights(const std::string& html) {
     const std::size_t start = html.find(" d=\"M") + 4, end = html.find('"', start);
     std::istringstream path(html.substr(start, end - start));
@@ -110,7 +110,7 @@ TEST_F(ReportFile, HoldsEverything) {
     apart.same_scans = false;
     EXPECT_EQ(written(folder, apart).find("class=\"best\""), std::string::npos)
         << "scores of different scans are not compared";
-    EXPECT_LT(html.find("backward"), html.find("forward"));  // longest first
+    EXPECT_LT(html.find("backward"), html.find("forward"));  // longest time first
 }
 
 TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
@@ -128,15 +128,15 @@ TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
     EXPECT_EQ(html.find("<details open"), std::string::npos);
     for (const char* part : {"75.0 %", "25.0 %", "width:75.00%", "less is better"})
         EXPECT_NE(html.find(part), std::string::npos) << part;
-    EXPECT_EQ(html.find("not there"), std::string::npos);  // a metric that nobody has
-    EXPECT_EQ(html.find(">far<"), std::string::npos);      // a class without a ray
+    EXPECT_EQ(html.find("not there"), std::string::npos);  // a metric without values
+    EXPECT_EQ(html.find(">far<"), std::string::npos);      // a class without rays
 }
 
 TEST_F(ReportFile, PacksPointsInEightBytes) {
     const std::string html = written(folder, report_with_view());
-    // 150, -200, 25 cm as int16, intensity 128, 2 cm in steps of 4 mm; the points that
-    // cannot be shown are left out. By Python: base64.b64encode(struct.pack("<hhhBB",
-    // 150, -200, 25, 128, 5))
+    // Expects 150, -200, 25 cm as int16, intensity 128, and 2 cm in steps of 4 mm. Points
+    // that cannot be shown are omitted. The expected text is from Python:
+    // base64.b64encode(struct.pack("<hhhBB", 150, -200, 25, 128, 5))
     EXPECT_EQ(between(html, "data-points=\"", "\""), "lgA4/xkAgAU=");
 }
 
@@ -158,7 +158,7 @@ TEST_F(ReportFile, StaysBelowEightMegabytes) {
     report.views = {{"one", pair}, {"two", pair}};
     const std::string html = written(folder, report);
     EXPECT_LT(html.size(), 8'000'000u);
-    EXPECT_GT(html.size(), 4'000'000u);  // not thinned more than needed
+    EXPECT_GT(html.size(), 4'000'000u);  // not thinned more than necessary
 }
 
 TEST_F(ReportFile, EscapesWhateverItIsGiven) {
@@ -201,8 +201,8 @@ TEST_F(ReportFile, LogarithmicAxisOnlyWhereAllValuesArePositive) {
     report.curves = {{"loss", {0, 1, 2}, {100, 10, 1}}};
     const std::vector<double> y = path_heights(written(folder, report));
     ASSERT_EQ(y.size(), 3u);
-    EXPECT_NEAR(y[1] - y[0], y[2] - y[1], 0.21);  // equal factors, equal steps
-    EXPECT_LT(y[0], y[2]);                        // SVG counts downwards
+    EXPECT_NEAR(y[1] - y[0], y[2] - y[1], 0.21);  // equal factors must give equal steps
+    EXPECT_LT(y[0], y[2]);                        // y points down in SVG
 
     report.curves[0].y = {100, 50, 0};
     const std::vector<double> linear = path_heights(written(folder, report));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assets: what is seen of an actor, what is kept of it, its files, and that it renders
-// elsewhere as the actor did.
+// Tests assets: the visible surface of an actor, the surfels that an asset keeps, its
+// files, and that it renders in another run like the original actor.
 #include <gmock/gmock.h>
 #include <nlohmann/json.hpp>
 
@@ -18,7 +18,7 @@ namespace {
 
 using testing::HasSubstr;
 
-const Pose kAhead{{1, 0, 0, 0}, {10.0, 0.0, -0.5}};  // its rear turned to the LiDAR
+const Pose kAhead{{1, 0, 0, 0}, {10.0, 0.0, -0.5}};  // its rear faces the LiDAR
 
 class Sightings : public test::DeviceTest {
 protected:
@@ -45,7 +45,7 @@ TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
 }
 
 TEST_F(Sightings, TurnWithTheActor) {
-    // its left side turned to us
+    // its left side faces the LiDAR
     const Pose across{glm::angleAxis(0.5 * kPi, glm::dvec3(0, 0, 1)), {10.0, 0.0, -0.5}};
     EXPECT_GT(seen(run_of(plates(), across), BoxSide::left), 0.9);
     EXPECT_EQ(seen(run_of(plates(), across), BoxSide::right), 0.0);
@@ -73,7 +73,7 @@ TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
     Surfels car = plates();
     const std::size_t n = car.size();
     car.opacity_logit[3] = -7.0f;      // below 1 / 255
-    car.mean[5] = {2.3f, 0.0f, 0.0f};  // 30 cm before the box
+    car.mean[5] = {2.3f, 0.0f, 0.0f};  // 30 cm in front of the box
     const Asset asset = make_asset(run_of(car, kAhead), "7", {});
     EXPECT_EQ(asset.facts.surfels, n - 2);
     EXPECT_EQ(asset.run.scene.surfels.size(), n - 2);
@@ -161,7 +161,7 @@ class InsertedAsset : public Sightings {};
 
 TEST_F(InsertedAsset, RendersAsTheActorItWas) {
     const relidar::Run run = run_of(plates(), kAhead);
-    // nothing is mirrored or left out
+    // no surfel is mirrored or omitted
     const Asset asset = make_asset(run, "7", from_outside(plates().mean));
     ASSERT_EQ(asset.facts.mirrored, 0u);
     const DrivingScene empty = remove_track(run.driving(), "7");

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Shares of a box's surface against areas worked out by hand.
+// Tests the visible share of a box's surface against areas computed by hand.
 #include <limits>
 #include <random>
 
@@ -10,11 +10,11 @@
 namespace relidar {
 namespace {
 
-const glm::dvec3 kSize_m(4.2, 2.4, 3.0);  // ten rows of patches a side, of which the ground hides two
+const glm::dvec3 kSize_m(4.2, 2.4, 3.0);  // ten rows of patches per side, of which the ground hides two
 constexpr double kSide_m2 = 4.2 * 2.4, kEnd_m2 = 2.4 * 2.4, kTop_m2 = 4.2 * 2.4,
                  kAll_m2 = 2 * kSide_m2 + 2 * kEnd_m2 + kTop_m2;
 
-/// Marks every patch that points of a plane see.
+/// Marks all patches that the points of a plane see.
 void add_plane(BoxSurface& surface, int axis, double at_m) {
     for (double a = -0.99; a < 1.0; a += 0.01) {
         for (double b = -0.99; b < 1.0; b += 0.01) {
@@ -64,9 +64,10 @@ TEST(BoxSurface, DepthDoesNotMatterButDirectionDoes) {
 
 TEST(BoxSurface, ASideIsSeenFromOutside) {
     BoxSurface surface(kSize_m);
-    surface.add({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});  // through the right window, at the left door's inside
+    // a ray through the right window to the inside of the left door
+    surface.add({0.3, 1.1, 0.15}, {0.1, 0.9, 0.0});
     EXPECT_EQ(surface.seen(), 0.0);
-    surface.add({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});  // along it
+    surface.add({0.3, 1.1, 0.15}, {0.99, -0.1, 0.0});  // a ray parallel to the side
     EXPECT_EQ(surface.seen(), 0.0);
     surface.add({0.3, 1.1, 0.15}, {0.8, -0.6, 0.0});
     EXPECT_TRUE(surface.is_seen({0.3, 1.1, 0.15}));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the tests of assets share: a car of plates that drives ahead of a LiDAR, in a run.
+// Makes a run with a car of plates ahead of a LiDAR, for the tests of assets.
 #pragma once
 
 #include <cmath>
@@ -11,8 +11,8 @@ namespace relidar {
 
 inline const glm::dvec3 kCarSize_m(4.0, 2.0, 1.6);
 
-/// A set of that many surfels with means in a box, each anywhere, turned anyhow, of any
-/// size and direction-dependent brightness.
+/// Returns random surfels whose means lie in a box, with random rotation, size and
+/// direction-dependent brightness.
 inline Surfels random_surfels(std::size_t n, const glm::vec3& low_m, const glm::vec3& high_m, unsigned seed) {
     std::mt19937 random(seed);
     const auto between = [&](float low, float high) {
@@ -30,15 +30,15 @@ inline Surfels random_surfels(std::size_t n, const glm::vec3& low_m, const glm::
     return surfels;
 }
 
-/// Points that were met by rays towards the centre.
+/// Returns sightings of points by rays towards the centre.
 inline ActorSightings from_outside(const std::vector<glm::vec3>& points_m, double nearest_m = 8.0) {
     ActorSightings sightings{points_m, {}, nearest_m};
     for (const glm::vec3& point_m : points_m) sightings.directions.push_back(-glm::normalize(point_m));
     return sightings;
 }
 
-/// A log of three frames, a LiDAR at the origin of the world, and a car that stands where
-/// it is told.
+/// Returns a log of three frames with a LiDAR at the origin of the world and a standing
+/// car at the given pose.
 inline Run run_of(Surfels car, const Pose& world_from_car) {
     Run run;
     const auto n = std::uint32_t(car.size());
@@ -60,8 +60,8 @@ inline Run run_of(Surfels car, const Pose& world_from_car) {
     return run;
 }
 
-/// Opaque plates on the four sides of the car's box, 5 cm inside, each a grid of surfels
-/// that return.
+/// Returns opaque plates on the four sides of the car's box, 5 cm inside. Each plate is a
+/// grid of surfels with returns.
 inline Surfels plates() {
     Surfels surfels;
     const auto add = [&](const glm::vec3& at_m, const glm::quat& turn) {

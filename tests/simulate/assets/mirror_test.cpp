@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Mirror images of surfels: covariances and harmonics against their definitions, and
-// whole cars by rendering them from both sides.
+// Tests mirror images of surfels: covariances and harmonics against their definitions,
+// and full cars by rendering them from both sides.
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 
@@ -16,7 +16,7 @@ const glm::dmat3 kMirror(glm::dvec3(1, 0, 0), glm::dvec3(0, -1, 0), glm::dvec3(0
 
 Surfels anywhere(std::size_t n) { return random_surfels(n, glm::vec3(-1.0f), glm::vec3(1.0f), 3); }
 
-/// Of the disc, or of the ellipsoid.
+/// Returns the covariance of a disc or an ellipsoid.
 glm::dmat3 covariance(const Surfels& surfels, std::size_t i) {
     const glm::vec4 q = surfels.rotation[i];
     const glm::dmat3 axes = glm::mat3_cast(glm::normalize(glm::dquat(q[0], q[1], q[2], q[3])));
@@ -71,8 +71,8 @@ TEST(Mirror, TwiceIsNoChange) {
     EXPECT_EQ(twice.sh, surfels.sh);
 }
 
-/// Rays from a place 8 m to the right of the car, or to the left where y is -1, towards
-/// it.
+/// Returns rays from a point 8 m to the right of the car towards it, or from the left if
+/// y is -1.
 RayTable rays_from_the_right(double y) {
     RayTable rays;
     rays.rows = 40, rays.columns = 80;
@@ -100,7 +100,7 @@ protected:
 
 TEST_F(MirroredCar, LooksFromTheUnseenSideAsItDoesFromTheSeenOne) {
     const Surfels left = random_surfels(600, {-1.2f, 0.85f, -0.4f}, {1.2f, 0.95f, 0.4f}, 1);
-    Surfels guessed = left;  // and what training has left on the side that nothing looked at
+    Surfels guessed = left;  // adds surfels that training left on the unobserved side
     guessed.append(random_surfels(100, {-1.2f, -0.95f, -0.4f}, {1.2f, -0.85f, 0.4f}, 2));
     const Asset asset = make_asset(run_of(guessed, {}), "7", from_outside(left.mean, 8.0));
     EXPECT_EQ(asset.facts.mirrored, left.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channels go where their rays go: through beams of several sub-rays, grids and rigs,
-// none in another's place, a caller's own among them.
+// Tests that channels are kept with their rays through beams of several sub-rays, grids
+// and rigs. Includes channels of the caller.
 #include <algorithm>
 #include <set>
 
@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kStep = 14;  // from ray to ray, more than there are channels
+constexpr int kStep = 14;  // code difference between rays, larger than the number of channels
 constexpr const char *kLabel = "my_label", *kShare = "my_share", *kWay = "my_way";
 
 const std::vector<std::int32_t>& labels_of(const RenderedScan& scan) {
@@ -29,8 +29,8 @@ const std::vector<glm::vec3>& ways_of(const RenderedScan& scan) {
     return *find_values<glm::vec3>(scan.channels, kWay);
 }
 
-/// Rays of which every value says which channel and which ray it is of: 14 ray + channel.
-/// All return, from nearly one place.
+/// Returns rays whose values encode the channel and the ray: 14 ray + channel. All rays
+/// return, from almost the same origin.
 RenderedScan marked_scan(int n, int first = 0) {
     RenderedScan scan;
     scan.image.rows = 1, scan.image.columns = n;
@@ -55,7 +55,7 @@ RenderedScan marked_scan(int n, int first = 0) {
     return scan;
 }
 
-/// Whether entry `at` of a scan is what marked_scan() says of a ray.
+/// Checks that entry `at` of a scan has the values of a ray in marked_scan().
 void expect_marks(const RenderedScan& scan, std::size_t at, int ray) {
     const auto code = float(kStep * ray);
     EXPECT_NEAR(scan.image.range_m[at], code + 1.0f, 1e-3f) << at;
@@ -115,7 +115,7 @@ TEST(Channels, ACellHasThemOfItsRay) {
     }
 }
 
-/// Five sub-rays that meet one surface 10 m away, the middle one as dark as the rest.
+/// Five sub-rays hit one surface at 10 m with equal intensities.
 TEST(Channels, ABeamHasThemOfTheSubRayNearestToItsMiddle) {
     RenderedScan parts = marked_scan(5);
     parts.median_range_m.assign(5, 10.0f), parts.image.intensity.assign(5, 0.5f);

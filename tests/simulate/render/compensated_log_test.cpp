@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a run whose log is motion-compensated: a sensor drives towards a wall. From
-// the path and the time of each point follows where the wall must be in every output, for
-// the log's own sensor and for another one.
+// Tests scans of a run whose log is motion-compensated. A sensor drives towards a wall.
+// The position of the wall in each output follows from the path and the time of each
+// point. Covers the log's sensor and another sensor.
 #include <cmath>
 #include <cstring>
 #include <sstream>
@@ -25,11 +25,11 @@ namespace {
 using testing::HasSubstr;
 
 constexpr double kWall_m = 10.0, kSpeed_mps = 30.0, kFirst_s = 5.0, kPeriod_s = 0.1;
-constexpr double kTolerance_m = 2e-3;  // of a surfel's plane and floats
+constexpr double kTolerance_m = 2e-3;  // errors of a surfel's plane and of floats
 constexpr int kScans = 3;
 
-/// A wall across x in the dataset's world, and a compensated log whose sensor drives
-/// along x through the origin at kFirst_s.
+/// Returns a wall across x in the dataset's world, and a compensated log whose sensor
+/// drives along x and passes the origin at kFirst_s.
 Run towards_wall() {
     Run run;
     Surfels& wall = run.scene.surfels;
@@ -56,12 +56,12 @@ Run towards_wall() {
     return run;
 }
 
-/// Where the sensor is at a time, by hand.
+/// Returns the position of the sensor at a time, computed by hand.
 double sensor_x(double time_s) { return kSpeed_mps * (time_s - kFirst_s) - 8.0; }
 
 struct TimedPoint {
     glm::dvec3 position_m;
-    double time_s;  ///< of the log
+    double time_s;  ///< time of the log
 };
 
 class CompensatedLog : public test::DeviceTest {
@@ -74,7 +74,7 @@ protected:
         DeviceTest::TearDown();
     }
 
-    /// Renders all scans in all formats.
+    /// Writes all scans in all formats.
     void write(const SensorChoice& sensor, bool deskew) {
         std::filesystem::remove_all(folder);
         std::filesystem::create_directories(folder);
@@ -89,7 +89,7 @@ protected:
     }
     std::string text(const char* name) const { return contents(folder / name); }
 
-    /// Of the npz of the first scan.
+    /// Returns the points in the npz file of the first scan.
     std::vector<TimedPoint> points() const {
         const auto arrays = read_npz(folder / "frame_000000.npz");
         const auto values = [&](const char* name) { return find_array(arrays, name)->as_float(); };
@@ -107,8 +107,8 @@ protected:
         }
         return result;
     }
-    /// x, y, z of all points of a ply or pcd, whose header ends with a text and whose
-    /// rows have the same size.
+    /// Returns x, y, z of all points of a ply or pcd file. The header ends with a given
+    /// text, and all rows have the same size.
     std::vector<glm::dvec3> points_of(const char* name, const std::string& end_of_header,
                                       std::size_t n) const {
         const std::string bytes = text(name);
@@ -122,7 +122,7 @@ protected:
         }
         return result;
     }
-    /// What all outputs say of their points.
+    /// Checks the frame of the points that each output declares.
     void expect_statements(bool deskewed) const {
         const char* frame = deskewed ? "sensor at time_s" : "sensor at each ray's firing time";
         EXPECT_THAT(text("frame_000000.ply"), HasSubstr(frame));
@@ -136,7 +136,8 @@ protected:
                         HasSubstr(deskewed ? "sensor at the stamp" : "sensor at each ray's firing time"))
                 << recording;
     }
-    /// Recordings are logs: their own transforms and times put every point on the wall.
+    /// Reads the recordings as logs. Their transforms and times must put every point on
+    /// the wall.
     void expect_recordings(bool rolls) const {
         for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
             const Sequence log = load_sequence((folder / recording).string(), {});
@@ -181,7 +182,7 @@ TEST_F(CompensatedLog, AnotherSensorHasItsOwnRollingShutter) {
 
     write(sensor, true);
     expect_statements(true);
-    expect_recordings(true);  // the reader undoes it
+    expect_recordings(true);  // the reader restores the uncompensated points
     for (const char* recording : {"scans.mcap", "rosbag.mcap"}) {
         DatasetOptions without_poses;
         without_poses.poses_file = kNoPoses;
@@ -225,7 +226,7 @@ TEST_F(CompensatedLog, TheSettingGivesItsOwnSensorARollingShutter) {
     for (const auto& [position_m, time_s] : points()) EXPECT_EQ(time_s, kFirst_s);
 }
 
-/// Points that the device makes itself have the same times and places.
+/// Points computed on the device must have the same times and positions.
 TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {
@@ -240,7 +241,7 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
             EXPECT_NEAR(at_m.x, kWall_m, kTolerance_m);
             const double time_s = kFirst_s + double(point.time_offset_s);
             const glm::dvec3 way = at_m - glm::dvec3(sensor_x(time_s), 0.0, 0.0);
-            // as the sensor fired it at that time
+            // direction in which the sensor fired at that time
             const double elevation = std::atan2(way.z, std::hypot(way.x, way.y));
             const double beam =
                 rolls ? (15.0 - 2.0 * double(point.ring)) * kPi / 180.0 : 0.2 - 0.2 * double(point.ring);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Beams of finite divergence: how their parts are spread, what becomes of parts worked
-// out by hand, and a scene of two walls whose edge a beam straddles.
+// Tests beams with divergence: the distribution of their sub-rays, sub-rays with results
+// computed by hand, and a scene of two walls with an edge inside a beam.
 #include "simulate/render/footprint.hpp"
 
 #include <algorithm>
@@ -23,7 +23,7 @@ RayTable one_ray(const glm::vec3& direction) {
     return rays;
 }
 
-/// Rays fanned out in a plane, of beams of 0, 1, 2, ... milliradians.
+/// Returns a fan of rays in a plane, with divergences of 0, 1, 2, ... milliradians.
 RayTable fan(int n) {
     RayTable rays;
     rays.rows = 1;
@@ -38,8 +38,8 @@ RayTable fan(int n) {
     return rays;
 }
 
-/// Mean of the squared angle between ray `i` and its parts, over that of an evenly lit
-/// disc of a full angle of 1.
+/// Returns the mean squared angle between ray `i` and its sub-rays, relative to a uniform
+/// disc with a full angle of 1.
 double spread(const RayTable& rays, const RayTable& parts, std::size_t i, std::size_t n) {
     double squares = 0.0;
     for (std::size_t k = 0; k < n; ++k) {
@@ -107,8 +107,8 @@ TEST(Footprint, PartsAreSpreadAsAnEvenlyLitDisc) {
     }
 }
 
-/// Parts of one footprint: range, intensity, drop probability, by how much the mean lies
-/// behind the range.
+/// Sub-ray of a footprint: range, intensity, drop probability, and distance of the mean
+/// range behind the range.
 struct Part {
     float range_m, intensity, drop, spread_m = 0.0f;
 };
@@ -165,8 +165,8 @@ TEST(Footprint, AnEdgeGivesTwoReturnsTheStrongestFirst) {
     EXPECT_NEAR(scan.second_returns[0].intensity[0], 2 * 0.2f / 5, kNear);
 }
 
-/// A road met at a grazing angle, its ranges metres apart within one footprint, and the
-/// same with a wall in the way of its upper part.
+/// A road at a grazing angle has ranges that differ by metres within one footprint. Also
+/// tests a road with a wall in front of its upper part.
 TEST(Footprint, ASlopeIsOneReturnHoweverSteep) {
     const RayTable ray = one_ray({std::cos(0.04f), 0.0f, -std::sin(0.04f)}), parts = split_rays(ray, 9, 4e-3);
     const auto cast = [&](float wall_m) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What blinds a sensor, on whole scans: stray light against its integral, the sun before
-// and behind a wall.
+// Tests effects that blind a sensor, on full scans: stray light against its integral, and
+// the sun in front of and behind a wall.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -20,8 +20,8 @@ constexpr double kDegree = kPi / 180.0;
 constexpr int kBeams = 128, kSteps = 192;
 constexpr double kStep_deg = 0.25, kRadius_deg = 2.5;
 
-/// Rays a quarter of a degree apart towards a wall at 20 m, on which reflectors are
-/// round: as {azimuth_deg, elevation_deg, range_m}.
+/// Returns rays at intervals of a quarter degree towards a wall at 20 m with round
+/// reflectors, each given as {azimuth_deg, elevation_deg, range_m}.
 RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
     constexpr std::size_t n = std::size_t(kBeams) * kSteps;
     RenderedScan scan;
@@ -49,7 +49,8 @@ RenderedScan wall_with(const std::vector<glm::dvec3>& reflectors) {
 }
 std::size_t ray_at(int row, int column) { return std::size_t(row) * kSteps + std::size_t(column); }
 
-/// Integral of angle^-3 over a round reflector in front, by small squares, degrees.
+/// Returns the integral of angle^-3 over a round reflector ahead, by small squares, in
+/// degrees.
 double integral_at(double azimuth_deg, double elevation_deg) {
     constexpr double kFine_deg = 0.05;
     double sum = 0.0;
@@ -96,7 +97,7 @@ TEST(StrayLightOnScans, IsItsIntegralOverTheReflector) {
     EXPECT_TRUE(stray_light(wall_with({}), 1e-4, 1).empty());
 }
 
-/// At twice the range the same angle has a quarter of the power.
+/// At twice the range, a reflector of the same angular size has a quarter of the power.
 TEST(StrayLightOnScans, IsOfTheReflectorWithTheMostPower) {
     const RenderedScan scan = wall_with({{-8.0, 0.0, 4.0}, {8.0, 0.0, 8.0}});
     const std::vector<Echo> stray = stray_light(scan, 1e-4, 1);
@@ -130,7 +131,7 @@ TEST(StrayLightOnScans, TakesThePlaceOfWeakReturns) {
 
 class GlareInScenes : public test::DeviceTest {};
 
-/// A disc of 2 m, 12 m ahead, and beams from -1 to 2.5 degrees.
+/// Returns a disc of 2 m at 12 m ahead. Beams range from -1 to 2.5 degrees.
 Surfels disc_ahead() {
     Surfels disc;
     disc.resize(1);

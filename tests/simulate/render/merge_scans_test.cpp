@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a rig as one: every point stays where it is in the world, whichever sensor saw
-// it and when.
+// Tests merging the scans of a rig. Every point must keep its position in the world, for
+// any sensor and firing time.
 #include <relidar/simulate/render.hpp>
 
 #include <gtest/gtest.h>
@@ -12,7 +12,8 @@
 namespace relidar {
 namespace {
 
-/// Two rays, fired at different times, of a sensor on a vehicle that drives and turns.
+/// Returns two rays with different firing times, from a sensor on a vehicle that drives
+/// and turns.
 RenderedScan scan_of(const Pose& rig_from_sensor, float range_m) {
     const Pose start{{1, 0, 0, 0}, {5.0, 0.0, 0.0}},
         end{glm::angleAxis(0.4, glm::dvec3(0, 0, 1)), {7.0, 1.0, 0.0}};
@@ -46,8 +47,8 @@ glm::dvec3 world_point(const RenderedScan& scan, std::size_t i) {
            glm::dvec3(scan.image.origin[i] + scan.image.range_m[i] * scan.image.direction[i]);
 }
 
-/// The same rays in two rows. The second row's last one is fired later than the rest of
-/// its column.
+/// Returns the same rays in two rows. The last ray of the second row is fired later than
+/// the other rays of its column.
 RenderedScan in_two_rows(RenderedScan scan) {
     const auto twice = []<class T>(std::vector<T>& values) {
         const std::vector<T> once = values;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that drive while a sweep is fired are where they are when each ray is fired.
-// Expected values are closed forms of straight and circular motion.
+// Tests actors that move during a sweep: each ray must see the actor at the ray's firing
+// time. Expected values are closed forms of straight and circular motion.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -17,13 +17,14 @@ namespace {
 
 constexpr double kTurn_s = 0.1;
 
-/// A wall of one surfel in the middle of a plane. @param half_m  what is seen of it is so
-/// far from the middle in each direction
+/// Adds a wall that consists of one surfel.
+/// @param half_m visible extent of the wall from its middle in each direction
 void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from_x_axis,
               const glm::vec2& half_m) {
     const std::size_t i = surfels.size();
     surfels.resize(i + 1);
-    const glm::quat facing_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f);  // a_u = -z, a_v = y, normal x
+    // a_u = -z, a_v = y, normal x
+    const glm::quat facing_x(std::sqrt(0.5f), 0.0f, std::sqrt(0.5f), 0.0f);
     const glm::quat q = from_x_axis * facing_x;
     surfels.mean[i] = middle_m;
     surfels.rotation[i] = {q.w, q.x, q.y, q.z};
@@ -33,8 +34,8 @@ void add_wall(Surfels& surfels, const glm::vec3& middle_m, const glm::quat& from
     surfels.sh[i * kShFloats + kShCoefficients] = 20.0f;  // hit logit
 }
 
-/// A scene without background and one actor of a box. @param surfels  of the actor, in
-/// the frame of its box
+/// Returns a scene with one actor and no background.
+/// @param surfels surfels of the actor in the frame of its box
 Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     Scene scene;
     scene.models = {{"background", 0, 0},
@@ -44,7 +45,8 @@ Scene one_actor(const Surfels& surfels, const glm::dvec3& size_m) {
     return scene;
 }
 
-/// A log of 1 s with poses of sensor and actor at 40 Hz, and a head of one level beam.
+/// Returns a log of 1 s with poses of sensor and actor at 40 Hz, and a sensor with one
+/// horizontal beam.
 template <class PoseAt>
 Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, const glm::dvec3& size_m) {
     Sequence log;
@@ -64,14 +66,14 @@ Sequence drive(int columns, const PoseAt& sensor_at, const PoseAt& actor_at, con
 
 using PoseAt = std::function<Pose(double)>;
 
-/// Mean range along x of the rays of each half of what is behind the sensor: those fired
-/// first, then those fired last.
+/// Returns the mean range along x of the rays behind the sensor, separately for rays
+/// fired first and rays fired last.
 std::array<double, 2> halves_behind(const RenderedScan& scan) {
     std::array<double, 2> sum{}, n{};
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         const glm::dvec3 d(scan.image.direction[i]);
         if (!(scan.median_range_m[i] > 0.0f) || d.x > 0.0) continue;
-        // a compensated scan has none: halves by side
+        // a compensated scan has no time offsets, so it is divided by side
         const bool has_times = scan.time_offset_s[i] != 0.0f;
         const std::size_t half = (has_times ? double(scan.time_offset_s[i]) : d.y) < 0.0 ? 0 : 1;
         sum[half] += -d.x * double(scan.median_range_m[i]), n[half] += 1.0;
@@ -89,7 +91,7 @@ protected:
     }
 };
 
-/// Seen from the sensor the van stands: its front is 8 m behind for every ray.
+/// The van does not move relative to the sensor: its front is 8 m behind for every ray.
 TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -98,7 +100,7 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
         const PoseAt sensor = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s, 0.0, 0.0}}; };
         const PoseAt van = [&](double t_s) { return Pose{{1, 0, 0, 0}, {speed_mps * t_s - 10.0, 0.0, 0.0}}; };
         const Sequence log = drive(720, sensor, van, size_m);
-        for (const double time_s : {0.5, 0.51}) {  // at a label, and between two
+        for (const double time_s : {0.5, 0.51}) {  // at a label, and between two labels
             const auto [first_m, last_m] = halves_behind(render(one_actor(front, size_m), log, time_s));
             EXPECT_NEAR(first_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
             EXPECT_NEAR(last_m, 8.0, 1e-3) << speed_mps << " m/s at " << time_s << " s";
@@ -106,8 +108,8 @@ TEST_F(MovingActors, AVanThatFollowsIsNotTornBehindTheSensor) {
     }
 }
 
-/// Both drive round one centre, 20 m to the left of the sensor: seen from the sensor the
-/// van stands.
+/// Both vehicles drive around a centre 20 m to the left of the sensor, so the van does
+/// not move relative to the sensor.
 TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;
@@ -120,12 +122,12 @@ TEST_F(MovingActors, AVanThatFollowsRoundABendIsNotTorn) {
                  van = [&](double t_s) { return at(t_s, 10.0); };
     const auto [first_m, last_m] =
         halves_behind(render(one_actor(front, size_m), drive(720, sensor, van, size_m), 0.5));
-    EXPECT_NEAR(first_m, 8.0, 1e-3);  // between labels poses lie on chords of 0.015 rad
+    EXPECT_NEAR(first_m, 8.0, 1e-3);  // interpolated poses lie on chords of 0.015 rad
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
-/// A sensor that stands, and a car that passes on its left: two posts on its side, 4 m
-/// apart, are seen one after the other.
+/// A car passes a static sensor on its left. Two posts on its side, 4 m apart, must be
+/// seen at different times.
 TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
     constexpr double kCarSpeed_mps = 20.0, kLength_m = 4.0;
     const glm::dvec3 size_m(kLength_m, 2.0, 2.0);
@@ -134,7 +136,7 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
         add_wall(posts, {x, -1.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, std::sqrt(0.5f)),
                  {1.0f, 0.02f});
     const PoseAt sensor = [](double) { return Pose{}; };
-    // beside the sensor when it is faced
+    // next to the sensor when the head faces it
     const PoseAt car = [](double t_s) {
         return Pose{{1, 0, 0, 0}, {kCarSpeed_mps * (t_s - 0.475), 7.0, 0.0}};
     };
@@ -156,8 +158,8 @@ TEST_F(MovingActors, ACarThatPassesIsStretchedByItsWay) {
         << "where the rear is when its ray is fired";
 }
 
-/// A motion-compensated log has one time for all rays: the actor is where its track has
-/// it then.
+/// All rays of a motion-compensated log have the same time. The actor must be at its
+/// position at that time.
 TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     const glm::dvec3 size_m(4.0, 2.0, 2.0);
     Surfels front;

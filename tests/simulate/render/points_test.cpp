@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points that are made on the device (simulate/render/mark_returns,
-// simulate/render/gather_points) and asked for ahead, against returned_points() of scans
-// that are rendered one after the other, in double precision.
+// Tests points that are computed on the device (simulate/render/mark_returns,
+// simulate/render/gather_points) and requested in advance. Compares them with
+// returned_points() of scans that are rendered one after the other, in double precision.
 #include <cmath>
 #include <cstring>
 
@@ -33,7 +33,7 @@ protected:
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
         scene = initialise_scene(log, split_frames(log, 5).train, {});
     }
-    /// A drive through the street in a bend, as the dataset has it.
+    /// Returns a drive through the street along a curve, in the dataset's world.
     PoseTrack bend() const {
         PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
@@ -67,8 +67,8 @@ protected:
         for (const Wish& wish : wishes)
             ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     }
-    /// A rig of three sensors, two of them alike, at two times, and among two sets of
-    /// actors.
+    /// Returns requests for a rig of three sensors, two of them alike, at two times and
+    /// with two sets of actors.
     std::vector<Wish> rig() const {
         std::vector<Wish> wishes;
         for (const char* name :
@@ -89,7 +89,8 @@ protected:
     std::optional<ScanRenderer> renderer;
 };
 
-/// Positions within float precision at 80 m; everything else is the same.
+/// Checks that positions agree within float precision at 80 m, and that all other values
+/// are equal.
 void expect_same(const PointScan& found, const PointScan& expected, const std::string& what,
                  double step = 0.0) {
     ASSERT_EQ(found.points.size(), expected.points.size()) << what;
@@ -112,8 +113,8 @@ void expect_same(const PointScan& found, const PointScan& expected, const std::s
         << what << ": where half a step is left, either is right";
 }
 
-/// Rays whose columns share a firing time, whose rows do not, or that come in no order at
-/// all; of a sensor that moves, or stands.
+/// Tests rays whose columns share a firing time, rays whose rows do not, and rays in no
+/// order, for moving and static sensors.
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -125,7 +126,7 @@ TEST(FiringPoses, AreThoseOfEachRay) {
     }
     const Pose target{rotation_of(-0.5, 0.2, 0.0), {1.0, -2.0, 0.5}};
     for (const PoseTrack& track : {bend, PoseTrack{{5.0}, {bend.pose[3]}}, PoseTrack{}})
-        for (const float late_s : {0.0f, 1e-3f}) {  // of each row behind the one above
+        for (const float late_s : {0.0f, 1e-3f}) {  // delay of each row relative to the row above
             scan.track = track;
             scan.image.rows = 4, scan.image.columns = 16;
             scan.time_offset_s.clear();
@@ -165,8 +166,8 @@ TEST_F(Points, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     expect_same(renderer->take_points(), empty, "no actor");
 }
 
-/// Two scans are in flight at any time, of other sensors and at other places, and scans
-/// are rendered between them.
+/// Two scans with different sensors and poses are pending at any time, and other scans
+/// are rendered in between.
 TEST_F(Points, ManyInFlightDoNotMix) {
     make_renderer();
     const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"),
@@ -184,7 +185,7 @@ TEST_F(Points, ManyInFlightDoNotMix) {
     }
 }
 
-/// The same to the bit.
+/// Checks that two results are equal bit by bit.
 void expect_equal(const PointScan& found, const PointScan& expected, const std::string& what) {
     ASSERT_EQ(found.points.size(), expected.points.size()) << what;
     ASSERT_GT(found.points.size(), 100u) << what;
@@ -196,9 +197,9 @@ void expect_equal(const PointScan& found, const PointScan& expected, const std::
     EXPECT_EQ(found.unseen_share, expected.unseen_share) << what;
 }
 
-/// More scans than go side by side, as many, and fewer; two rigs in flight, and one that
-/// is never sent but taken. A launch of one strand stands between two of another, so
-/// whatever strands share is seen.
+/// Tests more scans, as many scans, and fewer scans than there are lanes; two pending
+/// rigs; and a scan that is collected but never submitted explicitly. Launches of
+/// different lanes alternate, so that any shared memory would cause errors.
 TEST_F(Points, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;
@@ -219,8 +220,8 @@ TEST_F(Points, OfScansSideBySideAreThoseOfEachAlone) {
     }
 }
 
-/// Whatever needs the device alone sends those before it, and a scan that is refused
-/// takes nothing with it.
+/// Work that needs the device alone must first submit the pending scans. A rejected scan
+/// must not affect other scans.
 TEST_F(Points, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->side_by_side(3);
@@ -242,11 +243,11 @@ TEST_F(Points, OfScansSideBySideBesideOthers) {
     EXPECT_THAT([&] { renderer->side_by_side(0); },
                 testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 of them")));
     ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
-    make_renderer();  // left behind, and never sent
+    make_renderer();  // destroys the renderer while scans are pending that were never submitted
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
 
-/// Scans that a network corrects, of images of two shapes.
+/// Tests scans with a ray-drop network, with images of two shapes.
 TEST_F(Points, AreDroppedAsTheNetworkSays) {
     make_renderer();
     const std::vector<Wish> wishes = {{sensor("native"), {middle_s(), bend()}, middle_s()},
@@ -265,13 +266,13 @@ TEST_F(Points, AreDroppedAsTheNetworkSays) {
     ask(wishes[0]), ask(wishes[1]);
     for (const PointScan& scan_expected : expected)
         expect_same(renderer->take_points(), scan_expected, "refined");
-    // images of one shape share all that they can
+    // images of one shape share their memory
     std::vector<Wish> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<PointScan> expected_beside;
     for (const Wish& wish : beside) expected_beside.push_back(alone(wish));
     renderer->side_by_side(3);
-    // in the first one each finds its memory, for which it waits for the others
+    // the first round allocates memory and waits for the other scans
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
         for (const PointScan& scan_expected : expected_beside)
@@ -279,7 +280,7 @@ TEST_F(Points, AreDroppedAsTheNetworkSays) {
     }
     renderer->side_by_side(1);
     std::vector<std::uint64_t> buffers;
-    for (int round = 0; round < 3; ++round) {  // one network has images of two shapes by turns
+    for (int round = 0; round < 3; ++round) {  // one network processes images of two shapes in turn
         expect_equal(alone(beside[2]), expected_beside[2], "by turns");
         expect_equal(alone(beside[3]), expected_beside[3], "by turns");
         buffers.push_back(impl_of(device()).n_buffers);
@@ -287,7 +288,8 @@ TEST_F(Points, AreDroppedAsTheNetworkSays) {
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
-/// Of beams and of their parts, with a network that has learnt that all but one return.
+/// Tests beams and sub-rays with a network that was trained to predict a return for
+/// almost all rays.
 TEST_F(Points, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -296,7 +298,7 @@ TEST_F(Points, NetworksBringNothingBackFromBeyondTheLimits) {
     DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options),
                                  first_origin(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
-    image.dropped[0] = 1.0f;  // else there is nothing to learn
+    image.dropped[0] = 1.0f;  // otherwise there is nothing to learn
     renderer->refine_drops(
         train_drop_network(device(), {image}, options, 3,
                            [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
@@ -339,7 +341,7 @@ TEST_F(Points, HaveTheStepsOfTheLog) {
     EXPECT_LT(n_other, found.points.size() / 1000);
 }
 
-/// Where the device alone does not do, the host does the rest.
+/// If the device cannot compute the points alone, the host completes them.
 TEST_F(Points, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -365,7 +367,7 @@ TEST_F(Points, MayBeLeftBehind) {
     make_renderer();
     const PointScan expected = on_host(wish);
     ask(wish), ask(wish);
-    make_renderer();  // the validation layer tells of memory that is still in use
+    make_renderer();  // the validation layer reports memory that is still in use
     ask(wish);
     expect_same(renderer->take_points(), expected, "of the next renderer");
 }

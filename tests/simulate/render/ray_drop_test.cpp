@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ray-drop of each ray by itself: it depends on no other ray and not on the sensor's yaw,
-// and a ray that meets nothing drops, whatever the network says.
+// Tests that the drop of a ray does not depend on other rays or on the sensor's yaw. A
+// ray that hits nothing must be dropped for any output of the network.
 #include <algorithm>
 #include <numeric>
 #include <random>
@@ -24,10 +24,10 @@ protected:
         if (IsSkipped() || HasFatalFailure()) return;
         log = make_synthetic_street({.n_frames = 6, .speed_mps = 5.0});
         InitialiseOptions options;
-        options.max_scale_m = 0.5;  // so that some rays meet nothing
+        options.max_scale_m = 0.5;  // small enough that some rays hit nothing
         scene = initialise_scene(log, {0, 1, 2, 3, 4, 5}, options);
     }
-    /// A scan of the street without its cars, on the way of the log.
+    /// Returns a scan of the street without its cars, along the path of the log.
     RenderedScan scan_of(const RayTable& rays, const DropNetwork& network) {
         return scan_of(rays, network, shifted_track(log.world_from_sensor(0), log.world_offset_m));
     }
@@ -50,7 +50,7 @@ std::size_t count_returns(const std::vector<float>& drop_prob) {
     return std::size_t(std::ranges::count_if(drop_prob, [](float p) { return p < 0.5f; }));
 }
 
-/// Entry k of the second scan is the ray order[k] of the first.
+/// Checks that entry k of the second scan equals the ray order[k] of the first.
 void expect_same_rays(const RenderedScan& scan, const RenderedScan& other,
                       const std::vector<std::size_t>& order) {
     ASSERT_EQ(other.image.drop_prob.size(), order.size());
@@ -76,7 +76,7 @@ TEST_F(RayDrop, DoesNotDependOnTheOrderOfTheRays) {
     RayTable shuffled = some_rays(all, order);
     shuffled.rows = all.rows, shuffled.columns = all.columns;
     expect_same_rays(scan, scan_of(shuffled, test::network_of_rays()), order);
-    shuffled.rows = 1, shuffled.columns = int(all.size());  // a list without an image
+    shuffled.rows = 1, shuffled.columns = int(all.size());  // a list without image order
     expect_same_rays(scan, scan_of(shuffled, test::network_of_rays()), order);
 }
 
@@ -87,8 +87,8 @@ TEST_F(RayDrop, OfOneRayAloneIsThatOfTheRayInAnImage) {
         expect_same_rays(scan, scan_of(some_rays(all, {ray}), test::network_of_rays()), {ray});
 }
 
-/// The sensor stands, is turned by 180 degrees, and has the same rays in the world, in
-/// the other order of azimuths.
+/// Rotates a static sensor by 180 degrees. The rays in the world are the same, in a
+/// different order of azimuths.
 TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     RayTable all = rays();
     std::fill(all.time_offset_s.begin(), all.time_offset_s.end(), 0.0f);
@@ -111,8 +111,8 @@ TEST_F(RayDrop, DoesNotDependOnTheSensorsYaw) {
     expect_same_rays(scan, scan_of(turned, test::network_of_rays(), standing({0.0, 0.0, 0.0, 1.0})), order);
 }
 
-/// Beams, their parts, cells of a grid, a sensor that mostly sees the sky, and points
-/// that the device makes.
+/// Tests beams, sub-rays, cells of a grid, a sensor that mostly sees the sky, and points
+/// from the device.
 TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
     for (const char* name : {"native", "kitti360", "VLP-16:300x10"})
         for (const int sub_rays : {1, 5})
@@ -147,7 +147,7 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
             }
 }
 
-/// Fog in front of nothing gives points, at its range.
+/// Fog must produce returns at its range even if no surface is behind it.
 TEST_F(RayDrop, WeatherReturnsWhereSurfacesDoNot) {
     ScanRenderer renderer(device(), scene, config, log);
     renderer.refine_drops(test::network_that_never_drops());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rendering a wall at a known place, choice of sensor.
+// Tests the rendering of walls at known positions, and the choice of the sensor.
 #include <algorithm>
 #include <cmath>
 
@@ -14,7 +14,7 @@ namespace {
 
 class Render : public test::DeviceTest {};
 
-/// A wall 10 m ahead that returns; intensity 0.5.
+/// Returns a wall 10 m ahead with returns of intensity 0.5.
 Surfels wall_ahead() {
     Surfels wall;
     wall.resize(1);
@@ -27,7 +27,7 @@ Surfels wall_ahead() {
     return wall;
 }
 
-/// Four rays, one a quarter turn, from the origin.
+/// Returns a log with four rays from the origin, a quarter turn apart.
 Sequence cross_sequence() {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -39,26 +39,26 @@ Sequence cross_sequence() {
     return sequence;
 }
 
-/// A post 8 cm wide, 10 m away, in front of a wall at 14 m.
+/// Returns a post of 8 cm width at 10 m, in front of a wall at 14 m.
 Surfels post_before_wall() {
     Surfels scene = wall_ahead();
     scene.resize(2);
     for (std::size_t k = 0; k < kShFloats; ++k) scene.sh[kShFloats + k] = scene.sh[k];
-    scene.sh[0] = scene.sh[kShFloats] = 1.0f;  // alike in brightness
+    scene.sh[0] = scene.sh[kShFloats] = 1.0f;  // equal brightness
     scene.mean = {{10.0f, 0.0f, 0.0f}, {14.0f, 0.0f, 0.0f}};
     scene.rotation[1] = scene.rotation[0];
-    scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};  // tall, narrow
+    scene.log_scale[0] = {std::log(5.0f), std::log(0.02f)};  // tall and narrow
     scene.log_scale[1] = glm::vec2(std::log(5.0f));
     scene.opacity_logit[1] = scene.opacity_logit[0];
     return scene;
 }
 
-/// Share of a disc that a strip through its middle covers. @param x  half of the strip's
-/// width over the disc's radius
+/// Returns the share of a disc that a strip through its middle covers.
+/// @param x half of the strip's width divided by the disc's radius
 double strip_share(double x) { return 2.0 / kPi * (std::asin(x) + x * std::sqrt(1.0 - x * x)); }
 
-/// A footprint of 0.2 m across, aimed at the post: where half of the light goes through
-/// its Gaussian the post ends.
+/// A footprint of 0.2 m diameter hits the post. The post ends where half of the light
+/// passes through its Gaussian.
 TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = {{0.0}};
@@ -86,7 +86,7 @@ TEST_F(Render, AFootprintOnAPostReturnsTheWallToo) {
     EXPECT_LT(scan.image.drop_prob[0], 0.1f);
 }
 
-/// The same post seen by beams of one table that differ: only the one that is wider sees
+/// Beams of one table with different divergence see the same post. Only the wide one sees
 /// past it.
 TEST_F(Render, EachBeamOfATableHasItsOwnFootprint) {
     RayTable rays{1,
@@ -147,13 +147,13 @@ TEST_F(Render, WallIsWhereItStands) {
     EXPECT_NEAR(renderer.render(sensor, 0.5, back).image.range_m[ahead], 13.0 - 2.0 * fired_at, 1e-4);
 }
 
-/// A post that only one column of the head meets stands in another column of the image in
-/// a sweep in which the head was a column behind.
+/// A post is hit by one column of the head only. If the head is one column behind in a
+/// sweep, the post must appear in another column of the image.
 TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     constexpr int kColumns = 64;
     constexpr double kColumn_rad = 2.0 * kPi / kColumns;
     Surfels post = wall_ahead();
-    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};  // 0.1 m of 1 m between columns
+    post.log_scale[0] = {std::log(5.0f), std::log(0.1f)};  // 0.1 m wide, where columns are 1 m apart
     Sequence sequence = cross_sequence();
     SpinningSensor& sensor = sequence.lidars[0].sensor;
     sensor.beams = {{0.0}}, sensor.columns = kColumns, sensor.max_range_m = 80.0;
@@ -169,7 +169,7 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     };
     const SensorChoice own = configured_sensor(config, sequence);
     EXPECT_TRUE(own.follows_sweeps);
-    const int nominal = kColumns / 2;  // azimuth pi falls by a column each
+    const int nominal = kColumns / 2;  // the azimuth decreases from pi by one column each
     EXPECT_EQ(column_of_post(renderer.render(own, 0.0)), nominal) << "a sweep without a shift";
     EXPECT_EQ(column_of_post(renderer.render(own, 1.0)), nominal + 1)
         << "the head points one column to the left of where it should";
@@ -181,8 +181,9 @@ TEST_F(Render, TheLogsOwnSensorPointsWhereItsHeadDid) {
     EXPECT_FALSE(choose_sensor("HDL-32E", config, sequence).follows_sweeps);
 }
 
-/// Two veils before a wall: half of the light is gone at the second, most of it comes
-/// back from the wall. A dropped ray has no range.
+/// Two semi-transparent surfaces are in front of a wall. Half of the light is blocked at
+/// the second one, but most of it returns from the wall. A dropped ray must have no
+/// range.
 TEST_F(Render, ModeIsTheHeaviestSurface) {
     Surfels scene;
     const Surfels wall = wall_ahead();
@@ -223,8 +224,8 @@ std::size_t ray_towards(const RayTable& rays, const glm::vec3& direction) {
     return best;
 }
 
-/// What a beam adds to ranges and makes of intensities is the sensor's: its own scans
-/// have it, those of another sensor do not.
+/// Range offsets and intensity gains of beams belong to the sensor. Scans of this sensor
+/// must have them, scans of another sensor must not.
 TEST_F(Render, LasersMeasureInTheirOwnWay) {
     const Surfels wall = wall_ahead();
     Sequence sequence = cross_sequence();
@@ -257,8 +258,8 @@ TEST_F(Render, LasersMeasureInTheirOwnWay) {
     EXPECT_EQ(scan.image.range_m[4 + behind], 0.0f) << "nothing stays nothing";
 }
 
-/// A ray whose surface lies outside the sensor's limits is dropped, whichever of its two
-/// ranges lies there.
+/// A ray whose surface lies outside the sensor's limits must be dropped. This applies to
+/// both of its ranges.
 TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     Sequence sequence = cross_sequence();
     const Scene scene = make_background_scene(wall_ahead());
@@ -276,7 +277,7 @@ TEST_F(Render, RangesBeyondTheSensorAreDrops) {
     EXPECT_FALSE(dropped(9.9, 10.1));
     EXPECT_TRUE(dropped(0.0, 9.9));
     EXPECT_TRUE(dropped(10.1, 80.0));
-    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;  // limits are of what is measured
+    sequence.lidars[0].sensor.beams[0].range_offset_m = 0.2;  // limits apply to the measured range
     EXPECT_TRUE(dropped(0.0, 10.1));
 }
 
@@ -298,7 +299,7 @@ TEST_F(Render, LimitsAreTheSensorsAndTheSettings) {
     EXPECT_EQ(configured_sensor(config, sequence).limits.max_m, 80.0) << "of the grid's convention";
 }
 
-/// A plate 4 m ahead that takes 0.3 of the light, and the wall.
+/// Returns a plate 4 m ahead that blocks 0.3 of the light, and the wall.
 Surfels faint_plate_before_a_wall() {
     Surfels surfels = wall_ahead();
     surfels.append(wall_ahead());
@@ -307,8 +308,8 @@ Surfels faint_plate_before_a_wall() {
     return surfels;
 }
 
-/// Points of a ray that sees a faint plate before the wall: the mean lies in the air
-/// between them, the dominant surface is the wall.
+/// A ray sees a faint plate in front of the wall. The mean range lies between them. The
+/// point must lie on the dominant surface, which is the wall.
 TEST_F(Render, PointsLieOnTheDominantSurface) {
     Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
@@ -332,8 +333,8 @@ TEST_F(Render, PointsLieOnTheDominantSurface) {
     EXPECT_EQ(faint.median_range_m[behind], 0.0f);
 }
 
-/// Two surfaces: the mean lies between them, a known way from the farther one, whichever
-/// range the image shows; one surface has no spread.
+/// With two surfaces, the mean lies between them at a known distance from the farther
+/// one, for any choice of the image's range. With one surface, the spread must be zero.
 TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const Surfels surfels = faint_plate_before_a_wall();
     const Sequence sequence = cross_sequence();
@@ -344,8 +345,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     const RenderedScan plane =
         ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence).render(sensor, 0.0);
     EXPECT_NEAR(range_spread(plane)[ahead], 0.0f, 1e-4f);
-    // shares of the light: 0.3 for the plate, nearly all of the rest for the wall, which
-    // is as opaque as a surfel gets
+    // Shares of the light: 0.3 for the plate, and the remainder times the maximum opacity
+    // of a surfel for the wall.
     const double wall = 0.7 * double(config.image.alpha_max), weight = 0.3 + wall;
     std::vector<std::string> channels = drop_channel_names(config.refine);
     std::vector<DropImage> seen;
@@ -365,8 +366,8 @@ TEST_F(Render, SpreadTellsEdgesFromSurfacesWhateverRangeTheImageHas) {
     }
 }
 
-/// The place of a wall that stands still, from a sensor that moves while it turns: every
-/// ray's own pose puts its point on the wall.
+/// A sensor moves while it turns. The pose of each ray must put its point on the static
+/// wall.
 TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -393,8 +394,8 @@ TEST_F(Render, FiringPosesPutPointsWhereThingsStand) {
     }
 }
 
-/// The wall's normal is known, and at what angle it is met, whichever way the sensor
-/// looks, turns and is binned: it comes back in the sensor's frame, towards the sensor.
+/// The normal of the wall and its incidence are known. For any orientation, motion and
+/// binning of the sensor, the normal must be in the sensor's frame and face the sensor.
 TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     Sequence sequence = cross_sequence();
     sequence.lidars[0].sensor.columns = 64;
@@ -441,8 +442,9 @@ TEST_F(Render, NormalsFaceTheSensorInItsOwnFrame) {
     EXPECT_THROW(ScanRenderer(device(), make_background_scene(wall_ahead()), config, sequence), UsageError);
 }
 
-/// A wall behind the sensor's right, and a plate placed ahead and, turned to face the
-/// sensor too, behind; its brightness depends on the direction it is seen from.
+/// Returns a wall behind the sensor on its right, and a plate that is placed twice:
+/// ahead, and behind, turned to face the sensor. The plate's brightness depends on the
+/// direction.
 Scene two_placements(Sequence& sequence) {
     Surfels surfels;
     surfels.resize(2);
@@ -453,7 +455,7 @@ Scene two_placements(Sequence& sequence) {
     std::fill(surfels.opacity_logit.begin(), surfels.opacity_logit.end(), 6.0f);
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
     surfels.sh[kShFloats + 3] = -0.5f;  // intensity along x: bright from one side, dark from the other
-    surfels.sh[kShFloats + kShCoefficients] = 20.0f;  // returns
+    surfels.sh[kShFloats + kShCoefficients] = 20.0f;  // hit logit
     surfels.sh[kShCoefficients] = 20.0f;
     Scene scene;
     scene.surfels = surfels;

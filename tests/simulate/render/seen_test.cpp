@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What scans say of themselves where the log has not looked: a street seen from its own
-// road, beside it, from below and from far away.
+// Tests the share of unobserved space that scans report: a street seen from its road,
+// from next to it, from below and from far away.
 #include <algorithm>
 
 #include <relidar/log/dataset.hpp>

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sensor's rays on the device: fired as world_ray() has them in double precision
-// (simulate/render/fire_rays), measured as Beam, limits and M6 say
-// (simulate/render/measure_rays), and shown to a network as drop_image() has it
-// (simulate/render/drop_channels).
+// Tests a sensor's rays on the device. Firing (simulate/render/fire_rays) is compared
+// with world_ray() in double precision, measuring (simulate/render/measure_rays) with
+// Beam, limits and M6, and network channels (simulate/render/drop_channels) with
+// drop_image().
 #include "simulate/render/sensor_rays.hpp"
 
 #include <cmath>
@@ -27,7 +27,7 @@ RayTable spinning_rays(int columns) {
     return make_rays(sensor);
 }
 
-/// Far from the origin, turning about all axes, at uneven times.
+/// Returns a track far from the origin that turns about all axes, with uneven times.
 PoseTrack bend(double rad_per_s, int n) {
     PoseTrack track;
     for (int k = 0; k < n; ++k) {
@@ -55,8 +55,8 @@ double farthest_off(Device& device, const RayTable& rays, const PoseTrack& track
     return farthest;
 }
 
-/// 400 m from the origin a float is 3e-5 m apart from the next; 5e-7 in a direction is
-/// 0.04 mm at 80 m.
+/// At 400 m from the origin, neighbouring floats differ by 3e-5 m. An error of 5e-7 in a
+/// direction is 0.04 mm at 80 m.
 TEST_F(SensorRaysTest, AreFiredFromWhereTheSensorIsThen) {
     const RayTable rays = spinning_rays(301);  // fired from -0.05 to 0.05 s
     const double tolerance = 6e-7;
@@ -76,7 +76,7 @@ TEST_F(SensorRaysTest, OnlyPosesOfTheSweepGoUp) {
     EXPECT_LE(poses.size(), 6u);
 }
 
-/// Rays that meet something or little or nothing, near and far.
+/// Returns random rendered rays that hit something, little or nothing, near and far.
 std::vector<shared::RenderedRay> random_rendering(std::size_t n) {
     std::mt19937 random(5);
     std::uniform_real_distribution<float> uniform(0.0f, 1.0f);
@@ -119,18 +119,18 @@ Expected expected_of(const shared::RenderedRay& r, const Beam& beam, double sees
 TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     const RayTable rays = spinning_rays(333);
     const std::vector<shared::RenderedRay> rendering = random_rendering(rays.size());
-    RayGeometry geometry(device(), rays.size());
-    std::vector<shared::RenderedGeometry> of_rays(rays.size());
+    std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
         of_rays[i].mode = 1.05f * rendering[i].median_depth;
         of_rays[i].normal = glm::vec3(float(i % 3), 1.0f, float(i % 5) - 2.0f);
     }
-    geometry.rendered.upload(of_rays);
+    const Array<shared::RenderedSurface> surfaces(device(), std::span<const shared::RenderedSurface>(of_rays),
+                                                  "surfaces");
     const Array<shared::RenderedRay> rendered(device(), std::span<const shared::RenderedRay>(rendering),
                                               "rendered rays");
     const std::vector<Beam> beams = {
         {.intensity_gain = 1.3, .intensity_offset = -0.05, .range_offset_m = 0.04},
-        // none for channel 2
+        // no beam for channel 2
         {.intensity_gain = 0.8, .intensity_offset = 0.02, .range_offset_m = -0.7}};
     const IntensityResponse response{{4.0, 10.0, 30.0, 70.0}, {0.6, 1.0, 1.4, 0.9}, 0.3};
     const auto never = [](std::size_t i) { return i % 5 == 0 ? 0.75f : 0.0f; };
@@ -143,7 +143,7 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     for (const std::string range : {"normalised", "expected", "mode", "median"}) {
         const RayMeasuring how{range, beams, response, {range == "median" ? 0.0 : 0.9, 80.0}, 1e-3f};
         Stream stream(device());
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry},
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .surfaces = &surfaces},
                           how);
         const std::span<const shared::MeasuredRay> measured = on_device.wait(stream);
         ASSERT_EQ(measured.size(), rays.size());
@@ -167,8 +167,8 @@ TEST_F(SensorRaysTest, AreMeasuredAsBeamLimitsAndDropLogitsSay) {
     }
 }
 
-/// Another sensor may see otherwise along the same rays, and other rays of one size are
-/// others.
+/// Rays must be uploaded again if another sensor uses the same rays, or if other rays
+/// have the same size.
 TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     RayTable rays = spinning_rays(16);
     shared::RenderedRay wall{};
@@ -194,7 +194,7 @@ TEST_F(SensorRaysTest, AreTakenAnewWhereTheyDiffer) {
     EXPECT_NEAR(drop_of_first(), 0.25f, 1e-6f);
 }
 
-/// A smooth surface with a step.
+/// Returns a smooth surface with a step.
 std::vector<shared::RenderedRay> rendered_room(const RayTable& rays) {
     std::vector<shared::RenderedRay> rendered = random_rendering(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i) {
@@ -233,14 +233,14 @@ TEST_F(SensorRaysTest, ANetworkSeesThemAsItSeesAScan) {
     on_device.take(rays, "test", [](std::size_t) { return 0.0f; });
     Stream stream(device());
     on_device.fire(stream, bend(0.0, 1), 0.0);
-    RayGeometry geometry(device(), rays.size());
-    std::vector<shared::RenderedGeometry> of_rays(rays.size());
+    std::vector<shared::RenderedSurface> of_rays(rays.size());
     for (std::size_t i = 0; i < rays.size(); ++i)
         of_rays[i].normal = {std::sin(0.3f * float(i)), std::cos(0.3f * float(i)), 0.2f};
-    geometry.rendered.upload(of_rays);
+    const Array<shared::RenderedSurface> surfaces(device(), std::span<const shared::RenderedSurface>(of_rays),
+                                                  "surfaces");
     const glm::dvec3 first_origin_m(10.0, 5.0, 0.0);
     const auto measure = [&] {
-        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .geometry = &geometry},
+        on_device.measure(stream, {.rays = on_device.batch(), .rendered = &rendered, .surfaces = &surfaces},
                           {"median", {}, {}, {0.0, 80.0}, 1e-3f});
     };
     measure();

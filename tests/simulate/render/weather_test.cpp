@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather on whole scans: surfaces are darker by the formula, what returns from the air
-// says so in every channel, and clear air changes no bit.
+// Tests weather on full scans. Surfaces must be darker according to the formula, returns
+// from the air must be marked in every channel, and clear air must not change a bit.
 #include <algorithm>
 #include <cmath>
 
@@ -18,8 +18,8 @@ namespace {
 constexpr int kRays = 20'000;
 constexpr std::int32_t kNothing = -1, kSurface = 0, kFog = 1;
 
-/// A wall, of which all rays but every tenth return; actor 3 in all channels. Two returns
-/// where they are wanted, both of the wall's panes.
+/// Returns a wall from which all rays except every tenth return, with actor 3 in all
+/// channels. With two returns, both are from the panes of the wall.
 RenderedScan wall_at(float range_m, float intensity, bool two_returns = false, int n_rays = kRays) {
     const auto n = std::size_t(n_rays);
     RenderedScan scan;
@@ -64,8 +64,8 @@ TEST(WeatherOnScans, ClearAirChangesNoBit) {
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
 }
 
-/// To a hundredth, and with a sensor that reports the same surface at half of its
-/// brightness there.
+/// Also tests a sensor that reports half the brightness of the same surface at this
+/// range. The tolerance is one hundredth.
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
         RenderedScan scan = wall_at(8.0f, 0.8f);
@@ -112,11 +112,11 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     EXPECT_GT(fog, kRays / 2);
 }
 
-/// Behind 40 m of it 80 m are 2e-2 of the light; the wall's 3e-3 are less than the
-/// weakest.
+/// Through 40 m of fog and back, 2e-2 of the light remains. The wall's 3e-3 are below the
+/// weakest return.
 TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensor sensor;
-    sensor.min_range_m = 39.9;  // returns of the fog are not of interest here
+    sensor.min_range_m = 39.9;  // excludes returns of the fog
     RenderedScan scan = wall_at(40.0f, 0.3f);
     add_weather(scan, Air({.fog_visibility_m = 20.0}, sensor), {}, {}, 1);
     for (std::size_t i = 0; i < kRays; ++i) {
@@ -154,7 +154,7 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
     }
 }
 
-/// Threads take blocks of 4096 rays: of fewer there is one thread.
+/// Threads process blocks of 4096 rays, so that fewer rays use a single thread.
 TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
     const Air air({.fog_visibility_m = 100.0, .rain_mm_h = 20.0}, {});
     RenderedScan a = wall_at(40.0f, 0.1f), b = a, other = a, by_one = wall_at(40.0f, 0.1f, false, 4096);
@@ -186,8 +186,8 @@ protected:
     Config config;
 };
 
-/// Without intensities nobody knows how bright surfaces are, and the air would win
-/// everywhere.
+/// Weather needs the brightness of surfaces. Without intensities, the air would be
+/// brighter than everything and must be rejected.
 TEST_F(RenderedWeather, NeedsALogWithIntensities) {
     ScanRenderer renderer(device(), scene, config, log);
     IntensityScatter scatter{.nodes = {{.first = 0, .count = 2}}, .values = {0.0f, 0.0f}};

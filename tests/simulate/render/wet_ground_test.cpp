@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rain on the road of a scene: level ground of one brightness and a wall, whose mirror
-// image is known.
+// Tests wet roads: level ground of constant brightness and a wall whose mirror image is
+// known.
 #include <algorithm>
 #include <cmath>
 
@@ -16,7 +16,7 @@ namespace {
 
 class WetGroundOnScans : public test::DeviceTest {};
 
-/// A level disc that returns, of intensity 0.5 + 0.28 times the coefficient.
+/// Returns a level disc that returns, of intensity 0.5 + 0.28 times the coefficient.
 Surfels disc_of(float scale_m, float coefficient) {
     Surfels disc;
     disc.resize(1);
@@ -30,8 +30,8 @@ Surfels disc_of(float scale_m, float coefficient) {
     return disc;
 }
 
-/// Dark level ground half a metre below the sensor, of opaque discs a metre apart, and a
-/// wall of intensity 0.5 on it, 12 m ahead.
+/// Returns dark level ground half a metre below the sensor, made of opaque discs at
+/// intervals of 1 m, and a wall of intensity 0.5 on it, 12 m ahead.
 Surfels ground_before_wall() {
     Surfels scene = disc_of(3.0f, 0.0f), disc = disc_of(0.5f, -1.4f);
     scene.mean[0] = {12.0f, 0.0f, -0.5f};
@@ -45,7 +45,7 @@ Surfels ground_before_wall() {
     return scene;
 }
 
-/// Eight beams that look down by 3.6 to 5.7 degrees.
+/// Returns a log with eight beams that look down by 3.6 to 5.7 degrees.
 Sequence sequence_looking_down() {
     Sequence sequence;
     sequence.lidars[0].sensor.columns = 360;
@@ -57,9 +57,9 @@ Sequence sequence_looking_down() {
     return sequence;
 }
 
-/// Where the ground mirrors a ray onto the wall, its point is that of the wall's mirror
-/// image, on the straight line below the ground. What is left of the wall's light is more
-/// than what is left of the ground's, which water darkens.
+/// If the ground mirrors a ray onto the wall, the point must lie on the wall's mirror
+/// image, on the straight line below the ground. This happens if the mirrored light of
+/// the wall is stronger than the light of the ground, which water darkens.
 TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
     const Config config;
     const Sequence sequence = sequence_looking_down();
@@ -80,7 +80,7 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             ASSERT_GT(d.x, 0.0f);
             ASSERT_NEAR(wet.median_range_m[i], wall_m, 0.2) << "the tracing begins 0.1 m above the ground";
             ASSERT_EQ(wet.instance[i], -1);
-            // from the middle of the wall
+            // distance from the middle of the wall
             const double up_m = (wall_m - ground_m) * -double(d.z), left_m = wall_m * double(d.y);
             const double wall =
                 0.5 / (1.0 + std::exp(-6.0)) * std::exp(-0.5 * (up_m * up_m + left_m * left_m) / 9.0);
@@ -90,8 +90,7 @@ TEST_F(WetGroundOnScans, IsDarkerAndMirrorsAWall) {
             ASSERT_EQ(wet.median_range_m[i], dry.median_range_m[i]);
             ASSERT_NEAR(wet.image.intensity[i] / dry.image.intensity[i],
                         wet_over_dry(-double(d.z), double(dry.image.intensity[i])),
-                        // the foot of the wall tilts what is taken for the ground before
-                        // it
+                        // near the foot of the wall, the estimated ground is tilted
                         ground_m * double(d.x) < 6.0 ? 1e-3 : 0.05)
                 << i;
         }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of files of a scan that was taken on the move: deskewed ones come to the world
-// by the pose of their file, those of the world are there already. The scan is made from
-// places in the world that each ray must hit.
+// Tests the points in files of a scan by a moving sensor. The pose in the file must
+// transform deskewed points to the world; points in the world need no transform. The scan
+// is made from world positions that each ray must hit.
 #include <cstring>
 #include <sstream>
 
@@ -18,15 +18,15 @@
 namespace relidar {
 namespace {
 
-constexpr double kTolerance_m = 2e-5;  // of floats 40 m away
+constexpr double kTolerance_m = 2e-5;  // precision of floats at 40 m
 
 const std::vector<glm::dvec3>& places() {
     static const std::vector<glm::dvec3> points = {{30, 5, 1}, {-20, 8, 3}, {4, -25, 0}, {12, 30, -1}};
     return points;
 }
 
-/// At 16 m/s and a turn of 40 degrees a second: 0.8 m and 2 degrees to either side of the
-/// scan's time.
+/// Returns a scan at 16 m/s and 40 degrees per second: 0.8 m and 2 degrees before and
+/// after the scan's time.
 RenderedScan lane_change() {
     RenderedScan scan;
     for (int i = 0; i <= 4; ++i) {
@@ -60,7 +60,8 @@ glm::dvec3 point(const std::vector<float>& numbers, std::size_t i) {
     return {numbers[i], numbers[i + 1], numbers[i + 2]};
 }
 
-/// Points of a file whose header ends with a text, x y z first.
+/// Returns the points of a file whose header ends with a text; the records begin with x y
+/// z.
 std::vector<glm::dvec3> points_behind(const std::filesystem::path& path, const std::string& end_of_header) {
     const std::string bytes = contents(path);
     const std::size_t begin = end_of_header.empty() ? 0 : bytes.find(end_of_header) + end_of_header.size();
@@ -74,7 +75,7 @@ std::vector<glm::dvec3> points_behind(const std::filesystem::path& path, const s
     return points;
 }
 
-/// The numbers of a row in a file's header.
+/// Returns the numbers of a line in a file's header.
 std::vector<double> numbers_behind(const std::string& text, const std::string& name) {
     std::istringstream line(text.substr(text.find(name) + name.size()));
     std::vector<double> numbers;
@@ -82,7 +83,7 @@ std::vector<double> numbers_behind(const std::string& text, const std::string& n
     return numbers;
 }
 
-/// Row by row.
+/// Returns the pose of a matrix in row-major order.
 Pose pose_of(const std::vector<double>& m) {
     const glm::dmat3 columns(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
     return {glm::quat_cast(columns), {m[3], m[7], m[11]}};
@@ -108,7 +109,8 @@ protected:
             EXPECT_LT(glm::distance(world_from_points * points[i], places()[i]), kTolerance_m)
                 << what << ", point " << i;
     }
-    /// @param world_from_points  of a file, by the pose that the file says
+    /// @param world_from_points returns the transform of a file's points, given the pose
+    /// in the file
     void expect_all(const std::function<Pose(const Pose&)>& world_from_points) const {
         const auto arrays = read_npz(file("npz"));
         const Pose of_npz = pose_of(find_array(arrays, "pose")->as_double());
@@ -147,8 +149,8 @@ TEST_F(PlacedScans, PointsOfTheWorldAreThere) {
     expect_all([](const Pose&) { return Pose{}; });
 }
 
-/// A channel that says something of second returns: an array of its own in npz and exr,
-/// values of their own points in ply.
+/// A channel with values for second returns must be a separate array in npz and exr, and
+/// values of the second points in ply.
 TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     RenderedScan scan = lane_change();
     scan.second_returns = {{{40.0f, 0.0f, 0.0f, 41.0f}, {0.1f, 0.0f, 0.0f, 0.1f}}};
@@ -167,7 +169,7 @@ TEST_F(PlacedScans, SecondReturnsHaveTheirOwnValues) {
     const std::string ply = contents(file("ply"));
     std::vector<std::int32_t> of_points;
     const std::size_t begin = ply.find("end_header\n") + 11, stride = (ply.size() - begin) / 6;
-    for (std::size_t i = 0; i < 6; ++i)  // the last of a point's values
+    for (std::size_t i = 0; i < 6; ++i)  // the last value of a point
         std::memcpy(&of_points.emplace_back(), ply.data() + begin + (i + 1) * stride - sizeof(std::int32_t),
                     sizeof(std::int32_t));
     EXPECT_EQ(of_points, (std::vector<std::int32_t>{1, 5, 2, 0, 0, 7}))

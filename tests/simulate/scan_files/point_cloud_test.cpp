@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// PLY, PCD and KITTI .bin files, read back by a reader of ten lines: header lines as
-// documented, then packed records.
+// Tests PLY, PCD and KITTI .bin files with a minimal reader: header lines as documented,
+// then packed records.
 #include <relidar/simulate/point_cloud.hpp>
 
 #include <cstring>
@@ -25,7 +25,7 @@ PointCloud some_cloud() {
     return cloud;
 }
 
-/// Header lines up to and including the last one, and what follows.
+/// Header lines including the last one, and the remainder of the file.
 struct Parsed {
     std::vector<std::string> header;
     std::string body;

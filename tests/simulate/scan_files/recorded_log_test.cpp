@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings that relidar writes are logs that it reads: the same points, rings, times,
-// poses and actors, of a sensor that is mounted on a vehicle in a bend, with second
-// returns.
+// Tests that recordings written by relidar can be read as logs with the same points,
+// rings, times, poses and actors. The sensor is mounted on a vehicle that drives a curve
+// and has second returns.
 #include <algorithm>
 #include <cmath>
 
@@ -17,7 +17,7 @@ namespace relidar {
 namespace {
 
 constexpr int kFrames = 4, kRows = 8, kColumns = 180;
-// the stamp of the first scan
+// kFirst_s: timestamp of the first scan
 constexpr double kPeriod_s = 0.1, kFirst_s = 1.0 + kPeriod_s * (0.5 / kColumns - 0.5);
 const Pose kMounting{glm::angleAxis(0.3, glm::dvec3(0, 0, 1)), {1.2, -0.1, 1.9}};
 
@@ -32,7 +32,7 @@ PoseTrack way() {
     return track;
 }
 
-/// Ranges of a room that is nowhere even; each twelfth ray is dropped, each fifth has a
+/// Returns ranges of an uneven room. Every twelfth ray is dropped, every fifth has a
 /// second return.
 RenderedScan room(double time_s) {
     RenderedScan scan;
@@ -67,7 +67,7 @@ RenderedScan room(double time_s) {
 }
 
 struct SeenPoint {
-    double time_s;  ///< of the log that was recorded
+    double time_s;  ///< time in the recorded log
     int ring;
     bool second;
     glm::dvec3 world_m;
@@ -95,7 +95,8 @@ std::vector<SeenPoint> truth() {
     return points;
 }
 
-/// @param zero_s  of the log in that of the recording
+/// Returns the points of a log that was read.
+/// @param zero_s time zero of the log in the recording
 std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
     std::vector<SeenPoint> points;
     const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
@@ -118,7 +119,8 @@ std::vector<SeenPoint> read_again(const Sequence& log, double zero_s) {
     return points;
 }
 
-/// One that drives in a bend, there from the second scan on, and one that is parked.
+/// Returns a car that drives a curve and exists from the second scan on, and a static
+/// object.
 std::vector<BoxTrack> actors() {
     BoxTrack car{"car 7", "Car", {4.2, 1.8, 1.5}, {}}, bin{"bin", "Bin", {0.7, 0.6, 1.1}, {}};
     for (int i = 0; i <= 40; ++i) {
@@ -132,8 +134,8 @@ std::vector<BoxTrack> actors() {
     return {car, bin};
 }
 
-/// When the head of a sweep faces a box: it turns from behind over the left to the right,
-/// once a period, and faces ahead at time_s.
+/// Returns the time at which the head of a sweep faces a box. The head turns from behind
+/// over the left to the right once per period, and faces ahead at time_s.
 double faced_at(const BoxTrack& box, double time_s) {
     double faced_s = time_s;
     for (int round = 0; round < 20; ++round) {
@@ -144,7 +146,7 @@ double faced_at(const BoxTrack& box, double time_s) {
     return faced_s;
 }
 
-/// @param moved_m  of what is read from what was written
+/// @param moved_m offset of the read positions from the written ones
 void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
     SCOPED_TRACE(testing::PrintToString(log.notes));
     ASSERT_EQ(log.boxes.size(), 2u);
@@ -158,7 +160,7 @@ void expect_actors(const Sequence& log, const glm::dvec3& moved_m) {
         for (std::size_t k = 0; k < found->world_from_box.time_s.size(); ++k) {
             const double at_s = found->world_from_box.time_s[k] + kFirst_s;
             BoxTrack there = wanted;
-            // as the sensor sees it
+            // position that the sensor sees
             for (Pose& pose : there.world_from_box.pose) pose.translation += moved_m;
             const double scan_s = 1.0 + kPeriod_s * std::round((at_s - 1.0) / kPeriod_s);
             EXPECT_NEAR(at_s, faced_at(there, scan_s), kPeriod_s / kColumns)
@@ -189,9 +191,9 @@ void expect_same(const Sequence& log, bool has_second) {
         ASSERT_EQ(found[i].second, wanted[i].second) << i;
         ASSERT_NEAR(found[i].time_s, wanted[i].time_s, 2e-6) << i;
         ASSERT_NEAR(found[i].intensity, wanted[i].intensity, 1e-6) << i;
-        // Poses of frames alone would not do: at 10 m/s in a bend of 0.5 rad/s the chord
-        // of 0.1 s is 6 mm beside, and what goes straight on behind the last frame 5 cm.
-        // The recording has a pose every 10 ms, whose chords are 0.1 mm beside.
+        // Poses of frames alone would be too coarse. At 10 m/s in a curve of 0.5 rad/s,
+        // the chord of 0.1 s deviates by 6 mm, and extrapolation after the last frame by
+        // 5 cm. The recording has a pose every 10 ms, whose chords deviate by 0.1 mm.
         ASSERT_LT(glm::distance(found[i].world_m, wanted[i].world_m), 3e-4) << i;
     }
 }
@@ -212,7 +214,7 @@ TEST_F(RecordedLog, OfEitherKindIsTheSameLog) {
     }
 }
 
-/// A car that drives at 5 m/s to the right of a sensor that stands and behind it, where
+/// Returns a car that drives at 5 m/s to the right of and behind a static sensor, where
 /// the head turns last.
 BoxTrack car_behind() {
     BoxTrack car{"car", "Car", {4.2, 1.8, 1.5}, {}};
@@ -223,7 +225,8 @@ BoxTrack car_behind() {
     return car;
 }
 
-/// Where a ray enters a box around the origin; 0 where it misses the box.
+/// Returns the distance at which a ray enters a box around the origin, or 0 if it misses
+/// the box.
 double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double enters_m = 0.0, leaves_m = 1e9;
     for (int axis = 0; axis < 3; ++axis) {
@@ -234,7 +237,7 @@ double entry_m(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
     return enters_m < leaves_m ? enters_m : 0.0;
 }
 
-/// A scan of the car alone: each ray meets it where it is when the ray is fired.
+/// Returns a scan of the car alone. Each ray sees the car at its firing time.
 RenderedScan scan_of_car(double time_s) {
     RenderedScan scan = room(time_s);
     scan.second_returns.clear();
@@ -252,8 +255,8 @@ RenderedScan scan_of_car(double time_s) {
     return scan;
 }
 
-/// Points of a car that moves through the sweep lie in its box, and the box moved to the
-/// time of each point holds them exactly.
+/// Points of a moving car must lie in its box. The box at the time of each point must
+/// contain it exactly.
 TEST_F(RecordedLog, BoxesHoldThePointsOfMovingActors) {
     ScanFormat format;
     format.formats = {"mcap", "rosbag"};

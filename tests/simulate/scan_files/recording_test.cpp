@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings as files: that they appear whole or not at all, that their index leads to
-// what it says, and times that a file cannot have. What messages hold is read by others'
-// readers in tests/tools/recordings_test.sh.
+// Tests recordings as files: they must be created completely or not at all, their index
+// must be correct, and times that cannot be stored must be handled.
+// tests/tools/recordings_test.sh reads the messages with other programs.
 #include <cstring>
 #include <map>
 
@@ -22,8 +22,8 @@ using testing::UnorderedElementsAre;
 
 constexpr const char* kMagic = "\x89MCAP0\r\n";
 
-/// A scan of two rays ahead that both return, one of them twice, fired before and after
-/// the scan's time.
+/// Returns a scan of two rays ahead with returns, one of them with a second return. They
+/// are fired before and after the scan's time.
 RenderedScan two_rays(double time_s) {
     RenderedScan scan;
     scan.image = {1,
@@ -51,10 +51,11 @@ T number(const std::string& bytes, std::size_t at) {
 }
 
 struct Record {
-    std::size_t begin, body, end;  ///< in the file
+    std::size_t begin, body, end;  ///< positions in the file
 };
 
-/// Records of the file, or of a chunk, by code. @param at  where the first begins
+/// Returns the records of a file or of a chunk, by code.
+/// @param at begin of the first record
 std::multimap<int, Record> records(const std::string& bytes, std::size_t at, std::size_t end) {
     std::multimap<int, Record> found;
     while (at < end) {
@@ -105,7 +106,7 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
         ASSERT_EQ(bytes.substr(0, 8), kMagic);
         ASSERT_EQ(bytes.substr(bytes.size() - 8), kMagic);
         const auto all = records(bytes, 8, bytes.size() - 8);
-        // of the footer
+        // the summary offset in the footer
         const std::size_t summary = number<std::uint64_t>(bytes, all.find(2)->second.body);
         ASSERT_EQ(all.find(15)->second.end, summary) << "behind the end of data";
         ASSERT_EQ(all.count(6), 3u);
@@ -119,7 +120,7 @@ TEST_F(Recordings, IndexLeadsToChunksAndTheirMessages) {
             EXPECT_EQ(number<std::uint32_t>(bytes, chunk + 9 + 24),
                       crc32(0, reinterpret_cast<const Bytef*>(&bytes[inside]), uInt(size)));
             std::size_t n_indexed = 0;
-            // of 2 + 8 bytes
+            // entries of 2 + 8 bytes
             for (std::uint32_t place = 0; place < number<std::uint32_t>(bytes, at + 32); place += 10) {
                 const std::size_t entry = number<std::uint64_t>(bytes, at + 36 + place + 2);
                 EXPECT_EQ(bytes[entry], 7) << "a message index";

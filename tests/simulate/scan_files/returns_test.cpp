@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every format holds as many returns of a scan as every other one, with a network that
-// says of every ray that it returns.
+// Tests that every format contains the same number of returns of a scan, with a network
+// that predicts a return for every ray.
 #include <cmath>
 #include <cstring>
 #include <map>
@@ -22,10 +22,9 @@ namespace relidar {
 namespace {
 
 constexpr int kBeams = 16, kSteps = 256;
-constexpr double kHeight_m = 3.0;  // of the sensor above a plate of 4 m
+constexpr double kHeight_m = 3.0;  // height of the sensor above a plate of 4 m
 
-/// Returns how many rays of a sensor, fired from above its middle, meet a round plate on
-/// the ground.
+/// Returns how many rays of a sensor hit a round plate on the ground below it.
 std::size_t rays_onto_plate(const RayTable& rays, double radius_m) {
     std::size_t n = 0;
     for (const glm::vec3& d : rays.direction)
@@ -51,7 +50,7 @@ T value_at(const std::string& bytes, std::size_t at) {
     return value;
 }
 
-/// The number behind a word of a header.
+/// Returns the number that follows a word in a header.
 std::size_t count_behind(const std::string& text, const std::string& word) {
     return std::stoul(text.substr(text.find(word) + word.size()));
 }
@@ -60,7 +59,7 @@ std::size_t below_half(const std::vector<float>& values) {
     return std::size_t(std::ranges::count_if(values, [](float x) { return x < 0.5f; }));
 }
 
-/// Bytes of the first message on a topic of an MCAP file without compression.
+/// Returns the bytes of the first message on a topic of an uncompressed MCAP file.
 std::string message_on(const std::string& bytes, const std::string& topic) {
     std::optional<std::uint16_t> channel;
     const auto walk = [&](std::size_t at, std::size_t end, const auto& self) -> std::string {
@@ -82,15 +81,15 @@ std::string message_on(const std::string& bytes, const std::string& topic) {
     return walk(8, bytes.size() - 8, walk);
 }
 
-/// Points of a sensor_msgs/PointCloud2, by its width and height.
+/// Returns the number of points of a sensor_msgs/PointCloud2 from its width and height.
 std::size_t points_of_ros(const std::string& message) {
     const std::size_t name = 4 + 8, end = name + 4 + value_at<std::uint32_t>(message, name),
                       sizes = (end - 4 + 3) / 4 * 4 + 4;
     return std::size_t(value_at<std::uint32_t>(message, sizes)) * value_at<std::uint32_t>(message, sizes + 4);
 }
 
-/// Points of a foxglove.PointCloud: the bytes of field 6 over those of one point, field
-/// 4.
+/// Returns the number of points of a foxglove.PointCloud: the size of field 6 divided by
+/// the size of a point, field 4.
 std::size_t points_of_foxglove(const std::string& message) {
     std::size_t at = 0, stride = 0, n_bytes = 0;
     const auto varint = [&] {
@@ -117,8 +116,8 @@ std::size_t points_of_foxglove(const std::string& message) {
     return stride == 0 ? 0 : n_bytes / stride;
 }
 
-/// Pixels of the picture's first image, the ranges, that do not have the colour of its
-/// first pixel, which looks at the sky.
+/// Counts the pixels of the first image (the ranges) whose colour differs from the first
+/// pixel, which shows the sky.
 std::size_t shown_pixels(const std::filesystem::path& path) {
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
@@ -155,7 +154,7 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     EXPECT_GT(n, rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
     EXPECT_LT(n, rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
 
-    struct Folder : TemporaryFolder {  // its SetUp() and TearDown() alone
+    struct Folder : TemporaryFolder {  // uses only SetUp() and TearDown() of the fixture
         using TemporaryFolder::folder;
         Folder() { SetUp(); }
         ~Folder() override { TearDown(); }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather along single rays against closed forms and the integrals of its models, written
-// here once more from the literature.
+// Tests weather along single rays against closed forms and the integrals of its models,
+// which are implemented here again from the literature.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -34,7 +34,7 @@ bool shows_surface(const RayEchoes& seen) {
     return seen.strongest.source == PointSource::surface || seen.second.source == PointSource::surface;
 }
 
-/// x of x e^x = y, by Newton's method.
+/// Solves x e^x = y for x by Newton's method.
 double lambert_w(double y) {
     double x = std::log1p(y);
     for (int i = 0; i < 50; ++i) x -= (x * std::exp(x) - y) / ((1.0 + x) * std::exp(x));
@@ -105,7 +105,8 @@ TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
     EXPECT_EQ(extinction({}), 0.0);
 }
 
-/// Twice the shadows of all particles: the integral over their diameters, by small steps.
+/// The extinction must be twice the shadow area of all particles. Integrates over their
+/// diameters by small steps.
 TEST(Weather, ParticlesTakeTwiceTheirShadow) {
     const auto shadows = [](double n0, double slope, double widening) {
         double sum = 0.0;
@@ -124,8 +125,8 @@ TEST(Weather, ParticlesTakeTwiceTheirShadow) {
     }
 }
 
-/// Rain takes what links of light were measured to lose in it: 1.076 R^0.67 dB/km
-/// (Carbonneau; ITU-R P.1814).
+/// The extinction of rain must agree with measurements of optical links: 1.076 R^0.67
+/// dB/km (Carbonneau; ITU-R P.1814).
 TEST(Weather, RainIsAsThickAsMeasured) {
     for (const double rate : {5.0, 25.0, 80.0}) {
         const double measured = 1.076 * std::pow(rate, 0.67) * std::log(10.0) / 10.0 / 1000.0;
@@ -133,7 +134,8 @@ TEST(Weather, RainIsAsThickAsMeasured) {
     }
 }
 
-/// Integral of 2 c f(c) over cosines: what a dull surface's light does on average.
+/// Returns the integral of 2 c f(c) over cosines, which is the mean over a diffuse
+/// surface.
 double mean_over_dull(const std::function<double(double)>& f) {
     double sum = 0.0;
     for (int i = 0; i < 20'000; ++i) sum += 2.0 * (i + 0.5) / 20'000 * f((i + 0.5) / 20'000) / 20'000;
@@ -144,15 +146,16 @@ TEST(WetGround, WaterMirrorsAsFresnelSays) {
     constexpr double n = 1.33;
     EXPECT_NEAR(mirrored_by_water(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
     EXPECT_NEAR(mirrored_by_water(0.0), 1.0, 1e-12);
-    const double brewster = std::cos(std::atan(n));  // only light across the plane of incidence
+    // at this angle, only light polarised across the plane of incidence is reflected
+    const double brewster = std::cos(std::atan(n));
     EXPECT_NEAR(mirrored_by_water(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
     EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001)
         << "the diffuse reflectance of water in tables";
 }
 
-/// Light that passes into the film, from the ground back to the surface again and again,
-/// summed bounce by bounce; what is kept inside by the integral over directions in water,
-/// with total reflection, which the closed form does not ask.
+/// Compares with the sum over all bounces between the ground and the surface of the water
+/// film. The light kept inside is an integral over directions in water with total
+/// reflection, which the closed form does not use.
 TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     constexpr double n = 1.33;
     const auto kept_inside = [](double in_water) {
@@ -174,11 +177,11 @@ TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
     EXPECT_EQ(film_share(3.0), 1.0);
 }
 
-/// The weakest return is one of reflectivity 0.005 at 80 m.
+/// The weakest return has a reflectivity of 0.005 at 80 m.
 TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
     const Air air({.wet_mm = 1.0}, sensor_to(80.0));
     Echo ground = wall(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror, 0.5};
-    ground.through_water = 0.01;  // 0.001 at 40 m: less than the weakest, 0.00125 there
+    ground.through_water = 0.01;  // 0.001 at 40 m, which is less than the weakest return there, 0.00125
     const RayEchoes seen = air.look({ground, {}, mirrored}, 40.0, 1);
     EXPECT_EQ(seen.strongest.source, PointSource::mirror);
     EXPECT_EQ(seen.strongest.range_m, 60.0);
@@ -207,8 +210,9 @@ TEST(Weather, AWallIsDarkerByTheFormula) {
     }
 }
 
-/// A target of 10 % is seen to where 0.1 exp(-2 alpha R) / R^2 is the weakest power: R =
-/// W(alpha sqrt(0.1 / weakest)) / alpha. The last return is one of two.
+/// A target of 10 % is visible up to the range where 0.1 exp(-2 alpha R) / R^2 equals the
+/// weakest power: R = W(alpha sqrt(0.1 / weakest)) / alpha. The last return is one of
+/// two.
 TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
         const WeatherSensor sensor = sensor_to(100.0);
@@ -225,8 +229,7 @@ TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     }
 }
 
-/// What rays into the free air return: where the strongest return is from and how strong
-/// it is.
+/// Expected distribution of range and power of the strongest return in free air.
 class FreeAir {
 public:
     FreeAir(const Weather& weather, const WeatherSensor& sensor)
@@ -238,7 +241,8 @@ public:
         from_.resize(ranges_m_.size());
         none_stronger_.resize(levels_.size());
     }
-    /// brighter(r, q): how many particles a metre return more than q from r.
+    /// Computes the distribution for particles. brighter(r, q) is the number of particles
+    /// per metre at range r with a return stronger than q.
     void of_particles(const std::function<double(double, double)>& brighter) {
         std::vector<std::vector<double>> n(levels_.size());
         for (std::size_t i = 0; i < levels_.size(); ++i) {
@@ -251,8 +255,9 @@ public:
             for (std::size_t k = 0; k < ranges_m_.size(); ++k)
                 from_[k] += (n[i][k] - n[i + 1][k]) * 0.5 * (none_stronger_[i] + none_stronger_[i + 1]);
     }
-    /// One return of each stretch, anywhere in it, log-normal of mean 1 times mean(r).
-    /// Stretches end at cells.
+    /// Computes the distribution for one return per section of the ray, at a random
+    /// position. Its power is log-normal with mean 1, times mean(r). Sections end at
+    /// cells.
     void of_stretches(std::size_t cells, const std::function<double(double)>& mean) {
         const std::size_t n = ranges_m_.size() / cells;
         // P(power < level)
@@ -283,12 +288,12 @@ private:
     const WeatherSensor sensor_;
     const double alpha_;
     std::vector<double> ranges_m_, levels_;
-    std::vector<double> from_;           // [cells] probability that the strongest return is from there
-    std::vector<double> none_stronger_;  // [levels]
+    std::vector<double> from_;           // [cells] probability that the strongest return comes from the cell
+    std::vector<double> none_stronger_;  // [levels] probability that no return is stronger
 };
 
-/// chi^2 of counts against their probabilities, as a standard normal deviate (Wilson and
-/// Hilferty 1931).
+/// Returns chi^2 of counts against their probabilities, as a standard normal deviate
+/// (Wilson and Hilferty 1931).
 double deviation(const std::vector<double>& counts, const std::vector<double>& probabilities) {
     double chi2 = 0.0, in_bin = 0.0, of_bin = 0.0, sum = 0.0;
     int bins = 0;
@@ -304,14 +309,14 @@ double deviation(const std::vector<double>& counts, const std::vector<double>& p
     return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
-constexpr double kMostDeviation = 3.5;  // by chance one time in 4000
+constexpr double kMostDeviation = 3.5;  // exceeded by chance once in 4000 times
 
 void FreeAir::expect_as(const Air& air, PointSource source) const {
     std::vector<double> ranges(from_.size() + 1), powers(levels_.size()), from = from_,
                                                                           stronger{none_stronger_[0]};
     double any = 0.0;
     for (const double p : from_) any += p;
-    from.push_back(1.0 - any);  // none
+    from.push_back(1.0 - any);  // no return
     for (std::size_t i = 1; i < levels_.size(); ++i)
         stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
     for (std::uint64_t seed = 0; seed < kRays; ++seed) {
@@ -336,7 +341,7 @@ TEST(Weather, RainReturnsAsItsIntegral) {
         FreeAir model({.rain_mm_h = rate}, sensor);
         const double slope = 4.1 * std::pow(rate, -0.21);
         model.of_particles([&](double r, double power) {
-            // of the beam's area
+            // share of the beam's area
             const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;
             if (share > 1.0) return 0.0;
             const double mm = 1000.0 * model.beam_m(r) * std::sqrt(share);
@@ -360,8 +365,8 @@ TEST(Weather, SnowReturnsAsItsIntegral) {
     model.expect_as(Air({.snow_mm_h = rate}, sensor), PointSource::snow);
 }
 
-/// The integral of fog over the pulse by Simpson's rule. Pulses are 6 m of way long, so
-/// that a stretch of 3 m ends at a cell.
+/// Compares with the integral of fog over the pulse by Simpson's rule. A pulse is 6 m
+/// long, so that a section of 3 m ends at a cell.
 TEST(Weather, FogReturnsAsItsIntegral) {
     for (const double visibility_m : {50.0, 200.0}) {
         WeatherSensor sensor = sensor_to(61.0);
@@ -383,19 +388,19 @@ TEST(Weather, FogReturnsAsItsIntegral) {
     }
 }
 
-/// A sensor that reports what is as bright as 0.0025 in clear air, at any range: KITTI's
-/// HDL-64E, whose intensities come in steps of 0.01 and are 0 down to the shortest
-/// ranges.
+/// Returns a sensor that reports surfaces as bright as 0.0025 in clear air at any range,
+/// like KITTI's HDL-64E. Its intensities have steps of 0.01 and are 0 down to the
+/// shortest ranges.
 WeatherSensor sensor_with_time_control() {
     WeatherSensor sensor = sensor_to(80.0);
     sensor.weakest_reflectivity = 0.0025;
     return sensor;
 }
 
-/// Probability that a ray into the free air returns something, by closed forms in double.
-/// Fog: mean power over a pulse that is short against the range, in stretches of half a
-/// pulse, each log-normal of mean 1. Rain: a Poisson process of the drops that are bright
-/// enough.
+/// Returns the probability of a return from free air, by closed forms in double. Fog:
+/// mean power over a pulse that is short relative to the range, in sections of half a
+/// pulse, each log-normal with mean 1. Rain: a Poisson process of the drops that are
+/// bright enough.
 double false_returns(const Weather& weather, double reflectivity) {
     const double alpha = extinction(weather), slope = 4.1 * std::pow(weather.rain_mm_h, -0.21),
                  half_pulse_m = 0.5 * 299792458.0 * 6e-9;
@@ -424,8 +429,9 @@ double count_false_returns(const Weather& weather) {
     return double(n) / kRays;
 }
 
-/// A day with 10 km of visibility and a drizzle fill no air. Haze of 1 km gives fewer
-/// than 1 % false points over a scan of which a third meets nothing.
+/// A day with 10 km of visibility and a drizzle must cause no returns from the air. Haze
+/// of 1 km must cause fewer than 1 % false points in a scan in which a third of the rays
+/// hits nothing.
 TEST(ThinWeather, ReturnsHardlyAnything) {
     EXPECT_EQ(count_false_returns({.fog_visibility_m = 10'000.0}), 0.0);
     EXPECT_LT(count_false_returns({.fog_visibility_m = 1000.0}), 0.03);
@@ -442,8 +448,8 @@ TEST(ThinWeather, ReturnsAsTheClosedForm) {
     }
 }
 
-/// Thicker weather leaves fewer surfaces, and never more returns in all than clear air by
-/// more than the returns of the air that it reports.
+/// Thicker weather must leave fewer surfaces. The total number of returns must not exceed
+/// that in clear air by more than the reported returns of the air.
 TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     const WeatherSensor sensor = sensor_with_time_control();
     const auto count = [&](const Weather& weather) {
@@ -475,8 +481,8 @@ TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     EXPECT_LT(rain_before, clear - 200);
 }
 
-/// A surface that the log reported with intensity 0 is as bright as 0.0025 to 0.01,
-/// evenly. Weather that leaves the share A of its light hides those below 0.0025 / A.
+/// A surface with intensity 0 in the log has a brightness that is uniform in 0.0025 to
+/// 0.01. Weather that leaves the share A of its light hides surfaces below 0.0025 / A.
 TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
     for (const double rain_mm_h : {5.0, 25.0, 100.0})
         for (const double range_m : {20.0, 50.0}) {

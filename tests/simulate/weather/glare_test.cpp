@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The sun and stray light along single rays against closed forms and the statistics of
-// their models.
+// Tests the sun and stray light along single rays against closed forms and the statistics
+// of their models.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -16,7 +16,8 @@ namespace {
 constexpr int kPulses = 100'000;
 constexpr double kDegree = kPi / 180.0, kLight_m_s = 299792458.0;
 
-/// The weakest return is one of reflectivity 0.005 at 60 m. Its pulse is 6 m of way long.
+/// Returns a sensor whose weakest return has a reflectivity of 0.005 at 60 m. Its pulse
+/// is 6 m long.
 WeatherSensor sensor_to_60_m() {
     WeatherSensor sensor;
     sensor.max_range_m = 60.0, sensor.darkest = 0.005, sensor.pulse_s = 6.0 / kLight_m_s;
@@ -30,8 +31,8 @@ RayEchoes towards_sun(const RayEchoes& surfaces, double from_sun_deg) {
 }
 Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
-/// chi^2 of counts against what is expected, as a standard normal deviate (Wilson and
-/// Hilferty 1931); -4 to 4 but one time in 16,000.
+/// Returns chi^2 of counts against expected counts, as a standard normal deviate (Wilson
+/// and Hilferty 1931). It exceeds -4 to 4 once in 16,000 times by chance.
 double chi2_deviate(const std::vector<double>& counts, const std::vector<double>& expected) {
     double chi2 = 0.0;
     for (std::size_t k = 0; k < counts.size(); ++k)
@@ -40,8 +41,8 @@ double chi2_deviate(const std::vector<double>& counts, const std::vector<double>
     return (std::cbrt(chi2 / f) - (1.0 - spread)) / std::sqrt(spread);
 }
 
-/// Photons counted by hand: 0.65 W/m^2/nm through 20 nm, 1e-3 m^2 and 7.07e-6 sr; 10 nJ
-/// or so of light make the electrons of a pulse.
+/// Compares with photons counted by hand: 0.65 W/m^2/nm through 20 nm, 1e-3 m^2 and
+/// 7.07e-6 sr. About 10 nJ of light make the electrons of a pulse.
 TEST(Sunlight, IsShotNoiseOfItsPhotons) {
     WeatherSensor sensor;
     sensor.divergence_rad = 0.003, sensor.pulse_s = 6e-9;
@@ -65,7 +66,8 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
         << "something is before it";
 }
 
-/// Rice's rate of crossings, integrated over the time in which returns arrive.
+/// Compares with Rice's rate of level crossings, integrated over the time in which
+/// returns arrive.
 TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     const WeatherSensor sensor = sensor_to_60_m();
     const Air air({.sun = {0.0, 0.0, 100.0}}, sensor);
@@ -82,7 +84,7 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
             else {
                 ASSERT_EQ(echo.source, PointSource::noise);
                 ASSERT_GE(echo.reflectivity / (echo.range_m * echo.range_m), sensor.weakest());
-                ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));  // anywhere alike
+                ++counts.at(std::size_t((echo.range_m - 1.0) / 59.0 * 20.0));  // uniform over the range
             }
         }
         ASSERT_GT(expected.front(), 20.0) << off_deg;
@@ -90,9 +92,9 @@ TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     }
 }
 
-/// A target of power S is lost where noise is stronger: 1 - exp(-N exp(-S^2 / 2 sigma^2))
-/// of the scans, N as many as noise has crests. Half of them at R = sqrt(rho / S), S =
-/// sigma sqrt(2 ln(N / ln 2)).
+/// Noise hides a target of power S if it is stronger, in 1 - exp(-N exp(-S^2 / 2
+/// sigma^2)) of the scans, where N is the number of noise crests. Half of the targets are
+/// hidden at R = sqrt(rho / S), S = sigma sqrt(2 ln(N / ln 2)).
 TEST(Sunlight, HidesWeakTargets) {
     WeatherSensor sensor = sensor_to_60_m();
     sensor.darkest = 0.0005;
@@ -132,7 +134,7 @@ TEST(Sunlight, ElsewhereChangesNothing) {
     }
 }
 
-/// Of 0.002 at 4 m, as bright as 0.05 at 20 m.
+/// A reflectivity of 0.002 at 4 m is as bright as 0.05 at 20 m.
 TEST(StrayLight, WinsOverWhatIsWeaker) {
     const Air air({.bloom = 1e-4}, sensor_to_60_m());
     RayEchoes ray{surface_at(20.0, 0.049), {}};

@@ -35,8 +35,7 @@ TrainingStep::TrainingStep(Device& device, const BenchCase& bench, const Rendere
             renderer.scene().parameters().parameters()),
       terms_(device, std::vector<float>(kLossTerms, 0.0f), "loss terms") {
     for (const DeviceTarget& target : wanted) n_returned_ += target.range_m > 0.0f;
-    if (renderer.batch().geometry)
-        geometry_loss_.emplace(device, bench.config.loss, static_cast<std::uint32_t>(wanted.size()));
+    if (bench.config.loss.likelihood > 0.0f) likelihood_loss_.emplace(device, bench.config.loss);
 }
 
 void TrainingStep::compare(const RayBatch& rays) {
@@ -45,7 +44,7 @@ void TrainingStep::compare(const RayBatch& rays) {
     const TargetBatch measured{&targets, 0, 1, rays.n_rays, n_returned_, static_cast<double>(rays.n_rays),
                                image};
     loss_.compare(renderer.stream(), renderer.batch(), measured, terms_);
-    if (geometry_loss_) geometry_loss_->compare(renderer.stream(), renderer.batch(), measured, terms_);
+    if (likelihood_loss_) likelihood_loss_->compare(renderer.stream(), renderer.batch(), measured, terms_);
 }
 
 void TrainingStep::optimise() {

@@ -32,7 +32,7 @@ public:
 
 private:
     ImageLoss loss_;
-    std::optional<GeometryLoss> geometry_loss_;  ///< if the settings have one of its terms
+    std::optional<LikelihoodLoss> likelihood_loss_;  ///< if its weight is above 0
     Adam adam_;
     Array<float> terms_;
     double n_returned_ = 0.0;

@@ -43,9 +43,7 @@ Extent extent_of(const RayTable& rays) {
 }
 
 double period_of(const SensorModel& sensor, const RayTable& rays) {
-    if (const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) return spinning->period_s;
-    if (const auto* window = std::get_if<ScanningWindow>(&sensor.pattern)) return window->period_s;
-    if (const auto* rosette = std::get_if<Rosette>(&sensor.pattern)) return rosette->period_s;
+    if (const double period_s = relidar::period_of(sensor.pattern); period_s > 0.0) return period_s;
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
     return double(last) - double(first);
 }
@@ -134,7 +132,7 @@ void add_sensor_list(CLI::App& list, Call& call) {
                      "of the scan, for a sensor whose rays differ from scan to scan (default: 0)")
         ->type_name("SECONDS");
     command->footer(
-        std::string(kSensorFileHelp) +
+        sensor_file_help() +
         "\n\nExamples:\n  relidar list sensors\n  relidar list sensors OS1-128 --out pattern.png\n"
         "  relidar list sensors metadata.json\n"
         "  relidar render run --out scans --sensor OS1-128:2048x10");

@@ -508,7 +508,7 @@ void add_render(CLI::App& app, Call& call) {
     command->add_flag("--no-refine", options->no_refine,
                       "ray-drop as the surfels have it, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
-    command->footer(std::string(kFilesHelp) + channels_help() + kSensorFileHelp +
+    command->footer(std::string(kFilesHelp) + channels_help() + sensor_file_help() +
                     "\n"
                     "Examples:\n"
                     "  relidar render run --out scans\n"

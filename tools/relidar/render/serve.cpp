@@ -74,8 +74,7 @@ serve::ServerOptions server_options(const ServeOptions& options) {
 
 /// One heap for all threads. gRPC's come and go, and glibc gives them heaps of their own:
 /// scans and sensors that are made on one thread and let go on another leave gaps in
-/// each, so that the process grows for hours although what it uses does not
-/// (docs/reliability.md).
+/// each, so that the process grows for hours although what it uses does not.
 void share_one_heap() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);

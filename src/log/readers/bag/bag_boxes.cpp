@@ -13,8 +13,8 @@
 #include <relidar/log/clouds.hpp>
 
 #include "base/files.hpp"
-#include "log/clouds/sweeps_beside.hpp"
-#include "log/readers/bag/describe.hpp"
+#include "log/clouds/match_sweeps.hpp"
+#include "log/readers/bag/recording_notes.hpp"
 
 namespace relidar::bag {
 namespace {
@@ -136,7 +136,7 @@ BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& pl
     LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
     for (const BoxEntry& entry : boxes.lists)
         if (reader.is_wanted(reader.seconds(entry.stamp_ns, entry.log_ns)))
-            reader.take(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place)), entry.log_ns);
+            reader.take(read_boxes(bag.topics()[boxes.topic], bag.read(entry.place).bytes), entry.log_ns);
     return reader.tracks();
 }
 

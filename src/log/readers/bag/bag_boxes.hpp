@@ -8,7 +8,7 @@
 
 #include <relidar/log/sequence.hpp>
 
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/choose.hpp"
 #include "log/readers/bag/survey.hpp"
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// In the place of dataset/bag where what it needs was missing, or RELIDAR_BAGS is off.
+// Stands in for src/log/readers/bag where what it needs was missing, or RELIDAR_BAGS is off.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 
-#include "log/readers/bag/ros_bag.hpp"
+#include "log/readers/bag/load_ros_bag.hpp"
 
 namespace relidar {
 

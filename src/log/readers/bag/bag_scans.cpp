@@ -18,9 +18,17 @@ constexpr std::size_t kSampleClouds = 6;
 /// The first time that points have, in the unit of the file.
 double first_time_of(const folder::PointTable& table) {
     double first = INFINITY;
-    if (const auto* times = times_of(table))
-        for (const double t : *times) first = std::min(first, std::isfinite(t) ? t : INFINITY);
+    if (const folder::FieldValues* times = table.find(folder::PointValue::time))
+        times->visit([&](const auto& time_at) {
+            for (std::size_t i = 0; i < table.n; ++i)
+                if (const auto t = double(time_at(i)); std::isfinite(t)) first = std::min(first, t);
+        });
     return std::isfinite(first) ? first : 0.0;
+}
+
+folder::PointTable read_table(const Bag& bag, const CloudTopic& clouds, const Place& place) {
+    const SharedBytes message = bag.read(place);
+    return table_of(read_cloud(bag.topics()[clouds.topic], message.bytes), message);
 }
 
 }  // namespace
@@ -57,19 +65,21 @@ ScanPoints BagScans::points(std::size_t frame) const {
     return all;
 }
 
-ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
-    const FrameCloud& at = clouds_[frame];
-    const CloudUnits& units = lidars_[at.lidar].units;
-    const std::string bytes = bag_.read(cloud.place);
-    folder::PointTable table;
+folder::PointTable BagScans::table_of_cloud(std::size_t frame, const Place& place) const {
+    const LidarTopic& lidar = lidars_[clouds_[frame].lidar];
+    if (const auto known = lidar.samples.find(place); known != lidar.samples.end()) return known->second;
     try {
-        table = table_of(read_cloud(bag_.topics()[lidars_[at.lidar].clouds->topic], bytes));
+        return read_table(bag_, *lidar.clouds, place);
     } catch (const DataError& error) {
         throw DataError(fmt::format("{}: {}", name(frame), error.what()));
     }
-    if (units.zero == TimeZero::none)
-        for (const char* field : {"time", "t", "timestamp", "time_stamp", "offset_time"})
-            table.fields.erase(field);
+}
+
+ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+    const FrameCloud& at = clouds_[frame];
+    const CloudUnits& units = lidars_[at.lidar].units;
+    folder::PointTable table = table_of_cloud(frame, cloud.place);
+    if (units.zero == TimeZero::none) table.remove(folder::PointValue::time);
     double zero_s = at.time_s - cloud_s;  // what counts as 0 s of the frame, in times of points
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
@@ -90,32 +100,35 @@ Scan BagScans::rays(std::size_t frame) const {
     const CloudTopic& clouds = *lidars_[at.lidar].clouds;
     const packets::PacketTurn& turn = clouds.turns[at.entry.turn];
     const std::vector<packets::PacketLog::Source> sources = clouds.packets.messages(turn);
-    std::vector<std::string> messages;
+    std::vector<SharedBytes> messages;
     for (const auto& source : sources) messages.push_back(bag_.read(source.place));
     std::vector<std::vector<packets::PacketView>> packets;
     Header header;
     for (std::size_t m = 0; m < messages.size(); ++m)
-        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m],
+        packets.push_back(relidar::packets::read_packets(bag_.topics()[clouds.topic], messages[m].bytes,
                                                          sources[m].log_ns, header));
     const auto shift_ns = std::int64_t(std::llround(1e9 * (at.time_s - at.cloud_s)));
     return clouds.packets.scan(turn, packets, lidars_[at.lidar].sensor, turn.forward_ns + shift_ns);
 }
 
-CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
-    if (!clouds.packets.empty()) return {};
+LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s) {
+    LidarTopic topic{&clouds};
+    if (!clouds.packets.empty()) return topic;
     std::vector<folder::PointTable> samples;
     std::vector<double> stamps_s;
     const std::size_t n = std::min(kSampleClouds, clouds.clouds.size());
     for (std::size_t k = 0; k < n; ++k) {
         const CloudEntry& entry = clouds.clouds[k * clouds.clouds.size() / n];
         try {
-            samples.push_back(table_of(read_cloud(bag.topics()[clouds.topic], bag.read(entry.place))));
+            samples.push_back(read_table(bag, clouds, entry.place));
         } catch (const DataError&) {
             continue;  // told where the scan is read
         }
         stamps_s.push_back(1e-9 * double(entry.stamp_ns));
+        topic.samples.emplace(entry.place, samples.back());
     }
-    return find_units(samples, stamps_s, step_s);
+    topic.units = find_units(samples, stamps_s, step_s);
+    return topic;
 }
 
 }  // namespace relidar::bag

@@ -3,13 +3,14 @@
 #pragma once
 
 #include <functional>
+#include <map>
 #include <string>
 #include <utility>
 #include <vector>
 
 #include "log/clouds/cloud_units.hpp"
 #include "log/clouds/folder_points.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/survey.hpp"
 
 namespace relidar::bag {
@@ -26,9 +27,14 @@ struct FrameCloud {
 /// The topic of a LiDAR.
 struct LidarTopic {
     const CloudTopic* clouds = nullptr;
-    CloudUnits units;
+    CloudUnits units = {};
+    /// clouds that the units were found from, so that they are not read once more
+    std::map<Place, folder::PointTable> samples = {};
     SpinningSensor sensor = {};  ///< of packets
 };
+/// Finds what numbers of a topic's points mean, by some of its clouds. @param step_s  from
+/// cloud to cloud
+LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
 /// world_from_lidar at a time of the log.
 using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;
@@ -55,11 +61,8 @@ private:
     const Clock clock_;
     const LidarPose deskewed_by_;
 
+    folder::PointTable table_of_cloud(std::size_t frame, const Place& place) const;
     ScanPoints points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
 };
-
-/// What numbers of a topic's points mean, by some of its clouds. @param step_s  from
-/// cloud to cloud
-CloudUnits units_of_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
 }  // namespace relidar::bag

@@ -56,9 +56,10 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
 /// How likely a topic's clouds are what a LiDAR measured, and not what was made of them.
 double rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
-    const bool timed = clouds.has_field({"time", "t", "timestamp", "time_stamp", "offset_time"});
-    const bool ringed = clouds.has_field({"ring", "channel", "line"});
-    const bool numbered = clouds.has_field({"return", "return_number", "return_type"});
+    const bool timed = clouds.has_field(folder::PointValue::time);
+    const bool ringed = clouds.has_field(folder::PointValue::ring);
+    const bool numbered = clouds.has_field(folder::PointValue::return_number) ||
+                          clouds.has_field(folder::PointValue::return_type);
     return 100.0 * timed + 50.0 * ringed + 20.0 * numbered + std::log10(1.0 + double(clouds.usual_points()));
 }
 

@@ -51,7 +51,7 @@ std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& k
 
 }  // namespace
 
-folder::PointTable table_of(const Cloud& cloud) {
+folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message) {
     if (cloud.size() == 0) throw DataError("a cloud without points, expected some");
     std::vector<Cloud::Field> known;
     std::ranges::copy_if(cloud.fields, std::back_inserter(known),
@@ -61,9 +61,9 @@ folder::PointTable table_of(const Cloud& cloud) {
     const bool is_packed = !cloud.is_big_endian && cloud.data.size() >= n_bytes &&
                            (cloud.height <= 1 || cloud.row_step == cloud.width * cloud.point_step);
     const std::vector<folder::PointField> layout = layout_of(cloud, known);
-    const std::string copy = is_packed ? std::string() : packed_points(cloud, known);
-    return folder::read_packed(is_packed ? cloud.data.substr(0, n_bytes) : std::string_view(copy), layout,
-                               cloud.size(), folder::Packing::by_point, "points");
+    const SharedBytes points =
+        is_packed ? message.with(cloud.data.substr(0, n_bytes)) : share_bytes(packed_points(cloud, known));
+    return folder::read_packed(points, layout, cloud.size(), folder::Packing::by_point, "points");
 }
 
 }  // namespace relidar::bag

@@ -11,7 +11,7 @@
 #include <zlib.h>
 
 #include "base/codecs/byte_reader.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
@@ -54,14 +54,16 @@ McapMessage message_of(std::string_view body) {
     return {channel, std::int64_t(log_ns), reader.rest()};
 }
 
-std::string records_of_chunk(std::string_view body) {
-    ByteReader reader(body);
+SharedBytes records_of_chunk(const SharedBytes& chunk) {
+    ByteReader reader(chunk.bytes);
     reader.take(16);  // first and last time
     const auto n = reader.number<std::uint64_t>();
     const auto sum = reader.number<std::uint32_t>();
     const std::string_view compression = reader.sized();
-    std::string records = unpack_chunk(compression, reader.take(reader.number<std::uint64_t>()), n);
-    if (sum != 0 && crc32_z(0, reinterpret_cast<const Bytef*>(records.data()), records.size()) != sum)
+    SharedBytes records =
+        unpack_chunk(compression, chunk.with(reader.take(reader.number<std::uint64_t>())), n);
+    if (sum != 0 &&
+        crc32_z(0, reinterpret_cast<const Bytef*>(records.bytes.data()), records.bytes.size()) != sum)
         throw DataError("its bytes do not have the checksum that it gives");
     return records;
 }
@@ -69,7 +71,7 @@ std::string records_of_chunk(std::string_view body) {
 class McapFile : public BagFile {
 public:
     McapFile(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
-        if (file_.size() < kMcapMagic.size() || file_.part(0, kMcapMagic.size()) != kMcapMagic)
+        if (file_.size() < kMcapMagic.size() || file_.part(0, kMcapMagic.size()).bytes != kMcapMagic)
             throw DataError(fmt::format("{}: it does not begin as MCAP does", file_.name()));
     }
 
@@ -79,8 +81,8 @@ public:
         std::uint64_t at = kMcapMagic.size();
         for (;;) {
             if (file_.size() - at < kRecordHead) break;
-            const std::string head = file_.part(at, kRecordHead);
-            ByteReader reader(head);
+            const SharedBytes head = file_.part(at, kRecordHead);
+            ByteReader reader(head.bytes);
             const auto code = reader.number<std::uint8_t>();
             const auto length = reader.number<std::uint64_t>();
             if (code == kMcapDataEnd || code == kMcapFooter) return;
@@ -100,11 +102,15 @@ public:
                               file_.name(), at, file_.size()));
     }
 
-    std::string read(const Place& place) const override {
-        if (place.in_chunk == Place::kNoChunk) return std::string(message_of(body_at(place.at)).bytes);
-        const auto records = chunks_.get(place.at, [&] { return records_of_chunk(body_at(place.at)); });
-        ByteReader reader(std::string_view(*records).substr(std::size_t(place.in_chunk)));
-        return std::string(message_of(next_record(reader).body).bytes);
+    SharedBytes read(const Place& place) const override {
+        if (place.in_chunk == Place::kNoChunk) {
+            const SharedBytes body = body_at(place.at);
+            return body.with(message_of(body.bytes).bytes);
+        }
+        const SharedBytes records =
+            chunks_.get(place.at, [&] { return records_of_chunk(body_at(place.at)); });
+        ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
+        return records.with(message_of(next_record(reader).body).bytes);
     }
 
     std::string points_in() const override { return points_in_; }
@@ -120,21 +126,20 @@ private:
     std::map<std::uint16_t, Schema> schemas_;
     std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each
 
-    std::string body_at(std::uint64_t at) const {
-        const std::string head = file_.part(at, kRecordHead);
-        return file_.part(at + kRecordHead,
-                          ByteReader(std::string_view(head).substr(1)).number<std::uint64_t>());
+    SharedBytes body_at(std::uint64_t at) const {
+        const SharedBytes head = file_.part(at, kRecordHead);
+        return file_.part(at + kRecordHead, ByteReader(head.bytes.substr(1)).number<std::uint64_t>());
     }
 
     void read_record(std::uint8_t code, std::uint64_t at, std::uint64_t length, TopicTable& topics,
                      const Pass& pass) {
         constexpr std::array kRead = {kMcapSchema, kMcapChannel, kMcapMessage, kMcapChunk, kMcapMetadata};
         if (std::ranges::find(kRead, code) == kRead.end()) return;
-        std::string body = file_.part(at + kRecordHead, length);
-        if (code != kMcapChunk) return take({code, body}, {at, Place::kNoChunk}, topics, pass);
-        const std::string records = records_of_chunk(body);
+        SharedBytes body = file_.part(at + kRecordHead, length);
+        if (code != kMcapChunk) return take({code, body.bytes}, {at, Place::kNoChunk}, topics, pass);
+        const SharedBytes records = records_of_chunk(body);
         body = {};
-        ByteReader reader(records);
+        ByteReader reader(records.bytes);
         while (reader.left() > 0) {
             const std::uint64_t in_chunk = reader.at();
             take(next_record(reader), {at, in_chunk}, topics, pass);

@@ -12,7 +12,7 @@
 #include <relidar/base/math.hpp>
 
 #include "log/clouds/point_table.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 
 namespace relidar::bag {
 
@@ -80,8 +80,8 @@ Cloud read_point_cloud(MessageReader& reader);
 /// A cloud. @throws DataError naming the field that is wrong
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
 /// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they
-/// stand.
-folder::PointTable table_of(const Cloud& cloud);
+/// stand. @param message  that the cloud was read from
+folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message);
 
 /// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of
 /// nav_msgs/Odometry, geometry_msgs/PoseStamped and the like. Quaternions that have no

@@ -25,7 +25,7 @@ namespace {
 /// recording, and would be memory for nothing.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
-void unpack_bz2(std::string_view from, std::string& to) {
+void unpack_bz2(std::string_view from, std::span<char> to) {
     unsigned n = unsigned(to.size());
     const int code = from.size() > UINT_MAX
                          ? BZ_PARAM_ERROR
@@ -52,23 +52,23 @@ PartFile::PartFile(const std::filesystem::path& path) : name_(path.string()) {
 
 PartFile::~PartFile() { ::close(handle_); }
 
-std::string PartFile::part(std::uint64_t at, std::uint64_t n) const {
+SharedBytes PartFile::part(std::uint64_t at, std::uint64_t n) const {
     if (at > size_ || n > size_ - at)
         throw DataError(fmt::format("cut short: {} bytes from byte {} on, expected {}",
                                     size_ - std::min(at, size_), at, n));
-    std::string bytes(std::size_t(n), '\0');
-    for (std::size_t got = 0; got < bytes.size();) {
-        const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(at + got));
-        if (k < 0 && errno == EINTR) continue;
-        if (k <= 0)
-            throw DataError(fmt::format("reading {} bytes from byte {} on: {}", n, at,
-                                        k < 0 ? reason() : "the file ends before"));
-        got += std::size_t(k);
-    }
-    return bytes;
+    return make_shared_bytes(std::size_t(n), [&](std::span<char> bytes) {
+        for (std::size_t got = 0; got < bytes.size();) {
+            const ssize_t k = ::pread(handle_, bytes.data() + got, bytes.size() - got, off_t(at + got));
+            if (k < 0 && errno == EINTR) continue;
+            if (k <= 0)
+                throw DataError(fmt::format("reading {} bytes from byte {} on: {}", n, at,
+                                            k < 0 ? reason() : "the file ends before"));
+            got += std::size_t(k);
+        }
+    });
 }
 
-ChunkCache::Chunk ChunkCache::get(std::uint64_t at, const std::function<std::string()>& unpack) const {
+SharedBytes ChunkCache::get(std::uint64_t at, const std::function<SharedBytes()>& unpack) const {
     const auto kept = [&] {
         return std::find_if(chunks_.begin(), chunks_.end(),
                             [&](const auto& chunk) { return chunk.first == at; });
@@ -77,18 +77,19 @@ ChunkCache::Chunk ChunkCache::get(std::uint64_t at, const std::function<std::str
         const std::lock_guard guard(lock_);
         if (const auto known = kept(); known != chunks_.end()) return known->second;
     }
-    const auto chunk = std::make_shared<const std::string>(unpack());
+    const SharedBytes chunk = unpack();
     const std::lock_guard guard(lock_);
     if (kept() == chunks_.end()) chunks_.emplace_back(at, chunk);
     if (chunks_.size() > kKept) chunks_.pop_front();
     return chunk;
 }
 
-std::string unpack_chunk(std::string_view compression, std::string_view bytes, std::uint64_t n) {
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n) {
+    const std::string_view bytes = chunk.bytes;
     if (compression.empty() || compression == "none") {
         if (n != bytes.size())
             throw DataError(fmt::format("{} bytes that are not compressed, expected {}", bytes.size(), n));
-        return std::string(bytes);
+        return chunk;
     }
     const auto unpack = compression == "lz4"    ? unpack_lz4
                         : compression == "zstd" ? unpack_zstd
@@ -100,9 +101,9 @@ std::string unpack_chunk(std::string_view compression, std::string_view bytes, s
     if (n > UINT_MAX || (n > kAlwaysUnpacked && n / kMostUnpacked > bytes.size()))
         throw DataError(fmt::format("{} bytes that unpack to {}, expected at most {} times as many",
                                     bytes.size(), n, kMostUnpacked));
-    std::string to(std::size_t(n), '\0');
-    if (n > 0 || !bytes.empty()) unpack(bytes, to);
-    return to;
+    return make_shared_bytes(std::size_t(n), [&](std::span<char> to) {
+        if (n > 0 || !bytes.empty()) unpack(bytes, to);
+    });
 }
 
 }  // namespace relidar::bag

@@ -12,6 +12,8 @@
 #include <string_view>
 #include <utility>
 
+#include "base/shared_bytes.hpp"
+
 namespace relidar::bag {
 
 /// Read from any thread.
@@ -26,7 +28,7 @@ public:
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
     /// @throws DataError where the file ends before
-    std::string part(std::uint64_t at, std::uint64_t n) const;
+    SharedBytes part(std::uint64_t at, std::uint64_t n) const;
 
 private:
     std::string name_;
@@ -38,19 +40,19 @@ private:
 /// that lie in one are often read together.
 class ChunkCache {
 public:
-    using Chunk = std::shared_ptr<const std::string>;
-    Chunk get(std::uint64_t at, const std::function<std::string()>& unpack) const;
+    SharedBytes get(std::uint64_t at, const std::function<SharedBytes()>& unpack) const;
 
 private:
     static constexpr std::size_t kKept = 2;
     mutable std::mutex lock_;
-    mutable std::deque<std::pair<std::uint64_t, Chunk>> chunks_;
+    mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
-/// A chunk as its file compressed it: "", "none", "lz4", "zstd" or "bz2".
+/// A chunk as its file compressed it: "", "none", "lz4", "zstd" or "bz2". A chunk that is
+/// not compressed is not copied.
 /// @param n  its size unpacked, as the file has it; refused before anything is allocated
 /// where it cannot be
 /// @throws DataError
-std::string unpack_chunk(std::string_view compression, std::string_view bytes, std::uint64_t n);
+SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n);
 
 }  // namespace relidar::bag

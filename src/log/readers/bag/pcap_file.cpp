@@ -17,7 +17,7 @@
 
 #include "base/bytes.hpp"
 #include "base/files.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
@@ -152,7 +152,7 @@ public:
                                   path_.string(), n_cut_));
     }
 
-    std::string read(const Place& place) const override {
+    SharedBytes read(const Place& place) const override {
         const std::lock_guard guard(lock_);
         const auto stream = std::ranges::find_if(
             streams_, [&](const auto& keyed) { return keyed.second.number == place.in_chunk; });
@@ -167,7 +167,7 @@ public:
             append_to(run, *datagram);
             ++n;
         }
-        return run;
+        return share_bytes(std::move(run));
     }
 
 private:

@@ -4,7 +4,7 @@
 
 #include <relidar/base/error.hpp>
 
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 
 namespace relidar::bag {
 

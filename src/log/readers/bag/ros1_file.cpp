@@ -9,7 +9,7 @@
 
 #include "base/codecs/byte_reader.hpp"
 #include "base/files.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
@@ -58,7 +58,7 @@ Ros1Record next_ros1_record(ByteReader& reader) {
 class Ros1File : public BagFile {
 public:
     Ros1File(const std::filesystem::path& path, bool skip_broken) : file_(path), skip_broken_(skip_broken) {
-        if (file_.size() < kRos1Magic.size() || file_.part(0, kRos1Magic.size()) != kRos1Magic)
+        if (file_.size() < kRos1Magic.size() || file_.part(0, kRos1Magic.size()).bytes != kRos1Magic)
             throw DataError(
                 fmt::format("{}: it does not begin as a ROS 1 bag of format 2.0 does", file_.name()));
     }
@@ -86,22 +86,22 @@ public:
         }
     }
 
-    std::string read(const Place& place) const override {
+    SharedBytes read(const Place& place) const override {
         if (place.in_chunk == Place::kNoChunk) {
             const std::optional<Extent> record = extent_at(place.at);
             if (!record)
                 throw DataError(fmt::format("{}: the message at byte {} is cut off", file_.name(), place.at));
             return file_.part(record->data_at, record->data_bytes);
         }
-        const auto records = chunks_.get(place.at, [&] { return records_of(*extent_at(place.at)); });
-        ByteReader reader(std::string_view(*records).substr(std::size_t(place.in_chunk)));
-        return std::string(next_ros1_record(reader).data);
+        const SharedBytes records = chunks_.get(place.at, [&] { return records_of(*extent_at(place.at)); });
+        ByteReader reader(records.bytes.substr(std::size_t(place.in_chunk)));
+        return records.with(next_ros1_record(reader).data);
     }
 
 private:
     /// Where the parts of a record lie.
     struct Extent {
-        std::string header;
+        SharedBytes header;
         std::uint64_t data_at = 0;
         std::uint32_t data_bytes = 0;
     };
@@ -115,8 +115,8 @@ private:
     std::optional<Extent> extent_at(std::uint64_t at) const {
         const auto length_at = [&](std::uint64_t place) -> std::optional<std::uint32_t> {
             if (place > file_.size() || file_.size() - place < 4) return std::nullopt;
-            const std::string bytes = file_.part(place, 4);
-            const auto n = ByteReader(bytes).number<std::uint32_t>();
+            const SharedBytes length = file_.part(place, 4);
+            const auto n = ByteReader(length.bytes).number<std::uint32_t>();
             return n > file_.size() - place - 4 ? std::nullopt : std::optional(n);
         };
         const auto header_bytes = length_at(at);
@@ -131,25 +131,26 @@ private:
         return Extent{file_.part(at + 4, *header_bytes), data + 4, *data_bytes};
     }
 
-    std::string records_of(const Extent& chunk) const {
-        const Ros1Header header(chunk.header);
+    SharedBytes records_of(const Extent& chunk) const {
+        const Ros1Header header(chunk.header.bytes);
         return unpack_chunk(header.text("compression"), file_.part(chunk.data_at, chunk.data_bytes),
                             header.number<std::uint32_t>("size"));
     }
 
     void read_record(std::uint64_t at, const Extent& record, TopicTable& topics, const Pass& pass) {
-        const Ros1Header header(record.header);
+        const Ros1Header header(record.header.bytes);
         const auto op = header.number<std::uint8_t>("op");
         if (op == kRos1Chunk) {
-            const std::string records = records_of(record);
-            ByteReader reader(records);
+            const SharedBytes records = records_of(record);
+            ByteReader reader(records.bytes);
             while (reader.left() > 0) {
                 const std::uint64_t in_chunk = reader.at();
                 const Ros1Record part = next_ros1_record(reader);
                 take(Ros1Header(part.header), part.data, {at, in_chunk}, topics, pass);
             }
         } else if (op == kRos1Connection || op == kRos1Message) {
-            take(header, file_.part(record.data_at, record.data_bytes), {at, Place::kNoChunk}, topics, pass);
+            take(header, file_.part(record.data_at, record.data_bytes).bytes, {at, Place::kNoChunk}, topics,
+                 pass);
         }
     }
 

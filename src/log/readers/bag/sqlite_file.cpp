@@ -13,7 +13,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/files.hpp"
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/part_file.hpp"
 
 namespace relidar::bag {
@@ -87,17 +87,20 @@ public:
                                             name_, row));
             pass.done(last > 0 ? double(row) / double(last) : 0.0);
             Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
-            std::string unpacked;
+            SharedBytes unpacked;
             // what is not asked for is not read from the disk
             if (pass.wanted(topics.topics()[topic->second])) {
                 message.bytes = bytes_at(rows.get(), 3);
-                if (packed_) message.bytes = unpacked = unpacked_message(message.bytes, row);
+                if (packed_) {
+                    unpacked = unpacked_message(message.bytes, row);
+                    message.bytes = unpacked.bytes;
+                }
             }
             pass.take(message);
         }
     }
 
-    std::string read(const Place& place) const override {
+    SharedBytes read(const Place& place) const override {
         const std::lock_guard guard(lock_);
         if (!one_) one_ = prepared("SELECT data FROM messages WHERE rowid = ?");
         sqlite3_reset(one_.get());
@@ -105,7 +108,7 @@ public:
         if (!step(one_.get()))
             throw DataError(fmt::format("{}: row {} of its messages is not there any more", name_, place.at));
         const std::string_view bytes = bytes_at(one_.get(), 0);
-        return packed_ ? unpacked_message(bytes, std::int64_t(place.at)) : std::string(bytes);
+        return packed_ ? unpacked_message(bytes, std::int64_t(place.at)) : share_bytes(std::string(bytes));
     }
 
 private:
@@ -160,13 +163,13 @@ private:
             throw DataError(fmt::format("{}: no table '{}', expected a database of rosbag2", name_, table));
     }
 
-    std::string unpacked_message(std::string_view bytes, std::int64_t row) const {
+    SharedBytes unpacked_message(std::string_view bytes, std::int64_t row) const {
         const unsigned long long n = ZSTD_getFrameContentSize(bytes.data(), bytes.size());
         if (n == ZSTD_CONTENTSIZE_UNKNOWN || n == ZSTD_CONTENTSIZE_ERROR)
             throw DataError(fmt::format(
                 "{}: row {} of its messages is not compressed by zstd, as metadata.yaml has it", name_, row));
         try {
-            return unpack_chunk("zstd", bytes, n);
+            return unpack_chunk("zstd", {nullptr, bytes}, n);
         } catch (const DataError& error) {
             throw DataError(fmt::format("{}: row {} of its messages: {}", name_, row, error.what()));
         }

@@ -199,10 +199,9 @@ void join_parts(CloudTopic& topic) {
 
 }  // namespace
 
-bool CloudTopic::has_field(std::initializer_list<const char*> names) const {
-    return std::ranges::any_of(fields, [&](const Cloud::Field& field) {
-        return std::ranges::find(names, field.name) != names.end();
-    });
+bool CloudTopic::has_field(folder::PointValue value) const {
+    return std::ranges::any_of(
+        fields, [&](const Cloud::Field& field) { return folder::value_of_field(field.name) == value; });
 }
 
 std::size_t CloudTopic::usual_points() const {

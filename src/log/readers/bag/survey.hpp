@@ -10,7 +10,7 @@
 
 #include <relidar/base/progress.hpp>
 
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/frame_tree.hpp"
 #include "log/readers/bag/messages.hpp"
 #include "log/readers/bag/packets/packet_log.hpp"
@@ -53,7 +53,7 @@ struct CloudTopic {
     packets::PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
     std::vector<packets::PacketTurn> turns;
 
-    bool has_field(std::initializer_list<const char*> names) const;
+    bool has_field(folder::PointValue value) const;
     std::size_t usual_points() const;  ///< of a cloud: the median
 };
 

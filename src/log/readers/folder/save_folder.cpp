@@ -9,6 +9,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
+#include <relidar/log/sensor_pattern.hpp>
 
 #include "base/files.hpp"
 #include "base/number_text.hpp"
@@ -22,72 +23,8 @@ namespace {
 namespace fs = std::filesystem;
 using Json = nlohmann::ordered_json;
 
-double degrees(double radians) { return radians * 180.0 / kPi; }
-
 Json json_of(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 Json json_of(const glm::dquat& q) { return {q.w, q.x, q.y, q.z}; }
-
-Json json_of(const SpinningSensor& sensor) {
-    Json json = {{"name", sensor.name}, {"min_range_m", sensor.min_range_m}};
-    if (std::isfinite(sensor.max_range_m)) json["max_range_m"] = sensor.max_range_m;
-    json["divergence_rad"] = sensor.divergence_rad;
-    if (sensor.beams.empty()) return json;
-    json["columns"] = sensor.columns;
-    json["period_s"] = sensor.period_s;
-    json["clockwise"] = sensor.clockwise;
-    json["first_azimuth_deg"] = degrees(sensor.first_azimuth_rad);
-    json["beams"] = Json::array();
-    for (const Beam& beam : sensor.beams)
-        json["beams"].push_back({{"elevation_deg", degrees(beam.elevation_rad)},
-                                 {"azimuth_offset_deg", degrees(beam.azimuth_offset_rad)},
-                                 {"origin_offset_m", beam.origin_offset_m},
-                                 {"origin_up_m", beam.origin_up_m},
-                                 {"origin_left_m", beam.origin_left_m}});
-    return json;
-}
-
-Json rays_json(const RayTable& rays) {
-    const auto vectors = [](const ScanArray<glm::vec3>& list) {
-        Json json = Json::array();
-        for (const glm::vec3& v : list) json.push_back({v.x, v.y, v.z});
-        return json;
-    };
-    return {{"directions", vectors(rays.direction)},
-            {"origin", vectors(rays.origin)},
-            {"time", rays.time_offset_s},
-            {"ring", rays.channel}};
-}
-
-/// Returns the JSON of a sensor that does not spin, in the format that find_sensor()
-/// reads.
-Json pattern_json(const FixedPattern& pattern, const RangeLimits& limits) {
-    Json common = {{"min_range_m", limits.min_m}};
-    if (std::isfinite(limits.max_m)) common["max_range_m"] = limits.max_m;
-    if (const auto* rays = std::get_if<RayTable>(&pattern)) {
-        if (rays->ray_divergence_rad.empty()) common["divergence_mrad"] = 1e3 * double(rays->divergence_rad);
-        else common["divergence"] = rays->ray_divergence_rad;
-        common.update(rays_json(*rays));
-        return common;
-    }
-    common["period_s"] = period_of(pattern);
-    if (const auto* r = std::get_if<Rosette>(&pattern)) {
-        common.update(Json{{"divergence_mrad", 1e3 * r->divergence_rad},
-                           {"rays", r->n_rays},
-                           {"deflection_deg", degrees(r->deflection_rad)},
-                           {"first_hz", r->first_hz},
-                           {"second_hz", r->second_hz}});
-        return {{"rosette", common}};
-    }
-    const auto& w = std::get<ScanningWindow>(pattern);
-    common.update(Json{{"divergence_mrad", 1e3 * w.divergence_rad},
-                       {"rows", w.rows},
-                       {"columns", w.columns},
-                       {"left_deg", degrees(w.left_rad)},
-                       {"right_deg", degrees(w.right_rad)},
-                       {"top_deg", degrees(w.top_rad)},
-                       {"bottom_deg", degrees(w.bottom_rad)}});
-    return {{"window", common}};
-}
 
 std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
 
@@ -99,7 +36,8 @@ Json json_of(const Lidar& lidar, std::size_t number) {
             {"vehicle_from_sensor",
              {{"translation", json_of(mounting.translation)}, {"quaternion", json_of(mounting.rotation)}}},
             {"spins", !lidar.sensor.beams.empty()},
-            {"sensor", lidar.pattern ? Json(pattern_name(number)) : json_of(lidar.sensor)}};
+            {"sensor",
+             lidar.pattern ? Json(pattern_name(number)) : Json::parse(write_sensor_json(sensor_of(lidar)))}};
 }
 
 std::string scan_name(const Sequence& sequence, const Frame& frame) {
@@ -179,8 +117,7 @@ void save_folder(const Sequence& sequence, const fs::path& given, const FolderOp
     });
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
         if (const Lidar& lidar = sequence.lidars[l]; lidar.pattern)
-            write_text(staged.path() / pattern_name(l),
-                       pattern_json(*lidar.pattern, lidar.sensor.range_limits()).dump(1) + "\n");
+            write_text(staged.path() / pattern_name(l), write_sensor_json(sensor_of(lidar)) + "\n");
     if (options.poses) write_text(staged.path() / folder::kPosesFile, poses_text(sequence));
     if (!sequence.boxes.empty()) write_text(staged.path() / folder::kBoxesFile, boxes_text(sequence));
     write_text(staged.path() / folder::kHeadFile, head_text(sequence));

@@ -13,6 +13,7 @@
 
 #include <relidar/base/math.hpp>
 #include "base/parallel.hpp"
+#include "log/sensor/beam_geometry.hpp"
 
 namespace relidar::kitti {
 namespace {
@@ -102,7 +103,7 @@ struct Phases {
 
 Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     Phases phases;
-    run_parallel(kRings, [&](int k) {
+    parallel_for(kRings, [&](int k) {
         const std::size_t at = static_cast<std::size_t>(k);
         phases.ring[at] = find_phase(polar[at], tick_rad);
     });
@@ -143,10 +144,13 @@ using Ticks = std::vector<std::vector<int>>;
 
 Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     Ticks ticks(kRings);
+    std::vector<BeamGeometry> beams;
+    for (std::size_t k = 0; k < kRings; ++k)
+        beams.emplace_back(
+            Beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]});
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const std::size_t k = scan.ring[i];
-        const Beam beam{.azimuth_offset_rad = lattice.offset_rad[k], .origin_left_m = lattice.left_m[k]};
-        ticks[k].push_back(lattice.head.tick(head_azimuth(beam, glm::dvec3(scan.points[i]))));
+        ticks[k].push_back(lattice.head.tick(beams[k].head_azimuth(glm::dvec3(scan.points[i]))));
     }
     return ticks;
 }
@@ -210,7 +214,7 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     auto pattern = fired(reference, shift, n_ticks, 1);
     // first pass: match with the fullest beam; second pass: match with all beams
     for (int pass = 0; pass < 2; ++pass) {
-        run_parallel(kRings, [&](int k) {
+        parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
                 best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
         });

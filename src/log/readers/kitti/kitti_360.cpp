@@ -17,8 +17,8 @@
 #include <relidar/log/clouds.hpp>
 #include "base/files.hpp"
 #include "base/list_text.hpp"
+#include "log/clouds/lidar_rt_benchmark.hpp"
 #include "log/clouds/log_files.hpp"
-#include "log/clouds/paper_parts.hpp"
 #include "log/readers/kitti/kitti_sweeps.hpp"
 
 namespace relidar {
@@ -31,7 +31,7 @@ using namespace kitti;
 struct Drive {
     std::string name;  ///< name of its folders
     FrameRange frames;
-    std::vector<int> test_frames = {};  ///< see ChosenPart
+    std::vector<int> test_frames = {};  ///< see ChosenSequence
     std::vector<std::string> notes = {};
 };
 
@@ -47,7 +47,7 @@ std::vector<std::string> list_drives(const fs::path& folder) {
 
 Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
     const std::vector<std::string> drives = list_drives(folder);
-    const ChosenPart part = choose_part(options, kKitti360Parts);
+    const ChosenSequence part = choose_sequence(options, kKitti360Benchmark);
     if (part.drive.empty()) {
         Drive drive{drives.front(), part.frames};
         if (drives.size() > 1)

@@ -193,7 +193,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
         sequence.notes.push_back(std::move(note));
 
     const Cones cones = fit_cones(spread(raw, kFitScans), folder.string());
-    run_parallel(static_cast<int>(raw.size()),
+    parallel_for(static_cast<int>(raw.size()),
                  [&](int i) { correct_rings(raw[static_cast<std::size_t>(i)], cones); });
     const FiringLattice lattice = fit_lattice(spread(raw, kLatticeScans));
     check_rays(raw, lattice, folder.string());

@@ -47,14 +47,16 @@ std::size_t column_at(std::size_t i, MulranOrder order) {
 /// Returns the standard deviation of the elevations within a beam, over all beams.
 /// Infinite if there are no points.
 double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
-    const std::vector<double>&x = *table.find({"x"}), &y = *table.find({"y"}), &z = *table.find({"z"});
+    using enum folder::PointValue;
+    const folder::FieldValues &xs = *table.find(x), &ys = *table.find(y), &zs = *table.find(z);
     struct Sums {
         double n = 0.0, e = 0.0, ee = 0.0;
     };
     std::vector<Sums> of_beam(kBeams);
     for (std::size_t i = 0; i < table.n; ++i) {
-        if (!(std::hypot(x[i], y[i], z[i]) >= kLeastRange_m)) continue;
-        const double e = std::atan2(z[i], std::hypot(x[i], y[i]));
+        const glm::dvec3 p(xs[i], ys[i], zs[i]);
+        if (!(std::hypot(p.x, p.y, p.z) >= kLeastRange_m)) continue;
+        const double e = std::atan2(p.z, std::hypot(p.x, p.y));
         Sums& sums = of_beam[beam_at(i, order)];
         sums.n += 1.0, sums.e += e, sums.ee += e * e;
     }
@@ -95,12 +97,14 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
 /// Adds beams and times to the points. The timestamp is the middle of the revolution.
 void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& where) {
     check_points(table, where);
-    std::vector<double>&ring = table.fields["ring"], &time = table.fields["time"];
-    ring.resize(table.n), time.resize(table.n);
+    std::vector<std::uint16_t> ring(table.n);
+    std::vector<double> time(table.n);
     for (std::size_t i = 0; i < table.n; ++i) {
-        ring[i] = double(beam_at(i, order));
+        ring[i] = std::uint16_t(beam_at(i, order));
         time[i] = kTurn_s * (double(column_at(i, order)) / double(kColumns) - 0.5);
     }
+    table.add("ring", folder::NumberType::u2, std::move(ring), where);
+    table.add("time", folder::NumberType::f8, std::move(time), where);
 }
 
 PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log,

@@ -14,7 +14,7 @@
 #include "base/files.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
-#include "log/clouds/sweeps_beside.hpp"
+#include "log/clouds/match_sweeps.hpp"
 #include "log/readers/nuscenes/hdl32e_sweeps.hpp"
 #include "log/readers/nuscenes/nuscenes_tables.hpp"
 
@@ -230,7 +230,7 @@ private:
             const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
             std::vector<double> times_s;
             for (const SweepRecord& record : records) times_s.push_back(scene_.seconds(record.time_us));
-            const auto beside = sweeps_beside(main_s_, times_s, kBeside * step_s_);
+            const auto beside = match_sweeps(main_s_, times_s, kBeside * step_s_);
             std::size_t n_left = records.size();
             double apart_s = 0.0;
             for (std::size_t k = 0; k < beside.size(); ++k) {

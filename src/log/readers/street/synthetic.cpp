@@ -197,13 +197,12 @@ std::vector<MountedSensor> sensors_of(const SyntheticOptions& options) {
 }
 
 Lidar lidar_of(const MountedSensor& mounted) {
-    const SensorModel& model = mounted.sensor;
-    SpinningSensor sensor{.name = model.name, .beams = {}, .columns = 0, .period_s = 0.0};
-    if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern)) sensor = *spinning;
-    const RangeLimits limits = overlap(model.limits, {0.0, kMaxRange_m});
-    sensor.min_range_m = limits.min_m;
-    sensor.max_range_m = limits.max_m;
-    return {mounted.name, sensor, mounted.rig_from_sensor, fixed_pattern(model)};
+    Lidar lidar{mounted.name, {}, mounted.rig_from_sensor};
+    set_sensor(lidar, mounted.sensor);
+    const RangeLimits limits = overlap(mounted.sensor.limits, {0.0, kMaxRange_m});
+    lidar.sensor.min_range_m = limits.min_m;
+    lidar.sensor.max_range_m = limits.max_m;
+    return lidar;
 }
 
 }  // namespace
@@ -211,7 +210,7 @@ Lidar lidar_of(const MountedSensor& mounted) {
 Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end) {
     check(options);
     const std::vector<MountedSensor> rig = sensors_of(options);
-    std::vector<RayTable> rays;  // the rays of a rosette change from scan to scan
+    std::vector<RayTable> rays;  // of the first scan
     double n_rays = 0.0;
     for (const MountedSensor& mounted : rig)
         n_rays += double(rays.emplace_back(make_rays(mounted.sensor)).size());
@@ -236,11 +235,11 @@ Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int e
                       street::sensor_pose(options, street::frame_time_s(frame)), int(l));
     sequence.boxes = boxes_of(street, sequence.world_from_vehicle.time_s);
     recentre(sequence, origin_of(options));
-    run_parallel(static_cast<int>(sequence.frames.size()), [&](int i) {
+    parallel_for(static_cast<int>(sequence.frames.size()), [&](int i) {
         Frame& frame = sequence.frames[static_cast<std::size_t>(i)];
         const std::size_t l = std::size_t(frame.lidar);
-        const bool is_rosette = std::holds_alternative<Rosette>(rig[l].sensor.pattern);
-        const RayTable table = is_rosette ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
+        const bool changes = describe_pattern(rig[l].sensor.pattern).has_rays_by_time;
+        const RayTable table = changes ? make_rays(rig[l].sensor, frame.time_s) : rays[l];
         frame.scan = rig[l].returns == 2 ? measure_beams(options, street, sequence, table, frame)
                                          : measure(options, street, sequence, table, frame);
     });

@@ -25,8 +25,8 @@
 #include "base/files.hpp"
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
+#include "log/clouds/lidar_rt_benchmark.hpp"
 #include "log/clouds/log_files.hpp"
-#include "log/clouds/paper_parts.hpp"
 #include "log/readers/waymo/waymo_frame.hpp"
 
 namespace relidar {
@@ -42,7 +42,7 @@ struct Segment {
     fs::path file;
     FrameRange frames;
     bool top_alone = false;
-    std::vector<int> test_frames = {};  ///< see ChosenPart
+    std::vector<int> test_frames = {};  ///< see ChosenSequence
     std::vector<std::string> notes = {};
 };
 
@@ -59,7 +59,7 @@ std::vector<fs::path> list_segments(const fs::path& path) {
 
 Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     const std::vector<fs::path> files = list_segments(path);
-    const ChosenPart part = choose_part(options, kWaymoParts);
+    const ChosenSequence part = choose_sequence(options, kWaymoBenchmark);
     if (part.drive.empty()) {
         Segment segment{files.front(), part.frames};
         if (files.size() > 1)
@@ -70,7 +70,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     for (const fs::path& file : files) {
         const std::string name = file.filename().string();
         if (name.starts_with(part.drive) || name.starts_with("segment-" + part.drive))
-            return {file, part.frames, part.of_paper, part.test_frames};
+            return {file, part.frames, part.is_benchmark, part.test_frames};
     }
     throw UsageError(
         fmt::format("dataset.sequence: found '{}', expected how one of the {} segments of {} begins, or ws1 "
@@ -323,7 +323,8 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
                                       std::begin(kLaserNames));
                 broken.attempt(sweep * n_lidars + lidar, [&] {
                     RangeImageReader reader(sequence, frame, models[lidar],
-                                            fmt::format("{}: {}", where, name), options.clamp_intensity);
+                                            fmt::format("{}: {}", where, name),
+                                            options.waymo.clamp_intensity);
                     reader.read(images_of(parsed, laser, where), parsed.world_from_vehicle);
                     frame.scan = std::move(reader.scan);
                 });
@@ -348,7 +349,7 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
         "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, seconds after the "
         "segment's first firing; "
         "intensity is " +
-        std::string(options.clamp_intensity ? "Waymo's cut at 1" : "the tanh of Waymo's") +
+        std::string(options.waymo.clamp_intensity ? "Waymo's cut at 1" : "the tanh of Waymo's") +
         "; rays of TOP in time, the other LiDARs at one moment";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;

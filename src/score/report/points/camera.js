@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// A camera over a scene whose z is up: orbits a point, flies freely, or follows something that drives.
+// A camera for scenes with z up. It orbits a point, flies freely, or follows a moving object.
 import { add, look, multiply, normalize, cross, perspective, scale } from './matrix.js';
 
 const ANGLE = (50 * Math.PI) / 180;
-const STEEPEST = 1.55;   // radians: straight up and down have no right and left
+const STEEPEST = 1.55;   // radians; straight up or down, left and right would be undefined
 
 export class Camera {
   constructor() {
     this.mode = 'follow';
     this.target = [0, 0, 0];
-    this.yaw = 0;          // radians, of where it looks; in follow beside the heading of what drives
+    this.yaw = 0;          // radians; in mode "follow" relative to the heading of the object
     this.pitch = -0.42;
     this.distance = 26;
     this.heading = 0;
@@ -25,7 +25,7 @@ export class Camera {
     return this.mode === 'fly' ? this.target : add(this.target, scale(this.direction, -this.distance));
   }
 
-  /** Changes the mode; what is seen stays. */
+  /** Changes the mode and keeps the view. */
   setMode(mode) {
     const { eye, direction } = this;
     if (this.mode === 'follow') this.yaw += this.heading;
@@ -35,13 +35,13 @@ export class Camera {
     else this.yaw = 0;
   }
 
-  /** As it was: {mode, yaw, pitch, distance, target}. */
+  /** Restores a saved state: {mode, yaw, pitch, distance, target}. */
   restore({ mode, yaw, pitch, distance, target }) {
     Object.assign(this, { mode, yaw, distance: Math.max(1, Math.min(400, distance)), target });
     this.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, pitch));
   }
 
-  /** Where that is which a camera in follow looks at. */
+  /** Sets the pose of the object that the camera follows. */
   track(position, heading) {
     if (this.mode !== 'follow') return;
     this.target = position;
@@ -53,7 +53,7 @@ export class Camera {
     this.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, this.pitch - dy * 0.005));
   }
 
-  /** Moves in the picture's plane by pixels of a view so high. */
+  /** Moves the camera parallel to the image plane. @param dx,dy pixels @param height height of the view in pixels */
   pan(dx, dy, height) {
     const right = normalize(cross(this.direction, [0, 0, 1]));
     const metres = (2 * this.distance * Math.tan(ANGLE / 2)) / height;
@@ -61,13 +61,13 @@ export class Camera {
     this.target = add(this.target, add(scale(right, -dx * metres), scale(cross(right, this.direction), dy * metres)));
   }
 
-  /** Nearer (below 1) or farther; a flying camera moves ahead or back. */
+  /** Zooms in (factor below 1) or out. In mode "fly", moves forward or back. */
   zoom(factor) {
     if (this.mode === 'fly') this.target = add(this.target, scale(this.direction, -10 * Math.log(factor)));
     else this.distance = Math.max(1, Math.min(400, this.distance * factor));
   }
 
-  /** Moves by metres, ahead, left and up; what follows stops following. */
+  /** Moves the camera by metres: forward, left and up. Ends mode "follow". */
   move(ahead, left, up) {
     if (this.mode === 'follow') this.setMode('orbit');
     const level = normalize([this.direction[0], this.direction[1], 0]);
@@ -75,12 +75,15 @@ export class Camera {
     this.target = add(add(this.target, scale(level, ahead)), add(scale(sideways, left), [0, 0, up]));
   }
 
-  /** Clip space from the world. */
+  /** Returns the matrix from world space to clip space. */
   matrix(aspect) {
     return multiply(perspective(ANGLE, aspect, 0.2, 1500), look(this.eye, this.direction));
   }
 
-  /** Where the ray through a point of the picture (-1..1, up positive) meets the plane of a height; null where it does not. */
+  /**
+   * Returns where the ray through an image point hits the horizontal plane at a height, or null if it does not hit it.
+   * @param x,y -1..1, up positive
+   */
   onPlane(x, y, aspect, height) {
     const { direction, eye } = this;
     const right = normalize(cross(direction, [0, 0, 1]));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points and lines on a canvas by WebGL 2. Clouds and sets of lines have names; what is set under a name takes the place of what was.
+// Draws points and lines on a canvas with WebGL 2. Point clouds and line sets have names; a new one replaces an old one with the same name.
 
 const POINTS = `#version 300 es
 uniform mat4 clip_from_world;
@@ -49,7 +49,7 @@ function program(gl, vertex, fragment) {
 }
 
 export class CloudView {
-  /** @throws Error where the browser has no WebGL 2 */
+  /** Creates a view. @throws Error if the browser does not support WebGL 2 */
   constructor(canvas) {
     this.canvas = canvas;
     this.gl = canvas.getContext('webgl2', { antialias: true });
@@ -61,13 +61,22 @@ export class CloudView {
     this.background = [0, 0, 0];
   }
 
-  /** @param position Float32Array, three a point @param rgba Uint8Array @param size times the view's */
+  /**
+   * Sets the points with a name.
+   * @param position Float32Array, three values for each point
+   * @param rgba Uint8Array, four bytes for each point
+   * @param size factor on the point size of the view
+   */
   setPoints(name, position, rgba, size = 1) {
     this.set(name, position, rgba, true);
     this.shapes.get(name).size = size;
   }
 
-  /** @param position Float32Array, two points a line @param rgba Uint8Array, four bytes a point */
+  /**
+   * Sets the lines with a name.
+   * @param position Float32Array, two points for each line
+   * @param rgba Uint8Array, four bytes for each point
+   */
   setLines(name, position, rgba) { this.set(name, position, rgba, false); }
 
   remove(name) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What colour a point has, by what is asked of it. Stops are interpolated linearly; each map differs in lightness too.
+// Computes the colours of points for a colour scheme. Colour stops are interpolated linearly. Each colour map also varies in lightness.
 
 const TURBO = [[38, 24, 84], [62, 84, 204], [46, 156, 246], [30, 216, 184], [120, 246, 92], [210, 232, 50], [248, 162, 46], [216, 64, 16],
   [132, 12, 8]];
@@ -18,8 +18,8 @@ const table = (stops) => Array.from({ length: 256 }, (_, i) => {
 const TABLES = { turbo: table(TURBO), glow: table(GLOW), alarm: table(ALARM) };
 
 /**
- * How a colouring shows: label, unit, ends, the map, and the share of the way for a value. Ranges and intensities take the root, since most
- * of a scan is near and dark.
+ * Colour schemes: label, unit, limits, colour map, and the position of a value in the map (0..1). Ranges and intensities use the square
+ * root, because most points of a scan are near and dark.
  */
 export const COLOURINGS = {
   range: { label: 'range', unit: 'm', map: 'turbo', ends: (o) => [0, o.maxRange], share: (v, [, b]) => Math.sqrt(v / b) },
@@ -30,30 +30,30 @@ export const COLOURINGS = {
   instance: { label: 'instance', unit: '', map: null },
 };
 
-/** The channel that a colouring called "channel:NAME" shows, if the scan has it. */
+/** Returns the channel of a colour scheme "channel:NAME", if the scan has this channel. */
 const channelOf = (colouring, scan) => (colouring.startsWith('channel:') ? scan?.channels?.[colouring.slice('channel:'.length)] : undefined);
 
-/** How a channel shows: a number between the ends that it has in the scan, a vector as RGB, an integer as instances do. */
+/** Returns the colour scheme of a channel: numbers are scaled to their limits in the scan, vectors are RGB, integers are coloured like instances. */
 function channelColouring(colouring, scan) {
   const label = colouring.slice('channel:'.length);
   const channel = channelOf(colouring, scan);
   if (!channel || channel.components === 3 || channel.isInteger) return { label, unit: '', map: null };
   let low = 0;
-  let high = 1;   // most are shares
+  let high = 1;   // most channels are fractions
   for (const v of channel.values) if (Number.isFinite(v)) [low, high] = [Math.min(low, v), Math.max(high, v)];
   return { label, unit: '', map: 'turbo', ends: () => [low, high], share: (v, [a, b]) => (v - a) / (b - a) };
 }
 
-/** How a scan shows: one of COLOURINGS, or "channel:NAME". */
+/** Returns a colour scheme by name: one of COLOURINGS, or "channel:NAME". */
 export const colouringOf = (name, scan) => COLOURINGS[name] ?? channelColouring(name, scan);
 
-/** Colour of a point by a channel that is no single number. */
+/** Returns the colour of a point for a channel that is not a scalar. */
 function channelColour({ values, components, isInteger }, i) {
   if (isInteger) return INSTANCES[Math.abs(values[i]) % INSTANCES.length];
   return [0, 1, 2].map((k) => Math.round(127.5 * (1 + values[components * i + k])));
 }
 
-/** Value of each point of a scan for a colouring; NaN where it is not known. */
+/** Returns the value of each point of a scan for a colour scheme; NaN if unknown. */
 function valueReader(scan, colouring, options) {
   if (colouring === 'range') return (i) => scan.range[i];
   if (colouring === 'intensity') return (i) => scan.intensity[i] / 255;
@@ -67,7 +67,7 @@ function valueReader(scan, colouring, options) {
 export const instanceColour = (instance) => (instance === 0 || instance === 65535 ? BACKGROUND : INSTANCES[(instance - 1) % INSTANCES.length]);
 
 /**
- * RGBA bytes of the points of a scan.
+ * Returns the RGBA bytes of the points of a scan.
  * @param options {maxRange, sensorHeight, error: Float32Array or null, shown: (point) => boolean}
  */
 export function coloursOf(scan, colouring, options) {
@@ -96,14 +96,14 @@ export function coloursOf(scan, colouring, options) {
   return rgba;
 }
 
-/** The same bytes in one colour for all points that are shown. */
+/** Returns RGBA bytes with the same colour for all visible points. */
 export function flatColours(n, colour, shown) {
   const rgba = new Uint8Array(4 * n);
   for (let i = 0; i < n; ++i) if (shown(i)) rgba.set([...colour, 255], 4 * i);
   return rgba;
 }
 
-/** A map as CSS, from left to right. */
+/** Returns a colour map as a CSS gradient, from left to right. */
 export function cssGradient(map) {
   const stops = { turbo: TURBO, glow: GLOW, alarm: ALARM }[map];
   return `linear-gradient(to right, ${stops.map((c) => `rgb(${c.join(' ')})`).join(', ')})`;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// 4x4 matrices as WebGL takes them, a column after the other, and vectors of three. z is up.
+// 4x4 matrices in column-major order, as in WebGL, and vectors with three components. z is up.
 
 export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 export const scale = (a, s) => [a[0] * s, a[1] * s, a[2] * s];
@@ -7,7 +7,7 @@ export const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 export const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 export const normalize = (a) => scale(a, 1 / (Math.hypot(...a) || 1));
 
-/** Product of two matrices: what b does, then a. */
+/** Returns the product of two matrices, which applies b first, then a. */
 export function multiply(a, b) {
   const m = new Float64Array(16);
   for (let column = 0; column < 4; ++column)
@@ -18,13 +18,13 @@ export function multiply(a, b) {
 
 export const transform = (m, p) => [0, 1, 2].map((row) => m[row] * p[0] + m[4 + row] * p[1] + m[8 + row] * p[2] + m[12 + row]);
 
-/** Clip space from a camera that looks along -z, angle in radians from bottom to top. */
+/** Returns the projection matrix of a camera that looks along -z. @param angle vertical field of view in radians */
 export function perspective(angle, aspect, near, far) {
   const f = 1 / Math.tan(angle / 2);
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, (2 * far * near) / (near - far), 0];
 }
 
-/** Camera space from the world, for an eye that looks along a direction which is not straight up or down. */
+/** Returns the matrix from world space to camera space. The direction must not be straight up or down. */
 export function look(eye, direction) {
   const right = normalize(cross(direction, [0, 0, 1]));
   const up = cross(right, direction);
@@ -32,5 +32,5 @@ export function look(eye, direction) {
     -dot(right, eye), -dot(up, eye), dot(direction, eye), 1];
 }
 
-/** Heading of a pose about z, radians. */
+/** Returns the heading of a pose about z in radians. */
 export const headingOf = (pose) => Math.atan2(pose[1], pose[0]);

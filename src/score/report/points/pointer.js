@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The mouse over a view: drag turns the camera, right or middle button or Ctrl pans, the wheel zooms.
+// Mouse control of a view: dragging rotates the camera, dragging with the right or middle button or Ctrl pans, the wheel zooms.
 
-const LONGEST_CLICK = 4;   // pixels that a hand moves while it clicks
+const LONGEST_CLICK = 4;   // maximum movement of a click in pixels
 
 /**
- * @param onChange after each change of the camera
- * @param onGround (from, to) while Shift is held: places that were dragged over the plane whose height planeHeight() gives; or null
- * @param onClick ([x, y]) a click that dragged nothing, -1..1, up positive
+ * @param onChange called after each change of the camera
+ * @param onGround (from, to) called for dragging with Shift, with points on the plane at planeHeight(); or null
+ * @param onClick ([x, y]) called for a click without dragging; -1..1, up positive
  */
 export function steer(view, camera, { onChange, onGround = null, planeHeight = () => 0, onClick = () => {} }) {
   const { canvas } = view;
@@ -16,7 +16,7 @@ export function steer(view, camera, { onChange, onGround = null, planeHeight = (
   };
   const place = (event) => camera.onPlane(...pixel(event), view.aspect, planeHeight());
   let ground = null;
-  let dragged = 0;   // pixels since the button is down
+  let dragged = 0;   // pixels since the button was pressed
   canvas.addEventListener('pointerdown', (event) => {
     canvas.setPointerCapture(event.pointerId);
     ground = onGround && event.shiftKey ? place(event) : null;

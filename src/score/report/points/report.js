@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Views of the report: clouds side by side under one camera. Points are as src/score/report/report_view.cpp packs them.
+// Draws the views of the report: point clouds side by side with one camera. src/score/report/report_view.cpp packs the points.
 import { Camera } from './camera.js';
 import { CloudView } from './cloud_view.js';
 import { COLOURINGS, coloursOf, cssGradient } from './colours.js';
@@ -13,7 +13,7 @@ const MAX_RANGE_M = 80;
 const IDENTITY = [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1];
 const darkPage = matchMedia('(prefers-color-scheme: dark)');
 
-/** A scan as coloursOf() takes it, and errors. */
+/** Unpacks a scan for coloursOf(), and the range errors of its points. */
 function unpack(text) {
   const bytes = Uint8Array.from(atob(text), (c) => c.charCodeAt(0));
   const view = new DataView(bytes.buffer);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lines that a scene is drawn with: a grid on the ground, axes, boxes, a path. All give {position, rgba} for CloudView.setLines().
+// Creates lines for a scene: a grid on the ground, axes, boxes, a path. Each function returns {position, rgba} for CloudView.setLines().
 import { transform } from './matrix.js';
 
-/** Collects lines. */
+/** A list of coloured lines. */
 class Lines {
   constructor() {
     this.ends = [];
@@ -18,7 +18,7 @@ class Lines {
   get arrays() { return { position: new Float32Array(this.ends), rgba: new Uint8Array(this.colours) }; }
 }
 
-/** A grid of 10 m about a place, on the plane of its height. In short pieces: some drivers drop lines that begin behind the camera. */
+/** Returns a horizontal grid of 10 m around a point. The lines are short, because some drivers drop lines that start behind the camera. */
 export function grid([x, y, z], reach, colour) {
   const lines = new Lines();
   const [left, bottom] = [Math.round(x / 10) * 10, Math.round(y / 10) * 10];
@@ -31,7 +31,7 @@ export function grid([x, y, z], reach, colour) {
   return lines.arrays;
 }
 
-/** Axes of a pose: x red, y green, z blue. */
+/** Returns the axes of a pose: x red, y green, z blue. */
 export function axes(pose, length) {
   const lines = new Lines();
   const origin = transform(pose, [0, 0, 0]);
@@ -41,7 +41,7 @@ export function axes(pose, length) {
   return lines.arrays;
 }
 
-/** Edges of boxes, and a line ahead from the middle of each roof. @param boxes [{pose, size, colour}] */
+/** Returns the edges of boxes, and a forward line from the centre of each roof. @param all [{pose, size, colour}] */
 export function boxes(all) {
   const lines = new Lines();
   for (const { pose, size, colour } of all) {
@@ -53,14 +53,14 @@ export function boxes(all) {
   return lines.arrays;
 }
 
-/** A way through places. */
+/** Returns a line through points. */
 export function path(places, colour) {
   const lines = new Lines();
   for (let i = 1; i < places.length; ++i) lines.add(places[i - 1], places[i], colour);
   return lines.arrays;
 }
 
-/** A line for each pair of places. @param from,to Float32Array, three a point @param which indices */
+/** Returns a line for each pair of points. @param from,to Float32Array, three values for each point @param which indices of the pairs */
 export function pairs(from, to, which, colour) {
   const position = new Float32Array(6 * which.length);
   const rgba = new Uint8Array(8 * which.length);

@@ -29,7 +29,7 @@ Sequence read(const WaymoSegment& segment, const DatasetOptions& options = {}) {
 TEST(Waymo, IntensitiesAreCutOrSquashed) {
     const WaymoSegment segment("waymo_intensity");
     DatasetOptions options;
-    options.clamp_intensity = true;
+    options.waymo.clamp_intensity = true;
     const Sequence squashed = read(segment), cut = read(segment, options);
     int above_1 = 0;
     for (std::size_t i = 0; i < segment.top[0].size(); ++i) {

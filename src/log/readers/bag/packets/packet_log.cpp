@@ -11,6 +11,7 @@
 #include <relidar/base/math.hpp>
 
 #include "log/clouds/arrange_firings.hpp"
+#include "log/sensor/beam_geometry.hpp"
 
 namespace relidar::packets {
 namespace {
@@ -48,11 +49,11 @@ struct FiredPoints {
 
 /// Adds what the beams saw, both returns of a ray with the brighter one first.
 void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes,
-                const SpinningSensor& sensor, const std::vector<double>& offset_us) {
+                const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     ScanPoints& points = fired.points;
-    for (std::size_t ring = 0; ring < sensor.beams.size(); ++ring) {
+    for (std::size_t ring = 0; ring < beams.size(); ++ring) {
         const double head_deg = place.azimuth_deg + place.ahead_deg_us * offset_us[ring];
-        const BeamRay ray = beam_ray(sensor.beams[ring], -head_deg * kPi / 180.0);
+        const BeamRay ray = beams[ring].ray(-head_deg * kPi / 180.0);
         const auto add = [&](const Echo& echo, std::uint8_t number) {
             points.point_m.emplace_back(ray.origin_m + ray.direction * double(echo.range_m));
             points.intensity.push_back(float(double(echo.intensity) / place.brightness));
@@ -334,6 +335,7 @@ void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::ve
 Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
                      const SpinningSensor& sensor, std::int64_t zero_ns) const {
     FiredPoints fired;
+    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     const Timing& timing = decoder_->timing();
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
     const int n_columns = int(timing.fires.size());
@@ -363,7 +365,7 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             const double time_s = begin_s + 1e-6 * (firing.after_us - first_us);
             const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
             std::array<Echo, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
-            add_firing(fired, {azimuth, time_s, number, ahead_deg_us, brightness}, echoes, sensor,
+            add_firing(fired, {azimuth, time_s, number, ahead_deg_us, brightness}, echoes, beams,
                        timing.offset_us);
         }
     }

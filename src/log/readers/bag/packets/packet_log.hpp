@@ -10,7 +10,7 @@
 
 #include <relidar/log/clouds.hpp>
 
-#include "log/readers/bag/bag.hpp"
+#include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 
 namespace relidar::packets {

@@ -1,0 +1,14 @@
+// SPDX-License-Identifier: Apache-2.0
+// Normals of hits, for the kernels that blend them. Include after includes.glsl.
+#ifndef RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
+#define RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
+RELIDAR_CONSTANT(uint, NORMAL, 0u);
+
+/// Returns the unit normal of a surfel on the side that faces the sensor, in the world.
+vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
+    enter_instance(scene, ray, instance);
+    vec3 normal = scene.records.at[surfel].normal;
+    float side = exact_dot(normal, entered_direction) > 0.0 ? -1.0 : 1.0;
+    return side * world_vector(scene, normal);
+}
+#endif

@@ -1,0 +1,30 @@
+// SPDX-License-Identifier: Apache-2.0
+// Likelihood loss of returned rays (docs/method.md M12): -ln(floor + (1 - floor) S), S how
+// likely the hits of a ray make its measured range. One thread a ray. Input: rendered,
+// targets. Accumulated: upstream, terms.
+#version 460
+#extension GL_GOOGLE_include_directive : require
+#extension GL_EXT_shader_atomic_float : enable
+#include "../../base/kernel.glsl"
+#include "../shared/likelihood_loss.h"
+#include "../../base/atomic_add.glsl"
+#include "../../base/reduce.glsl"
+RELIDAR_PARAMS(LikelihoodLossParams);
+
+/// Returns the term of ray i, which returned, and adds its derivative.
+float ray_term(uint i) {
+    float explained =
+        params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[i].likelihood;
+    params.upstream.at[i].likelihood += -params.weight * (1.0 - params.likelihood_floor) / explained;
+    return -params.weight * log(explained);
+}
+
+void main() {
+    uint i = thread_index();
+    float term = 0.0;
+    if (i < params.n_rays) {
+        DeviceTarget target = params.targets.at[params.first_ray + i * params.ray_stride];
+        if (target.weight > 0.0 && target.range_m > 0.0) term = ray_term(i);
+    }
+    add_to_sum(params.terms, kTerm_likelihood, term);
+}

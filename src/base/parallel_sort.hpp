@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sorting on all threads. It is apart from parallel.hpp because oneTBB's headers compile
+// slowly.
+#pragma once
+
+#include <vector>
+
+#include <tbb/parallel_sort.h>
+#include <tbb/task_arena.h>
+
+namespace relidar {
+
+/// Sorts with oneTBB. The order does not depend on the number of threads if any two
+/// elements that `less` does not order are equal.
+template <class T, class Less>
+void parallel_sort(std::vector<T>& values, const Less& less) {
+    tbb::this_task_arena::isolate([&] { tbb::parallel_sort(values.begin(), values.end(), less); });
+}
+
+}  // namespace relidar

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bytes of files that several objects look at without copying them.
+#pragma once
+
+#include <cstddef>
+#include <memory>
+#include <span>
+#include <string>
+#include <string_view>
+#include <utility>
+
+namespace relidar {
+
+/// Read-only bytes that stay valid as long as a copy of `memory` exists.
+struct SharedBytes {
+    std::shared_ptr<const void> memory;
+    std::string_view bytes;
+
+    /// A part of the bytes, or other bytes in the same memory.
+    SharedBytes with(std::string_view part) const { return {memory, part}; }
+};
+
+inline SharedBytes share_bytes(std::string bytes) {
+    const auto memory = std::make_shared<const std::string>(std::move(bytes));
+    return {memory, *memory};
+}
+
+/// n bytes that fill(std::span<char>) writes. They are not set to 0 before.
+template <class Fill>
+SharedBytes make_shared_bytes(std::size_t n, const Fill& fill) {
+    const std::shared_ptr<char[]> memory(new char[n]);
+    fill(std::span<char>(memory.get(), n));
+    return {memory, {memory.get(), n}};
+}
+
+}  // namespace relidar

@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// Binding of diff/loss/likelihood_loss (docs/method.md M12).
+#include <relidar/diff/loss.hpp>
+
+#include <algorithm>
+
+#include <relidar/diff/traversal.hpp>
+
+#include "base/assert.hpp"
+#include "diff/loss/losses.hpp"
+#include "diff/shared/likelihood_loss.h"
+#include "gpu/stream.hpp"
+
+namespace relidar {
+
+struct LikelihoodLoss::Impl {
+    LossWeights weights;
+    Kernel<shared::LikelihoodLossParams> kernel;
+};
+
+LikelihoodLoss::LikelihoodLoss(Device& device, const LossWeights& weights)
+    : impl_(new Impl{weights, {device, "diff/loss/likelihood_loss", accumulating_variant(device)}}) {}
+LikelihoodLoss::~LikelihoodLoss() = default;
+std::unique_ptr<Loss> make_likelihood_loss(Device& device, const LossWeights& weights, std::uint32_t) {
+    return std::make_unique<LikelihoodLoss>(device, weights);
+}
+
+void LikelihoodLoss::compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& batch,
+                             const TermRow& terms) {
+    const LossWeights& w = impl_->weights;
+    RELIDAR_ASSERT_LE(std::size_t(batch.n_rays), rendered.upstream->size());
+    const float per_return = static_cast<float>(1.0 / std::max(batch.n_returned, 1.0));
+    relidar::run(stream, impl_->kernel, batch.n_rays,
+                 {.rendered = rendered.rendered->address(),
+                  .targets = batch.targets->address(),
+                  .upstream = rendered.upstream->address(),
+                  .terms = terms.address(),
+                  .weight = w.likelihood * per_return,
+                  .likelihood_floor = w.likelihood_floor,
+                  .n_rays = batch.n_rays,
+                  .first_ray = batch.first,
+                  .ray_stride = batch.stride});
+}
+
+}  // namespace relidar

@@ -1,0 +1,28 @@
+// SPDX-License-Identifier: Apache-2.0
+// Names of the paper's parts as drives and frames.
+#include "log/clouds/lidar_rt_benchmark.hpp"
+
+#include <algorithm>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+namespace relidar {
+
+ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts) {
+    const auto part = std::find_if(parts.begin(), parts.end(),
+                                   [&](const BenchmarkSequence& p) { return options.sequence == p.name; });
+    if (part == parts.end()) return {options.sequence, options.frames};
+    const int begin = std::max(options.frames.begin, part->first);
+    const int end = options.frames.end < 0 ? part->last + 1 : std::min(options.frames.end, part->last + 1);
+    if (begin >= end)
+        throw UsageError(fmt::format("frames {}:{}: none of {}, which has {} to {}", options.frames.begin,
+                                     options.frames.end, part->name, part->first, part->last));
+    std::vector<int> test_frames;
+    for (int k = 0, frame = part->test_first; k < kBenchmarkTestFrames; ++k, frame += part->test_every)
+        if (frame >= begin && frame < end) test_frames.push_back(frame);
+    return {part->drive, {begin, end}, true, test_frames};
+}
+
+}  // namespace relidar

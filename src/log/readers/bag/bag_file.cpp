@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/bag_file.hpp"
+
+#include <algorithm>
+#include <array>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+
+namespace relidar::bag {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr const char* kMetadata = "metadata.yaml";
+constexpr std::int64_t kLatest_ns = 4294967296000000000;  // as late as stamps of ROS 1 can be
+constexpr std::array kEndings = {".mcap", ".db3", ".bag", ".pcap", ".pcapng"};
+
+bool is_part(const fs::path& file) {
+    return std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
+}
+
+/// What metadata.yaml of rosbag2 says of the files beside it, line by line as rosbag2
+/// writes it.
+struct Metadata {
+    std::vector<std::string> files;
+    std::string compression, mode;  ///< "zstd"; "file" or "message", lower case
+};
+
+std::string unquoted(std::string_view text) {
+    text = trimmed(text);
+    if (text.size() >= 2 && (text.front() == '"' || text.front() == '\'') && text.back() == text.front())
+        text = text.substr(1, text.size() - 2);
+    return std::string(text);
+}
+
+Metadata read_metadata(const fs::path& file) {
+    Metadata metadata;
+    bool in_files = false;
+    for (const std::string& line : split_lines(read_text(file))) {
+        const std::string_view text = trimmed(line);
+        const auto value_of = [&](std::string_view key) { return unquoted(text.substr(key.size())); };
+        if (text.starts_with("relative_file_paths:")) in_files = true;
+        else if (in_files && text.starts_with("- ")) metadata.files.push_back(value_of("- "));
+        else in_files = false;
+        if (text.starts_with("compression_format:")) metadata.compression = value_of("compression_format:");
+        if (text.starts_with("compression_mode:")) metadata.mode = value_of("compression_mode:");
+    }
+    std::ranges::transform(metadata.mode, metadata.mode.begin(),
+                           [](unsigned char c) { return char(std::tolower(c)); });
+    return metadata;
+}
+
+/// Parts without a list of them: _2 comes before _10.
+std::vector<fs::path> parts_by_name(const fs::path& folder) {
+    std::vector<fs::path> parts;
+    for (const fs::path& file : list_folder(folder))
+        if (is_part(file)) parts.push_back(file);
+    std::ranges::stable_sort(parts, {}, [](const fs::path& file) { return file.filename().string().size(); });
+    return parts;
+}
+
+}  // namespace
+
+std::size_t TopicTable::number_of(Topic topic) {
+    if (const std::size_t at = topic.type.find("/msg/"); at != std::string::npos) topic.type.erase(at, 4);
+    const auto known = std::ranges::find_if(topics_, [&](const Topic& t) {
+        return t.name == topic.name && t.type == topic.type && t.encoding == topic.encoding;
+    });
+    if (known != topics_.end()) return std::size_t(known - topics_.begin());
+    topics_.push_back(std::move(topic));
+    return topics_.size() - 1;
+}
+
+Bag::Bag(const fs::path& path, bool skip_broken) {
+    Metadata metadata;
+    if (!fs::is_directory(path)) {
+        paths_ = {path};
+        if (path_exists(path.parent_path() / kMetadata))
+            metadata = read_metadata(path.parent_path() / kMetadata);
+    } else if (path_exists(path / kMetadata)) {
+        metadata = read_metadata(path / kMetadata);
+        for (const std::string& name : metadata.files) {
+            const fs::path file = path / fs::path(name).filename();  // of a folder that was renamed, too
+            if (path_exists(file)) paths_.push_back(file);
+            else
+                note(fmt::format("{}: a part of the recording that {} lists is missing", file.string(),
+                                 kMetadata));
+        }
+    }
+    if (paths_.empty()) paths_ = parts_by_name(path);
+    if (paths_.empty())
+        throw DataError(fmt::format(
+            "{}: no part of a recording, expected .mcap, .db3, .bag, .pcap or .pcapng", path.string()));
+    for (const fs::path& file : paths_) {
+        const std::string ending = file.extension().string();
+        if (ending == ".zstd")
+            throw DataError(
+                fmt::format("{}: a file that rosbag2 compressed as a whole, expected it unpacked: zstd -d "
+                            "{}, and its name in {} "
+                            "without .zstd",
+                            file.string(), file.filename().string(), kMetadata));
+        if (ending == ".pcap" || ending == ".pcapng") files_.push_back(open_pcap(file));
+        else if (ending == ".bag") files_.push_back(open_ros1(file, skip_broken));
+        else if (ending == ".db3")
+            files_.push_back(open_sqlite(file, metadata.mode == "message" && metadata.compression == "zstd"));
+        else files_.push_back(open_mcap(file, skip_broken));
+    }
+}
+
+std::string Bag::points_in() const {
+    for (const auto& file : files_)
+        if (std::string frame = file->points_in(); !frame.empty()) return frame;
+    return "";
+}
+
+void Bag::note(const std::string& text) {
+    if (std::ranges::find(notes_, text) == notes_.end()) notes_.push_back(text);
+}
+
+void Bag::each(const Wanted& wanted, const Take& take, const Progress& progress) {
+    for (std::size_t f = 0; f < files_.size(); ++f) {
+        double told = -1.0;
+        const auto done = [&](double share) {
+            if (!progress || share < told + 0.01) return;
+            told = share;
+            progress("reading the recording", (double(f) + share) / double(files_.size()));
+        };
+        const Take of_file = [&](Message message) {
+            if (message.log_ns < 0 || message.log_ns > kLatest_ns)
+                throw DataError(
+                    fmt::format("a message recorded at {} ns, expected 0 to {}", message.log_ns, kLatest_ns));
+            message.place.file = std::uint32_t(f);
+            take(message);
+        };
+        files_[f]->each(topics_, {wanted, of_file, [&](const std::string& text) { note(text); }, done});
+    }
+}
+
+SharedBytes Bag::read(const Place& place) const {
+    try {
+        return files_.at(place.file)->read(place);
+    } catch (const DataError& error) {
+        throw DataError(fmt::format("{}: {}", paths_.at(place.file).string(), error.what()));
+    }
+}
+
+}  // namespace relidar::bag

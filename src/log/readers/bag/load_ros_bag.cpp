@@ -1,0 +1,304 @@
+// SPDX-License-Identifier: Apache-2.0
+// Two passes: one that surveys the recording, in bounded memory, and one that reads the
+// clouds of the wanted frames where they lie. What is made of them then is what is made
+// of a plain folder of clouds.
+#include "log/readers/bag/load_ros_bag.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+#include "log/clouds/log_files.hpp"
+#include "log/clouds/match_sweeps.hpp"
+#include "log/clouds/sweep_poses.hpp"
+#include "log/readers/bag/bag_boxes.hpp"
+#include "log/readers/bag/bag_scans.hpp"
+#include "log/readers/bag/choose.hpp"
+#include "log/readers/bag/recording_notes.hpp"
+
+namespace relidar {
+namespace {
+
+using namespace bag;
+
+constexpr std::int64_t kSecond_ns = 1000000000;
+constexpr double kLeastStep_s = 2e-3;  // between sweeps
+constexpr double kBeside = 0.6;        // steps: a LiDAR's cloud from the main LiDAR's of the same sweep
+
+class BagLog {
+public:
+    BagLog(const std::filesystem::path& path, const DatasetOptions& options)
+        : options_(options),
+          bag_(path, options.skip_broken),
+          survey_(take_survey(bag_, options.progress)),
+          clouds_(choose_clouds(bag_, survey_, options.lidars)),
+          poses_(choose_poses(bag_, survey_, main(), options.bag.poses_from)),
+          boxes_(choose_boxes(bag_, survey_)) {
+        sequence_.name = path.lexically_normal().filename().empty()
+                             ? path.lexically_normal().parent_path().filename().string()
+                             : path.lexically_normal().filename().string();
+        sequence_.source = path.string();
+    }
+
+    Sequence load() {
+        has_poses_ = options_.poses_file.empty() && poses_.path;
+        is_deskewed_ = bag_.points_in() == "sensor at the stamp";
+        tell_topics();
+        find_frames();
+        add_lidars();
+        add_frames();
+        folder::Head head;
+        head.name = sequence_.name;
+        for (std::size_t l = 0; l < sequence_.lidars.size(); ++l) {
+            head.lidars.emplace_back().lidar = sequence_.lidars[l];
+            head.lidars.back().is_guessed = true;
+            head.lidars.back().has_beams = !sequence_.lidars[l].sensor.beams.empty();
+            head.motion_compensated =
+                head.motion_compensated || lidars_[l].units.is_deskewed || (is_deskewed_ && !has_poses_);
+        }
+        DatasetOptions options = options_;
+        if (!sequence_.has_poses) options.poses_file = kNoPoses;
+        LidarPose deskewed_by;
+        if (is_deskewed_ && has_poses_)
+            deskewed_by = [&](std::size_t lidar, double t_s) { return lidar_pose(lidar, t_s); };
+        folder::read_scans(sequence_, head, BagScans(bag_, lidars_, frames_, poses_.clock, deskewed_by),
+                           options);
+        if (has_poses_) note(place_rays(sequence_, [&](double t_s) { return recentred_pose(t_s); }));
+        return std::move(sequence_);
+    }
+
+private:
+    const DatasetOptions& options_;
+    Bag bag_;
+    Survey survey_;
+    CloudChoice clouds_;
+    PoseChoice poses_;
+    BoxChoice boxes_;
+    Sequence sequence_;
+    std::vector<LidarTopic> lidars_;  ///< [LiDARs]
+    std::vector<FrameCloud> frames_;  ///< [frames]
+    bool has_poses_ = false;          ///< of the recording's own
+    bool is_deskewed_ = false;        ///< relidar wrote the points in the sensor's frame at the stamp
+
+    const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
+    const CloudTopic& main() const { return topic_of(clouds_.main); }
+    template <class AnyTopic>
+    const std::string& name_of(const AnyTopic& any) const {
+        return bag_.topics()[any.topic].name;
+    }
+    double seconds(const CloudEntry& entry) const {
+        return 1e-9 * double(entry.time_ns(poses_.clock) - poses_.zero_ns);
+    }
+
+    void note(const std::string& text) {
+        if (!text.empty()) sequence_.notes.push_back(text);
+    }
+
+    void tell_topics() {
+        std::vector<bool> used(bag_.topics().size(), false);
+        for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
+        for (std::size_t t = 0; t < used.size(); ++t)
+            if (has_poses_ && !used[t])
+                used[t] = use_of(bag_.topics()[t]) == Use::transforms ||
+                          poses_.about.ends_with(" " + bag_.topics()[t].name);
+        if (boxes_.topic) used[boxes_.topic->topic] = true;
+        for (const std::string& text : bag_.notes()) note(text);
+        for (const std::string& text : topic_lines(bag_, survey_, used)) note(text);
+        for (const std::string& text : clouds_.notes) note(text);
+        for (const std::string& text : poses_.notes) note(text);
+        for (const std::string& text : boxes_.notes) note(text);
+        if (has_poses_) note(poses_.about + "; dataset.poses_from names another frame or topic");
+        for (const std::string& frame : survey_.frames.disputed())
+            note(fmt::format("/tf has '{}' in several parents: the one with the most transforms is taken",
+                             frame));
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
+            if (const std::string text = jumps_text(topic_of(l)); !text.empty())
+                note(name_of(topic_of(l)) + ": " + text);
+    }
+
+    /// Sweeps of the main LiDAR in the order of time, and which clouds of the others
+    /// belong to each.
+    void find_frames() {
+        std::vector<FrameCloud> sweeps;
+        std::size_t n_late = 0;
+        for (const CloudEntry& entry : main().clouds) {
+            const double t_s = seconds(entry);
+            if (!sweeps.empty() && t_s < sweeps.back().time_s + kLeastStep_s) {
+                ++n_late;
+                continue;
+            }
+            sweeps.push_back({int(sweeps.size()), t_s, t_s, clouds_.main, entry});
+        }
+        if (n_late > 0)
+            note(fmt::format("{} clouds are left out: they are not later than the one before them", n_late));
+        std::vector<double> times_s;
+        for (const FrameCloud& sweep : sweeps) times_s.push_back(sweep.time_s);
+        const double step_s = usual_step_s(times_s);
+        note(gaps_text(times_s, step_s));
+        std::vector<FrameCloud> all = sweeps;
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
+            if (l != clouds_.main) add_beside(all, sweeps, l, kBeside * step_s);
+        std::ranges::stable_sort(all, [](const FrameCloud& a, const FrameCloud& b) {
+            return a.number != b.number ? a.number < b.number : a.lidar < b.lidar;
+        });
+        keep_wanted(all);
+        find_units_of(step_s);
+    }
+
+    void add_beside(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps, std::size_t lidar,
+                    double most_s) {
+        const std::vector<CloudEntry>& clouds = topic_of(lidar).clouds;
+        std::vector<double> main_s, other_s;
+        for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
+        for (const CloudEntry& entry : clouds) other_s.push_back(seconds(entry));
+        const auto beside = match_sweeps(main_s, other_s, most_s);
+        std::size_t n_left = clouds.size();
+        for (std::size_t k = 0; k < sweeps.size(); ++k) {
+            if (!beside[k]) continue;
+            all.push_back({sweeps[k].number, main_s[k], other_s[*beside[k]], lidar, clouds[*beside[k]]});
+            --n_left;
+        }
+        if (n_left > 0)
+            note(fmt::format("{}: {} clouds are left out: {} has no sweep beside them",
+                             name_of(topic_of(lidar)), n_left, name_of(main())));
+    }
+
+    void keep_wanted(const std::vector<FrameCloud>& all) {
+        std::size_t n_unplaced = 0;
+        for (const FrameCloud& cloud : all) {
+            if (cloud.number < options_.frames.begin ||
+                (options_.frames.end >= 0 && cloud.number >= options_.frames.end))
+                continue;
+            if (has_poses_ && !poses_.path->covers(cloud.time_s)) ++n_unplaced;
+            else frames_.push_back(cloud);
+        }
+        if (frames_.empty() && n_unplaced > 0)
+            throw DataError(
+                fmt::format("{}: {}: none of the {} clouds is of a time with a pose, expected "
+                            "dataset.poses_from, dataset.poses=FILE, or "
+                            "dataset.poses=none to find poses from the scans",
+                            sequence_.source, poses_.about, n_unplaced));
+        if (frames_.empty())
+            throw UsageError(fmt::format(
+                "frames {}:{}: none of the clouds of {} lies in it, which are numbered from 0",
+                options_.frames.begin, options_.frames.end < 0 ? "" : std::to_string(options_.frames.end),
+                name_of(main())));
+        if (n_unplaced > 0)
+            note(fmt::format("{} clouds are left out: there are no poses at their times", n_unplaced));
+    }
+
+    void find_units_of(double step_s) {
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
+            const CloudTopic& clouds = topic_of(l);
+            const std::size_t n_parts =
+                clouds.clouds.empty() ? 1 : std::max<std::size_t>(clouds.clouds[0].parts.size(), 1);
+            lidars_.push_back(sample_topic(bag_, clouds, step_s / double(n_parts)));
+            if (!clouds.packets.empty()) lidars_.back().sensor = clouds.packets.sensor();
+            if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
+            if (!lidars_.back().units.about.empty())
+                note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
+            if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != TimeZero::none)
+                note(name_of(clouds) +
+                     ": relidar deskewed the points to the stamp: they are moved back to the sensor at their "
+                     "own times");
+        }
+    }
+
+    /// One LiDAR is the vehicle; several are mounted on it.
+    void add_lidars() {
+        const bool is_one = clouds_.lidars.size() == 1;
+        sequence_.lidars.clear();
+        for (std::size_t l = 0; l < clouds_.lidars.size(); ++l) {
+            Lidar lidar;
+            lidar.sensor = lidars_[l].sensor;
+            if (lidar.sensor.beams.empty()) lidar.sensor.name = name_of(topic_of(l));
+            if (lidar.sensor.beams.empty()) lidar.sensor.max_range_m = options_.max_range_m;
+            if (!is_one || !options_.lidars.empty()) lidar.name = name_of(topic_of(l));
+            if (!is_one) lidar.vehicle_from_sensor = *survey_.frames.fixed(poses_.vehicle, topic_of(l).frame);
+            sequence_.lidars.push_back(std::move(lidar));
+        }
+    }
+
+    Pose own_pose(double t_s) const {
+        const Pose world_from_vehicle = poses_.path->at(t_s);
+        if (clouds_.lidars.size() > 1) return world_from_vehicle;
+        return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
+    }
+
+    Pose lidar_pose(std::size_t lidar, double t_s) const {
+        const Pose pose = own_pose(t_s);
+        return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
+    }
+
+    std::optional<Pose> recentred_pose(double t_s) const {
+        if (!poses_.path->covers(t_s)) return std::nullopt;
+        Pose pose = own_pose(t_s);
+        pose.translation -= sequence_.world_offset_m;
+        return pose;
+    }
+
+    /// Poses of a file, by frame numbers or by the clock of the recording.
+    std::vector<Pose> given_poses() const {
+        std::vector<folder::HeadFrame> frames;
+        for (const FrameCloud& frame : frames_)
+            frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
+        const auto poses = folder::read_poses(options_.poses_file, frames);
+        if (!poses)
+            throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)",
+                                        options_.poses_file.string()));
+        return *poses;
+    }
+
+    /// Boxes stand where their labels have them as seen from the vehicle, whatever its
+    /// poses are taken from.
+    void add_boxes() {
+        if (!boxes_.topic) return;
+        BoxPlaces places{survey_.frames, poses_, {}, {}, has_poses_};
+        places.vehicle = has_poses_ || clouds_.lidars.size() > 1 ? poses_.vehicle : main().frame;
+        places.world_from_vehicle = [&](double t_s) {
+            return has_poses_            ? poses_.path->at(t_s)
+                   : sequence_.has_poses ? sequence_.world_from_vehicle.at(t_s)
+                                         : Pose{};
+        };
+        const BoxTracks tracks =
+            read_tracks(bag_, *boxes_.topic, places, sequence_.world_from_vehicle.time_s);
+        sequence_.boxes = tracks.tracks;
+        for (const std::string& text : tracks.notes) note(name_of(*boxes_.topic) + ": " + text);
+    }
+
+    void add_frames() {
+        std::vector<Pose> given;
+        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) given = given_poses();
+        sequence_.has_poses = has_poses_ || !given.empty();
+        for (std::size_t i = 0; i < frames_.size(); ++i)
+            add_frame(sequence_, frames_[i].number, frames_[i].time_s,
+                      !given.empty() ? given[i]
+                      : has_poses_   ? own_pose(frames_[i].time_s)
+                                     : Pose{},
+                      int(frames_[i].lidar));
+        if (options_.poses_file == kNoPoses) note(kitti::kNoPosesNote);
+        else if (!sequence_.has_poses)
+            note(
+                "the recording has no poses: they have to be found from the scans, as with "
+                "dataset.poses=none");
+        sequence_.conventions = fmt::format(
+            "ROS: x forward, y left, z up; 0 s is {}.{:09} s of the {}; frames are numbered by the clouds of "
+            "{}",
+            poses_.zero_ns / kSecond_ns, std::abs(poses_.zero_ns % kSecond_ns),
+            poses_.clock == Clock::stamps ? "stamps" : "recorder's clock", name_of(main()));
+        add_boxes();
+        recentre(sequence_);
+    }
+};
+
+}  // namespace
+
+Sequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options) {
+    return BagLog(path, options).load();
+}
+
+}  // namespace relidar

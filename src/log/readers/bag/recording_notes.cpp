@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/recording_notes.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "base/files.hpp"
+#include "log/readers/bag/packets/packet_messages.hpp"
+
+namespace relidar::bag {
+namespace {
+
+constexpr std::size_t kMostLines = 40;
+constexpr double kGap = 1.6;     // steps: a sweep is missing
+constexpr double kJump_s = 0.5;  // of the stamps against the recorder's clock
+
+std::string clouds_text(const CloudTopic& clouds) {
+    if (!clouds.packets.empty()) {
+        std::size_t n_missing = 0;
+        for (const packets::PacketTurn& turn : clouds.turns) n_missing += turn.n_missing;
+        return fmt::format(
+            ", frame '{}', {} packets of a {}: {} whole turns{}", excerpt(clouds.frame),
+            clouds.packets.size(), clouds.packets.about(), clouds.turns.size(),
+            n_missing == 0 ? ""
+                           : fmt::format("; {} packets are missing, whose rays count as dropped", n_missing));
+    }
+    std::vector<std::string> names;
+    for (const Cloud::Field& field : clouds.fields)
+        names.push_back(fmt::format("{} {}{}", excerpt(field.name), field.kind, 8 * field.size));
+    return fmt::format(", frame '{}', {} points, fields {}", excerpt(clouds.frame), clouds.usual_points(),
+                       fmt::join(names, " "));
+}
+
+std::string poses_text(const PoseTopic& poses) {
+    return fmt::format(", frame '{}' in '{}'", poses.child.empty() ? "not said" : excerpt(poses.child),
+                       excerpt(poses.parent));
+}
+
+std::string boxes_text(const BoxTopic& boxes) {
+    return fmt::format(
+        ", frame '{}', {} boxes, {} with an identity{}", excerpt(boxes.frame), boxes.n_boxes, boxes.n_named,
+        boxes.n_left_out == 0 ? "" : fmt::format("; {} more have no size or pose", boxes.n_left_out));
+}
+
+}  // namespace
+
+std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const std::vector<bool>& used) {
+    std::vector<std::string> lines;
+    for (std::size_t t = 0; t < bag.topics().size() && lines.size() < kMostLines; ++t) {
+        const Topic& topic = bag.topics()[t];
+        const TopicFacts& facts = survey.facts[t];
+        std::string line = fmt::format("topic {}: {}", excerpt(topic.name), excerpt(topic.type));
+        // it has no messages of its own: packets are taken some at a time
+        const bool is_run = topic.type == packets::kDatagrams;
+        if (!is_run) line += fmt::format(", {} messages", facts.n);
+        if (!is_run && facts.rate_hz() > 0.0) line += fmt::format(", {:.1f} Hz", facts.rate_hz());
+        if (const auto clouds = std::ranges::find(survey.clouds, t, &CloudTopic::topic);
+            clouds != survey.clouds.end()) {
+            line += clouds_text(*clouds);
+            if (clouds->n_empty > 0) line += fmt::format(", {} clouds without a point", clouds->n_empty);
+        }
+        if (const auto poses = std::ranges::find(survey.poses, t, &PoseTopic::topic);
+            poses != survey.poses.end())
+            line += poses_text(*poses);
+        if (const auto boxes = std::ranges::find(survey.boxes, t, &BoxTopic::topic);
+            boxes != survey.boxes.end())
+            line += boxes_text(*boxes);
+        if (facts.n_broken > 0)
+            line += fmt::format(", {} of them cannot be read (the first: {})", facts.n_broken, facts.broken);
+        lines.push_back(line + (used[t] ? ": used" : ""));
+    }
+    if (bag.topics().size() > kMostLines)
+        lines.push_back(fmt::format("{} more topics", bag.topics().size() - kMostLines));
+    return lines;
+}
+
+std::string gaps_text(const std::vector<double>& times_s, double step_s) {
+    std::size_t n = 0;
+    double missing = 0.0, longest_s = 0.0, at_s = 0.0;
+    for (std::size_t i = 1; i < times_s.size(); ++i) {
+        const double gap_s = times_s[i] - times_s[i - 1];
+        if (gap_s < kGap * step_s) continue;
+        ++n;
+        missing += std::round(gap_s / step_s) - 1.0;
+        if (gap_s > longest_s) longest_s = gap_s, at_s = times_s[i - 1];
+    }
+    return n == 0 ? ""
+                  : fmt::format(
+                        "{} gaps between sweeps, about {} sweeps are missing; the longest is {:.2f} s, at "
+                        "{:.2f} s",
+                        n, missing, longest_s, at_s);
+}
+
+std::string jumps_text(const CloudTopic& clouds) {
+    std::size_t n_falls = 0, n_jumps = 0;
+    double largest_s = 0.0;
+    for (std::size_t i = 1; i < clouds.clouds.size(); ++i) {
+        const CloudEntry &before = clouds.clouds[i - 1], &entry = clouds.clouds[i];
+        n_falls += entry.stamp_ns <= before.stamp_ns;
+        const double jump_s =
+            1e-9 * (double(entry.stamp_ns - before.stamp_ns) - double(entry.log_ns - before.log_ns));
+        if (std::abs(jump_s) < kJump_s) continue;
+        ++n_jumps;
+        if (std::abs(jump_s) > std::abs(largest_s)) largest_s = jump_s;
+    }
+    std::string text;
+    if (n_falls > 0) text = fmt::format("{} stamps of clouds do not rise", n_falls);
+    if (n_jumps > 0)
+        text += fmt::format(
+            "{}the clock of the stamps jumps {} times against the recorder's, by {:.2f} s at most",
+            text.empty() ? "" : "; ", n_jumps, largest_s);
+    return text;
+}
+
+}  // namespace relidar::bag

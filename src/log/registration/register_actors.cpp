@@ -1,0 +1,218 @@
+// SPDX-License-Identifier: Apache-2.0
+// Registers moving boxes: a joint adjustment of each track in the frame of its box, and
+// interpolated poses for the frames without points.
+#include <relidar/log/registration.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+
+#include <Eigen/QR>
+
+#include "base/parallel.hpp"
+#include "log/registration/plane_adjustment.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kSmallest_m = 2.5;      // length of a box; shorter actors are people and cyclists, who bend
+constexpr double kAboveGround_m = 0.25;  // points below are returns of the ground
+constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
+constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
+constexpr double kGain = 0.02;  // smallest increase of the share of points on planes
+constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;  // corrections beyond are errors
+constexpr double kStanding_m = 3.0;  // a box that moves farther cannot stand
+constexpr int kNeighbours = 3;       // poses on each side from which a pose is interpolated
+constexpr double kLongestGap_s = 1.0;
+
+/// Prior of corrections, in units of the weight of one point. The error of a point is 0.05 m
+/// with its neighbours' errors correlated. Labels are off by 0.15 m and 2 degrees, and jitter
+/// by 0.05 m and 1 degree in 0.1 s.
+CorrectionPrior correction_prior() {
+    const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
+    const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
+    CorrectionPrior prior;
+    prior.pull << pull_m, pull_m, pull_m, pull_rad, pull_rad, pull_rad;
+    prior.link << link_m, link_m, link_m, link_rad, link_rad, link_rad;
+    return prior;
+}
+
+/// The points of a track, in the frame of its labelled box.
+struct ActorPoints {
+    std::vector<ThinPoint> points;       ///< pose: index into the track
+    std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
+};
+
+/// Collects the returns of training frames that lie in the box.
+ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
+                           const BoxTrack& box) {
+    const PoseTrack& track = box.world_from_box;
+    std::vector<std::vector<ThinPoint>> of_frame(train_positions.size());
+    const double reach_m = 0.5 * glm::length(box.size_m) + kMoverMargin_m;
+    parallel_for(static_cast<int>(train_positions.size()), [&](int i) {
+        const Frame& frame = sequence.frames[std::size_t(train_positions[std::size_t(i)])];
+        if (!box.present(frame.time_s)) return;
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+            if (!(frame.scan.range_m[ray] > 0.0f)) continue;
+            const WorldReturn seen = world_return(sequence, frame, ray);
+            const Pose world_from_box = track.at(seen.time_s);
+            if (glm::distance(seen.point_m, world_from_box.translation) > reach_m ||
+                !box.holds(seen.point_m, seen.time_s, kMoverMargin_m))
+                continue;
+            const glm::dvec3 local_m = inverse(world_from_box) * seen.point_m;
+            if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
+            const TrackPlace at = track.place(seen.time_s);
+            const std::size_t pose = at.s < 0.5 ? at.left : at.left + 1;
+            of_frame[std::size_t(i)].push_back({glm::vec3(local_m), static_cast<float>(at.s),
+                                                static_cast<std::uint32_t>(at.left),
+                                                static_cast<std::uint32_t>(pose)});
+        }
+    });
+    ActorPoints actor;
+    actor.n_of_pose.assign(track.pose.size(), 0);
+    for (const std::vector<ThinPoint>& points : of_frame)
+        actor.points.insert(actor.points.end(), points.begin(), points.end());
+    std::ranges::stable_sort(actor.points, {}, &ThinPoint::pose);
+    for (const ThinPoint& point : actor.points) ++actor.n_of_pose[point.pose];
+    return actor;
+}
+
+/// Pose at `time_s` of a parabola through the nearest poses that have points, up to three on
+/// each side. Returns nothing if a side has none within a second.
+std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<bool>& has_points,
+                                     std::size_t pose) {
+    const double time_s = track.time_s[pose];
+    std::vector<std::size_t> used;
+    for (const int step : {-1, 1}) {
+        int n = 0;
+        for (auto k = std::ptrdiff_t(pose) + step;
+             k >= 0 && k < std::ptrdiff_t(track.pose.size()) && n < kNeighbours; k += step) {
+            if (std::abs(track.time_s[std::size_t(k)] - time_s) > kLongestGap_s) break;
+            if (has_points[std::size_t(k)]) used.push_back(std::size_t(k)), ++n;
+        }
+        if (n == 0) return std::nullopt;
+    }
+    const int n_terms = used.size() >= 4 ? 3 : 2;
+    const Pose& reference = track.pose[used.front()];
+    Eigen::MatrixXd powers(Eigen::Index(used.size()), n_terms), twists(Eigen::Index(used.size()), 6);
+    for (std::size_t i = 0; i < used.size(); ++i) {
+        const double t = track.time_s[used[i]] - time_s;
+        for (int p = 0; p < n_terms; ++p) powers(Eigen::Index(i), p) = std::pow(t, p);
+        const Twist twist = twist_between(reference, track.pose[used[i]]);
+        for (int c = 0; c < 6; ++c) twists(Eigen::Index(i), c) = twist[std::size_t(c)];
+    }
+    const Eigen::MatrixXd fit = powers.colPivHouseholderQr().solve(twists);
+    Twist twist;
+    for (int c = 0; c < 6; ++c) twist[std::size_t(c)] = fit(0, c);
+    return moved(reference, twist);
+}
+
+/// Share of the points on planes that several poses share.
+double share_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
+    return adjustment.share_on_planes(adjustment.planes(kLastActorRound), points, kLastActorRound.scale_m);
+}
+
+PlaneAdjustment adjustment_of(const PoseTrack& track, std::vector<ThinPoint> points,
+                              const std::vector<bool>& has_points) {
+    PlaneAdjustment adjustment(track, track, std::move(points), has_points);
+    adjustment.set_prior(correction_prior());
+    return adjustment;
+}
+
+/// Track of identity poses: corrections start from no correction.
+PoseTrack identity_track(const PoseTrack& track) {
+    return {track.time_s, std::vector<Pose>(track.pose.size())};
+}
+
+/// Returns true if the points fit a box that does not move at least as well as the registered
+/// track.
+bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
+                 double registered_share) {
+    const PoseTrack& track = box.world_from_box;
+    const Pose middle = track.pose[track.pose.size() / 2];
+    for (const Pose& pose : track.pose)
+        if (glm::distance(pose.translation, middle.translation) > kStanding_m) return false;
+    std::vector<ThinPoint> still = actor.points;
+    for (ThinPoint& point : still) {
+        const Pose world_from_box =
+            track.pose.size() == 1
+                ? track.pose.front()
+                : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
+        point.point_m = glm::vec3(inverse(middle) * (world_from_box * glm::dvec3(point.point_m)));
+    }
+    const PlaneAdjustment adjustment = adjustment_of(identity_track(track), still, has_points);
+    return share_on_planes(adjustment, still) >= registered_share - kGain;
+}
+
+/// Moves the poses of a track by corrections in the frame of the box.
+void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std::vector<bool>& has_points) {
+    for (std::size_t k = 0; k < track.pose.size(); ++k) {
+        track.pose[k] = track.pose[k] * inverse(corrections.pose[k]);
+        track.pose[k].rotation = glm::normalize(track.pose[k].rotation);
+    }
+    const PoseTrack registered = track;
+    for (std::size_t k = 0; k < track.pose.size(); ++k)
+        if (!has_points[k])
+            if (const std::optional<Pose> pose = interpolate_pose(registered, has_points, k))
+                track.pose[k] = *pose;
+}
+
+/// Median of absolute values. 0 for none.
+double median_of(std::vector<double> values) {
+    if (values.empty()) return 0.0;
+    std::ranges::nth_element(values, values.begin() + std::ptrdiff_t(values.size() / 2));
+    return values[values.size() / 2];
+}
+
+/// Registers one track. Does not change the box if its points do not define better poses.
+void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
+                    std::vector<double>& moved_m) {
+    std::vector<bool> has_points(actor.n_of_pose.size());
+    for (std::size_t k = 0; k < has_points.size(); ++k)
+        has_points[k] = actor.n_of_pose[k] >= kFewestPosePoints;
+    if (actor.points.size() < kFewestActorPoints ||
+        std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
+        return;
+    PlaneAdjustment adjustment = adjustment_of(identity_track(box.world_from_box), actor.points, has_points);
+    const double labelled_share = share_on_planes(adjustment, actor.points);
+    adjustment.run(kFirstActorRound, kLastActorRound, [](double) { return true; });
+    const double registered_share = share_on_planes(adjustment, actor.points);
+    std::vector<double> lengths_m;
+    for (std::size_t k = 0; k < has_points.size(); ++k) {
+        const Twist twist = twist_between(Pose{}, adjustment.track().pose[k]);
+        const double length_m = glm::length(glm::dvec3(twist[0], twist[1], twist[2]));
+        if (length_m > kLargestCorrection_m ||
+            glm::length(glm::dvec3(twist[3], twist[4], twist[5])) > kLargestCorrection_rad)
+            return;
+        if (has_points[k]) lengths_m.push_back(length_m);
+    }
+    if (is_standing(box, actor, has_points, std::max(labelled_share, registered_share))) {
+        std::vector<Pose>& poses = box.world_from_box.pose;
+        std::fill(poses.begin(), poses.end(), Pose(poses[poses.size() / 2]));
+        ++result.n_standing;
+        return;
+    }
+    if (registered_share < labelled_share + kGain) return;
+    apply_corrections(box.world_from_box, adjustment.track(), has_points);
+    ++result.n_registered;
+    moved_m.push_back(median_of(lengths_m));
+}
+
+}  // namespace
+
+ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& train_positions,
+                                  const Progress& progress) {
+    ActorRegistration result;
+    std::vector<double> moved_m;
+    for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
+        if (progress) progress("registering actors", double(i) / double(sequence.boxes.size()));
+        BoxTrack& box = sequence.boxes[i];
+        if (!box.moves() || std::max(box.size_m.x, box.size_m.y) < kSmallest_m) continue;
+        ++result.n_actors;
+        register_actor(box, collect_points(sequence, train_positions, box), result, moved_m);
+    }
+    result.moved_m = median_of(std::move(moved_m));
+    return result;
+}
+
+}  // namespace relidar

@@ -1,0 +1,140 @@
+// SPDX-License-Identifier: Apache-2.0
+// Computes the features of a ray for the intensity tree. They are the rendered values at
+// the ray and around it, and the differences between known and rendered intensities at
+// earlier rays of the beam and at the beams above. Private to scatter.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstddef>
+#include <span>
+#include <vector>
+
+#include <relidar/log/scatter.hpp>
+
+namespace relidar::scatter_detail {
+
+/// Offset from the current ray to another ray. Negative rows are above.
+struct Step {
+    int rows, columns;
+};
+/// Rectangle of rays between two offsets, both included.
+struct Window {
+    Step first, last;
+};
+
+constexpr std::array<Step, 4> kBeside{{{0, -1}, {0, 1}, {-1, 0}, {1, 0}}};
+constexpr std::array<Window, 2> kSmoothed{{{{0, -4}, {0, 4}}, {{-2, 0}, {2, 0}}}};
+/// Offsets of earlier rays whose residuals are features. The lasers of a unit fire
+/// alternately, so the second ray along a beam or above is more similar than the first.
+constexpr std::array<Step, 7> kResiduals{{{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, 0}, {-2, 0}, {-4, 0}}};
+constexpr std::array<Step, 10> kLevels{
+    {{0, -1}, {0, -2}, {0, -3}, {0, -4}, {-1, -1}, {-1, 0}, {-1, 1}, {-2, -1}, {-2, 0}, {-2, 1}}};
+constexpr std::array<Window, 5> kMeans{
+    {{{0, -2}, {0, -1}}, {{0, -4}, {0, -1}}, {{0, -8}, {0, -1}}, {{-1, -2}, {-1, 2}}, {{-3, -3}, {-1, 3}}}};
+constexpr std::array<Window, 2> kSizes{{{{0, -8}, {0, -1}}, {{-2, -3}, {-1, 3}}}};
+
+/// Maximum number of columns ahead of the current ray at which rays above it are used.
+constexpr int kAhead = 3;
+static_assert(std::ranges::all_of(kMeans, [](const Window& w) {
+    return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
+}));
+static_assert(std::ranges::all_of(kSizes, [](const Window& w) {
+    return w.last.columns <= (w.last.rows < 0 ? kAhead : -1);
+}));
+static_assert(std::ranges::all_of(kLevels,
+                                  [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
+static_assert(std::ranges::all_of(kResiduals,
+                                  [](const Step& s) { return s.columns <= (s.rows < 0 ? kAhead : -1); }));
+
+constexpr std::size_t kOwn = 5;  // intensity, range, spread, cosine, elevation
+constexpr std::size_t kFeatures = kOwn + 2 * kBeside.size() + kSmoothed.size() + kResiduals.size() +
+                                  kLevels.size() + kMeans.size() + kSizes.size();
+using Features = std::array<float, kFeatures>;
+
+/// Computes features for a scan in which some intensities are already known.
+class Context {
+public:
+    /// @param known [rows*columns] kNoIntensity for unknown intensities; can be filled
+    /// between calls
+    Context(const RenderedIntensities& rendered, std::span<const float> known)
+        : scan_(rendered), known_(known) {}
+
+    Features of(int row, int column) const {
+        Features result;
+        for (std::size_t k = 0; k < kFeatures; ++k) result[k] = feature(k, row, column);
+        return result;
+    }
+
+    /// Returns a single feature, because a path through the tree needs only a few. The
+    /// features are in the order of the lists above.
+    float feature(std::size_t k, int row, int column) const {
+        const auto at = [&](Step s) {
+            return index(std::clamp(row + s.rows, 0, scan_.rows - 1), column + s.columns);
+        };
+        // Intensities before the first column count as unknown, so that the rows can be
+        // drawn one behind the other.
+        const auto level = [&](Step s) {
+            return row + s.rows < 0 || column + s.columns < 0 ? kNoIntensity : known_[at(s)];
+        };
+        const auto residual = [&](Step s) {
+            const float known = level(s);
+            return known == kNoIntensity ? known : known - scan_.intensity[at(s)];
+        };
+        const auto size = [&](Step s) {
+            const float r = residual(s);
+            return r == kNoIntensity ? r : std::abs(r);
+        };
+        /// Returns true if feature k is one of the next n features. Otherwise subtracts n
+        /// from k.
+        const auto is_of = [&](std::size_t n) { return k < n || (k -= n, false); };
+        if (is_of(kOwn)) return own(k, index(row, column));
+        if (is_of(kBeside.size())) return scan_.intensity[at(kBeside[k])];
+        if (is_of(kBeside.size())) return steepness(at(kBeside[k]), index(row, column));
+        if (is_of(kSmoothed.size()))
+            return mean(kSmoothed[k], [&](Step s) { return scan_.intensity[at(s)]; });
+        if (is_of(kResiduals.size())) return residual(kResiduals[k]);
+        if (is_of(kLevels.size())) return level(kLevels[k]);
+        if (is_of(kMeans.size())) return mean(kMeans[k], residual);
+        return mean(kSizes[k], size);
+    }
+
+private:
+    const RenderedIntensities& scan_;
+    const std::span<const float> known_;
+
+    std::size_t index(int row, int column) const {
+        const int columns = scan_.columns;
+        // only a few columns are outside, and divisions are slow
+        if (column < 0 || column >= columns) column = (column % columns + columns) % columns;
+        return std::size_t(row) * std::size_t(columns) + std::size_t(column);
+    }
+    float own(std::size_t k, std::size_t i) const {
+        const std::array<const std::vector<float>*, kOwn> values{
+            &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
+        return (*values[k])[i];
+    }
+    /// Returns the logarithm of the ratio between the range of another ray and the range
+    /// of this ray.
+    float steepness(std::size_t other, std::size_t i) const {
+        return scan_.range_m[other] > 0.0f && scan_.range_m[i] > 0.0f
+                   ? std::log(scan_.range_m[other] / scan_.range_m[i])
+                   : kNoIntensity;
+    }
+    /// Returns the mean of the known values in a window, or kNoIntensity if none is
+    /// known.
+    template <class Value>
+    static float mean(const Window& window, const Value& value) {
+        float sum = 0.0f;
+        int n = 0;
+        for (int row = window.first.rows; row <= window.last.rows; ++row)
+            for (int column = window.first.columns; column <= window.last.columns; ++column) {
+                const float v = value({row, column});
+                if (v != kNoIntensity) sum += v, ++n;
+            }
+        return n > 0 ? sum / float(n) : kNoIntensity;
+    }
+};
+
+}  // namespace relidar::scatter_detail

@@ -1,0 +1,51 @@
+// SPDX-License-Identifier: Apache-2.0
+// A beam with the trigonometry that all of its rays share, computed once.
+#pragma once
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include <relidar/log/sensor.hpp>
+
+namespace relidar {
+
+/// Computes many rays of one beam. beam_ray() and head_azimuth() are defined by it.
+class BeamGeometry {
+public:
+    explicit BeamGeometry(const Beam& beam)
+        : beam_(beam),
+          cos_elevation_(std::cos(beam.elevation_rad)),
+          sin_elevation_(std::sin(beam.elevation_rad)),
+          left_of_axis_m_(beam.origin_left_m - beam.origin_offset_m * std::sin(beam.azimuth_offset_rad)) {}
+
+    BeamRay ray(double head_azimuth_rad) const {
+        const double azimuth = head_azimuth_rad + beam_.azimuth_offset_rad;
+        const double c = std::cos(azimuth), s = std::sin(azimuth);
+        const double ce = cos_elevation_, se = sin_elevation_;
+        const double forward = -beam_.origin_up_m * se, left = beam_.origin_left_m;
+        BeamRay ray;
+        ray.origin_m = glm::dvec3(beam_.origin_offset_m * std::cos(head_azimuth_rad) + forward * c - left * s,
+                                  beam_.origin_offset_m * std::sin(head_azimuth_rad) + forward * s + left * c,
+                                  beam_.origin_up_m * ce);
+        ray.direction = glm::dvec3(ce * c, ce * s, se);
+        return ray;
+    }
+
+    double head_azimuth(const glm::dvec3& point_m) const {
+        const double reach = std::max(std::hypot(point_m.x, point_m.y), 1e-3);
+        return std::atan2(point_m.y, point_m.x) - std::asin(glm::clamp(left_of_axis_m_ / reach, -1.0, 1.0)) -
+               beam_.azimuth_offset_rad;
+    }
+
+private:
+    Beam beam_;
+    double cos_elevation_, sin_elevation_;
+    double left_of_axis_m_;  ///< distance of the beam from the axis of rotation
+};
+
+inline std::vector<BeamGeometry> geometries_of(const std::vector<Beam>& beams) {
+    return {beams.begin(), beams.end()};
+}
+
+}  // namespace relidar

@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+// A table of rays, whatever made it.
+#include <algorithm>
+
+#include "log/sensor/pattern_kinds.hpp"
+#include "log/sensor_files/ray_arrays.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kNesting = 3;  // rows, columns, vectors
+
+nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
+    auto json = nlohmann::ordered_json::array();
+    for (const glm::vec3& v : vectors) json.push_back(v.x), json.push_back(v.y), json.push_back(v.z);
+    return json;
+}
+
+/// Number of rows of a list of vectors: given, or the outer length if vectors are listed
+/// by rows.
+std::size_t count_rows(const JsonField& field) {
+    if (field.has("rows")) return std::size_t(field.at("rows").integer(1, std::int64_t(kMaxRays)));
+    const JsonField list = field.at("directions");
+    const bool is_image = list.is_array() && list.size() > 0 && list.at(std::size_t(0)).is_array() &&
+                          list.at(std::size_t(0)).size() > 0 &&
+                          list.at(std::size_t(0)).at(std::size_t(0)).is_array();
+    return is_image ? std::min(list.size(), kMaxRays) : 1;
+}
+
+struct RayFunctions {
+    using Pattern = RayTable;
+
+    static SensorModel parse(const JsonField& field, const std::string& of) {
+        field.check_members({"directions", "origin", "time", "ring", "rows", "divergence", "divergence_mrad",
+                             "divergence_rad", "name", "min_range_m", "max_range_m"});
+        const auto list = [&](const char* key) {
+            return field.has(key) ? field.at(key).nested_numbers(kNesting) : std::vector<double>{};
+        };
+        sensor_files::RayColumns c{.direction = field.at("directions").nested_numbers(kNesting),
+                                   .origin = list("origin"),
+                                   .time_s = list("time"),
+                                   .channel = list("ring"),
+                                   .keeps_floats = true};
+        const std::size_t rows = count_rows(field);
+        c.rows = static_cast<int>(rows);
+        c.columns = static_cast<int>(std::min(c.direction.size() / 3 / rows, kMaxRays));
+        std::optional<double> of_all_mrad;
+        if (field.has("divergence_mrad")) of_all_mrad = field.at("divergence_mrad").number();
+        c.divergence_rad = sensor_files::divergence_of(list("divergence"), of_all_mrad, field.where());
+        if (field.has("divergence_rad")) c.divergence_rad = {field.at("divergence_rad").number()};
+        c.limits = {field.has("min_range_m") ? field.at("min_range_m").number() : c.limits.min_m,
+                    field.has("max_range_m") ? field.at("max_range_m").number() : c.limits.max_m};
+        return sensor_files::ray_sensor(c, field.has("name") ? field.at("name").text() : of, field.where());
+    }
+    static nlohmann::ordered_json write(const RayTable& rays) {
+        nlohmann::ordered_json json = {{"rows", rays.rows},
+                                       {"directions", vectors_json(rays.direction)},
+                                       {"origin", vectors_json(rays.origin)},
+                                       {"time", rays.time_offset_s},
+                                       {"ring", rays.channel}};
+        if (rays.ray_divergence_rad.empty()) json["divergence_rad"] = rays.divergence_rad;
+        else json["divergence"] = rays.ray_divergence_rad;
+        return json;
+    }
+    static RayTable make_rays(const RayTable& rays, double) { return rays; }
+    static PatternSummary describe(const RayTable& rays) { return {.n_rays = rays.size()}; }
+};
+
+}  // namespace
+
+PatternKind rays_kind() {
+    return pattern_kind<RayFunctions>("rays", "directions, origin, time, ring, as lists");
+}
+
+}  // namespace relidar

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// A head that spins, and its beams.
+#include <relidar/base/math.hpp>
+
+#include <fmt/format.h>
+
+#include "log/sensor/pattern_kinds.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kFarthestBeam_m = 100.0;    // of where a beam starts
+constexpr double kLargestResponse = 1e3;     // gain and offset of intensities, metres of a range offset
+constexpr double kLargestTurn_deg = 5730.0;  // 100 radians
+constexpr std::size_t kMostBeams = 65534;
+
+Beam read_beam(const JsonField& field) {
+    field.check_members({"elevation_deg", "elevation_rad", "azimuth_offset_deg", "azimuth_offset_rad",
+                         "origin_offset_m", "origin_up_m", "origin_left_m", "intensity_gain",
+                         "intensity_offset", "range_offset_m"});
+    const auto number = [&](const char* key, double missing, double most) {
+        return pattern_detail::number_or(field, key, missing, -most, most);
+    };
+    return {.elevation_rad = pattern_detail::read_angle(field, "elevation", 90.0),
+            .azimuth_offset_rad = pattern_detail::angle_or(field, "azimuth_offset", 0.0, kLargestTurn_deg),
+            .origin_offset_m = number("origin_offset_m", 0.0, kFarthestBeam_m),
+            .origin_up_m = number("origin_up_m", 0.0, kFarthestBeam_m),
+            .origin_left_m = number("origin_left_m", 0.0, kFarthestBeam_m),
+            .intensity_gain = number("intensity_gain", 1.0, kLargestResponse),
+            .intensity_offset = number("intensity_offset", 0.0, kLargestResponse),
+            .range_offset_m = number("range_offset_m", 0.0, kLargestResponse)};
+}
+
+void read_beams(const JsonField& field, SpinningSensor& sensor) {
+    const JsonField beams = field.at("beams");
+    for (std::size_t i = 0; i < beams.size(); ++i) sensor.beams.push_back(read_beam(beams.at(i)));
+    if (sensor.beams.empty() || sensor.beams.size() > kMostBeams)
+        beams.fail(fmt::format("found {} beams", sensor.beams.size()),
+                   fmt::format("expected 1 to {}", kMostBeams));
+    if (sensor.beams.front().elevation_rad < sensor.beams.back().elevation_rad)
+        beams.fail("found the lowest beam first", "expected the highest beam first");
+    sensor.columns = static_cast<int>(field.at("columns").integer(1, 1'000'000));
+    if (sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays)
+        beams.fail(fmt::format("found {} beams x {} columns", sensor.beams.size(), sensor.columns),
+                   fmt::format("expected at most {} rays", kMaxRays));
+}
+
+/// Leaves out what has its usual value.
+nlohmann::ordered_json beam_json(const Beam& beam) {
+    nlohmann::ordered_json json = {{"elevation_rad", beam.elevation_rad}};
+    const auto add = [&](const char* key, double value, double usual) {
+        if (value != usual) json[key] = value;
+    };
+    add("azimuth_offset_rad", beam.azimuth_offset_rad, 0.0);
+    add("origin_offset_m", beam.origin_offset_m, 0.0);
+    add("origin_up_m", beam.origin_up_m, 0.0);
+    add("origin_left_m", beam.origin_left_m, 0.0);
+    add("intensity_gain", beam.intensity_gain, 1.0);
+    add("intensity_offset", beam.intensity_offset, 0.0);
+    add("range_offset_m", beam.range_offset_m, 0.0);
+    return json;
+}
+
+struct SpinningFunctions {
+    using Pattern = SpinningSensor;
+
+    /// Without beams: a LiDAR that is known by its scans alone.
+    static SensorModel parse(const JsonField& field, const std::string& of) {
+        pattern_detail::check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
+        SpinningSensor sensor;
+        const auto common = pattern_detail::read_common(field, of, 0.0);
+        sensor.name = common.name;
+        sensor.period_s = common.period_s;
+        sensor.min_range_m = common.limits.min_m;
+        sensor.max_range_m = common.limits.max_m;
+        sensor.divergence_rad = common.divergence_rad;
+        if (field.has("clockwise")) sensor.clockwise = field.at("clockwise").boolean();
+        if (field.has("beams")) read_beams(field, sensor);
+        const double middle = sensor.columns > 0 ? (180.0 - 180.0 / sensor.columns) * kPi / 180.0 : 0.0;
+        sensor.first_azimuth_rad = pattern_detail::angle_or(field, "first_azimuth", middle, kLargestTurn_deg);
+        return {sensor.name, "", common.limits, std::move(sensor)};
+    }
+    static nlohmann::ordered_json write(const SpinningSensor& s) {
+        nlohmann::ordered_json json = {{"period_s", s.period_s},
+                                       {"divergence_rad", s.divergence_rad},
+                                       {"clockwise", s.clockwise},
+                                       {"first_azimuth_rad", s.first_azimuth_rad}};
+        if (s.beams.empty()) return json;
+        json["columns"] = s.columns;
+        json["beams"] = nlohmann::ordered_json::array();
+        for (const Beam& beam : s.beams) json["beams"].push_back(beam_json(beam));
+        return json;
+    }
+    static RayTable make_rays(const SpinningSensor& s, double) { return relidar::make_rays(s); }
+    static PatternSummary describe(const SpinningSensor& s) {
+        return {.n_rays = s.beams.size() * std::size_t(s.columns), .period_s = s.period_s};
+    }
+};
+
+}  // namespace
+
+PatternKind spinning_kind() {
+    return pattern_kind<SpinningFunctions>("spinning",
+                                           "columns, beams: [{elevation_deg, azimuth_offset_deg, ...}]");
+}
+
+}  // namespace relidar

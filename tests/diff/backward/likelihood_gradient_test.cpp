@@ -1,0 +1,369 @@
+// SPDX-License-Identifier: Apache-2.0
+// The likelihood (M12) from end to end: the forward pass, the losses and the backward pass
+// on the device against central differences of the double forward pass, for every
+// parameter that they depend on, the rays, the poses of instances and that of the sensor;
+// alone and with the image losses.
+#include <algorithm>
+#include <cmath>
+#include <numeric>
+#include <random>
+
+#include <glm/gtc/quaternion.hpp>
+
+#include <relidar/diff/loss.hpp>
+
+#include "base/parallel.hpp"
+
+#include "../../reference/loss.hpp"
+#include "../../support/surfels.hpp"
+#include "passes.hpp"
+
+namespace relidar {
+namespace {
+
+using test::GradientTable;
+using test::lanes;
+
+constexpr int kRows = 6, kColumns = 7;
+
+glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
+    std::normal_distribution<double> normal;
+    // the normal to -x
+    const glm::dquat to_sensor = glm::angleAxis(-1.5707963267948966, glm::dvec3(0.0, 1.0, 0.0));
+    const glm::dquat q = glm::angleAxis(tilt * normal(random),
+                                        glm::normalize(glm::dvec3(0.0, normal(random), normal(random)))) *
+                         to_sensor;
+    return {q.w, q.x, q.y, q.z};
+}
+
+/// A wall of tilted surfels, faint ones before it, and a model of four placed before it
+/// too, seen as an image.
+test::RandomScene wall(std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    std::uniform_real_distribution<double> unit(-1.0, 1.0);
+    std::vector<reference::Surfel> surfels;
+    const auto add = [&](const glm::dvec3& mean, double size, double opacity) {
+        reference::Surfel s;
+        s.mean = mean + 0.08 * glm::dvec3(unit(random), unit(random), unit(random));
+        s.rotation = rotation_facing(random, 0.2);
+        s.log_scale = glm::dvec2(std::log(size * (1.0 + 0.2 * unit(random))),
+                                 std::log(size * (1.0 + 0.2 * unit(random))));
+        s.opacity_logit = std::log(opacity / (1.0 - opacity));
+        for (int c = 0; c < kShChannels; ++c)
+            s.sh[std::size_t(c * kShCoefficients)] = 0.5 * unit(random) + (c == 0 ? 1.0 : 0.0);
+        surfels.push_back(s);
+    };
+    for (int y = -1; y <= 1; ++y)
+        for (int z = -1; z <= 1; ++z) add({6.0, 0.8 * y, 0.8 * z}, 0.7, 0.6);
+    for (int i = 0; i < 3; ++i) add({5.4, 0.6 * unit(random), 0.6 * unit(random)}, 0.5, 0.25);
+    for (int i = 0; i < 4; ++i) add({0.2 * unit(random), 0.4 * unit(random), 0.4 * unit(random)}, 0.4, 0.5);
+    test::RandomScene scene;
+    scene.world.surfels = test::to_reference(test::to_surfels(surfels));
+    scene.world.instances = {{0, 12, {}},
+                             {12, 4, {glm::angleAxis(0.3, glm::dvec3(0.0, 0.6, 0.8)), {5.7, 0.2, -0.2}}}};
+    scene.view_origin = glm::dvec3(glm::vec3(0.1, 0.05, 0.0));
+    for (int i = 0; i < kRows * kColumns; ++i) {
+        const glm::dvec3 d(1.0, -0.04 * (i % kColumns - 3), -0.04 * (i / kColumns - 2.5));
+        scene.rays.push_back({glm::dvec3(glm::vec3(0.0, 0.002 * (i % kColumns), 0.0)),
+                              glm::dvec3(glm::vec3(glm::normalize(d)))});
+    }
+    return scene;
+}
+
+/// A wall all of whose rays keep the margins.
+test::RandomScene smooth_wall(const reference::Settings& settings) {
+    // one seed for 42 rays: smaller ones, still far above what differences move
+    const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};
+    for (std::uint64_t seed = 1; seed < 5000; ++seed) {
+        const test::RandomScene scene = wall(seed);
+        reference::Settings s = settings;
+        s.view_origin = scene.view_origin;
+        if (std::all_of(scene.rays.begin(), scene.rays.end(), [&](const reference::Ray& ray) {
+                return test::keeps_margins(scene.world, s, ray, margins);
+            }))
+            return scene;
+    }
+    throw std::runtime_error("smooth_wall: no seed keeps the margins");
+}
+
+/// The losses of a wall in double, and what they are made of.
+struct WallProblem {
+    reference::Settings settings;
+    test::RandomScene scene = smooth_wall(settings);
+    LossWeights weights;
+    std::vector<reference::Target> targets;
+
+    explicit WallProblem(const LossWeights& w) : weights(w) {
+        settings.view_origin = scene.view_origin;
+        std::mt19937_64 random(7);
+        std::uniform_real_distribution<double> unit(0.0, 1.0);
+        for (const reference::Pixel& p : pixels())
+            targets.push_back(
+                {float(p.depth / p.weight + (unit(random) < 0.5 ? -0.1 : 0.1)), float(0.9 * unit(random))});
+        targets[10].range_m = 0.0;  // dropped
+        settings.likelihood_scale_m = double(weights.likelihood_scale_m);
+        for (std::size_t k = 0; k < targets.size(); ++k) scene.rays[k].measured_m = targets[k].range_m;
+    }
+
+    std::vector<reference::Pixel> pixels() const {
+        const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+        std::vector<reference::Pixel> result;
+        for (const reference::Ray& ray : scene.rays)
+            result.push_back(reference::render(scene.world, brute, settings, ray, 16));
+        return result;
+    }
+    std::vector<double> terms() const {
+        const std::vector<reference::Pixel> all = pixels();
+        std::vector<double> result;
+        result.push_back(evaluate_loss(all, targets, {weights.depth, weights.intensity, weights.drop},
+                                       reference::DepthKind::normalised)
+                             .total);
+        result.push_back(double(weights.likelihood) *
+                         likelihood_loss(all, targets, double(weights.likelihood_floor)));
+        return result;
+    }
+};
+
+RendererOptions options_of(const LossWeights& w, std::uint32_t keep_hits) {
+    RendererOptions options = test::options_of({});
+    if (w.likelihood > 0.0f) options.trace.likelihood = RangeKernel{w.likelihood_scale_m};
+    options.keep_hits = keep_hits;
+    return options;
+}
+
+/// The same on the device.
+struct DevicePasses : test::Passes {
+    std::vector<std::unique_ptr<Loss>> losses;
+    Array<float> loss_terms;
+    double n_returned = 0.0;
+
+    DevicePasses(Device& d, const WallProblem& p, std::uint32_t keep_hits, const BackwardOptions& options)
+        : Passes(d, p.settings.image, p.scene, std::vector<reference::PixelGradient>(p.scene.rays.size()),
+                 options_of(p.weights, keep_hits), options),
+          losses(make_losses(d, p.weights, std::uint32_t(p.scene.rays.size()))),
+          loss_terms(d, std::vector<float>(kLossTerms, 0.0f), "terms") {
+        std::vector<DeviceTarget> t;
+        for (const reference::Target& target : p.targets)
+            t.push_back({float(target.range_m), float(target.intensity), 1.0f});
+        targets.upload(t);
+        for (const reference::Target& target : p.targets) n_returned += target.range_m > 0.0;
+    }
+    void run_all() {
+        const TargetBatch measured{
+            &targets, 0, 1, kRows * kColumns, n_returned, double(kRows * kColumns), {kRows, kColumns, false}};
+        run_forward();
+        for (const std::unique_ptr<Loss>& loss : losses)
+            loss->compare(renderer.stream(), renderer.batch(), measured, loss_terms);
+        renderer.record_backward();
+        renderer.stream().finish();
+    }
+};
+
+/// Rows by central differences, the same names and order as in `actual_rows`.
+std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProblem& p) {
+    std::vector<std::pair<std::string, std::vector<double>>> rows;
+    const auto terms = [&] { return p.terms(); };
+    const auto add = [&](const char* name, double* x, int n, double step = test::kDifferenceStep) {
+        rows.emplace_back(name, test::central_differences(x, n, terms, step));
+    };
+    for (reference::Surfel& s : p.scene.world.surfels) {
+        add("mean", &s.mean.x, 3);
+        add("rotation", &s.rotation.x, 4);
+        add("log_scale", &s.log_scale.x, 2);
+        add("opacity_logit", &s.opacity_logit, 1, test::kLogitStep);
+    }
+    for (reference::Ray& ray : p.scene.rays) {
+        add("ray origin", &ray.origin.x, 3);
+        add("ray direction", &ray.direction.x, 3, test::kAngleStep);
+    }
+    const auto add_twist = [&](const char* name,
+                               const std::function<void(const glm::dvec3&, const glm::dvec3&)>& move) {
+        glm::dvec3 v(0.0), w(0.0);
+        const auto moved = [&] { return move(v, w), p.terms(); };
+        rows.emplace_back(std::string(name) + " translation", test::central_differences(&v.x, 3, moved));
+        rows.emplace_back(std::string(name) + " rotation",
+                          test::central_differences(&w.x, 3, moved, test::kAngleStep));
+        move(glm::dvec3(0.0), glm::dvec3(0.0));
+    };
+    for (reference::Placement& placed : p.scene.world.instances) {
+        const Pose start = placed.world_from_model;
+        add_twist("pose", [&](const glm::dvec3& v, const glm::dvec3& w) {
+            placed.world_from_model = {test::turn_by(w) * start.rotation, start.translation + v};
+        });
+    }
+    const std::vector<reference::Ray> rays = p.scene.rays;
+    add_twist("sensor", [&](const glm::dvec3& v, const glm::dvec3& w) {
+        for (std::size_t i = 0; i < rays.size(); ++i)
+            p.scene.rays[i] = {
+                p.settings.view_origin + test::turn_by(w) * (rays[i].origin - p.settings.view_origin) + v,
+                test::turn_by(w) * rays[i].direction, rays[i].measured_m};
+    });
+    return rows;
+}
+
+std::vector<std::vector<double>> actual_rows(const Gradients& g) {
+    std::vector<std::vector<double>> rows;
+    const Surfels s = g.surfels.download();
+    for (std::size_t i = 0; i < s.size(); ++i)
+        for (const std::vector<double>& row : {lanes(s.mean[i], 3), lanes(s.rotation[i], 4),
+                                               lanes(s.log_scale[i], 2), lanes(&s.opacity_logit[i], 1)})
+            rows.push_back(row);
+    const auto add = [&](const Array<float>& array) {
+        const std::vector<float> values = array.download();
+        for (std::size_t k = 0; k < values.size(); k += 3) rows.push_back(lanes(&values[k], 3));
+    };
+    add(g.rays), add(g.poses), add(g.sensor);
+    return rows;
+}
+
+using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
+
+/// The same problem with what Vulkan's exp and division may be off, each up or down:
+/// scales by the exp of their logarithm, alphas by the sigmoid of the opacity and by the
+/// exp of a hit one standard deviation from the mean, distances along a ray by their
+/// division.
+WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
+    WallProblem moved = p;
+    std::mt19937_64 random(seed);
+    const auto sign = [&] { return random() % 2 == 0 ? -1.0 : 1.0; };
+    for (reference::Surfel& s : moved.scene.world.surfels) {
+        const double opacity = 1.0 / (1.0 + std::exp(-s.opacity_logit));
+        // relative
+        const double alpha = test::sigmoid_error(opacity, s.opacity_logit) / opacity + test::exp_error(0.5);
+        s.opacity_logit += sign() * alpha / (1.0 - opacity);
+        for (int k = 0; k < 2; ++k) s.log_scale[k] += sign() * test::exp_error(s.log_scale[k]);
+    }
+    constexpr double kWall_m = 6.0;
+    for (reference::Ray& ray : moved.scene.rays)
+        ray.origin += sign() * kWall_m * (test::kDivision + test::kRounding) * ray.direction;
+    return moved;
+}
+
+/// Rows of the problem, and how far each moves where the device computes other last
+/// digits, the most of some draws.
+std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
+    std::vector<Rows> draws(5);  // the first is the problem itself
+    parallel_for(int(draws.size()), [&](int i) {
+        WallProblem drawn = i == 0 ? p : rounded(p, std::uint64_t(i));
+        draws[std::size_t(i)] = expected_rows(drawn);
+    });
+    std::vector<double> moved(draws[0].size(), 0.0);
+    for (const Rows& rows : draws)
+        for (std::size_t k = 0; k < rows.size(); ++k) {
+            std::vector<double> difference = rows[k].second;
+            for (std::size_t j = 0; j < difference.size(); ++j) difference[j] -= draws[0][k].second[j];
+            moved[k] = std::max(moved[k], test::GradientGroup::norm(difference));
+        }
+    return {draws[0], moved};
+}
+
+class LikelihoodGradient : public test::DeviceTest {
+protected:
+    /// Each row within 3 kKernelGradient and twice what it moved in some draws of what
+    /// Vulkan allows: small rows are differences of large shares.
+    void expect_rows(const GradientTable& table, const Rows& expected, const std::vector<double>& moved,
+                     const std::vector<std::vector<double>>& actual, const std::string& title) {
+        for (std::size_t k = 0; k < actual.size(); ++k) {
+            std::vector<double> difference = expected[k].second;
+            for (std::size_t j = 0; j < difference.size(); ++j) difference[j] -= actual[k][j];
+            const double small = test::kSmallRow * table.groups().at(expected[k].first).largest_row();
+            const double scale = std::max(test::GradientGroup::norm(expected[k].second), small);
+            EXPECT_LE(test::GradientGroup::norm(difference),
+                      3.0 * test::kKernelGradient * scale + 2.0 * moved[k])
+                << expected[k].first << ", row " << k << " of size " << scale << ", " << title;
+        }
+    }
+
+    void expect_agreement(const LossWeights& weights, const std::string& title) {
+        const WallProblem p(weights);
+        const auto [expected, moved] = expected_and_moved(p);
+        for (const Reduction reduction : {Reduction::atomics, Reduction::gather})
+            for (const std::uint32_t kept : {0u, 4u}) {
+                DevicePasses passes(device(), p, kept, {.reduction = reduction});
+                passes.run_all();
+                const std::vector<double> terms = p.terms();
+                const std::vector<float> found = passes.loss_terms.download();
+                EXPECT_NEAR(std::accumulate(found.begin(), found.end(), 0.0),
+                            std::accumulate(terms.begin(), terms.end(), 0.0), 1e-5);
+                const std::vector<std::vector<double>> actual = actual_rows(passes.gradients());
+                ASSERT_EQ(actual.size(), expected.size());
+                GradientTable table;
+                for (std::size_t k = 0; k < actual.size(); ++k)
+                    table.add_row(expected[k].first, expected[k].second, actual[k]);
+                table.print(title);
+                expect_rows(table, expected, moved, actual, title);
+                for (const auto& [name, group] : table.groups()) {
+                    EXPECT_EQ(group.missing_rows(), 0u) << name << ", " << title;
+                    EXPECT_GT(group.nonzero_rows(), 0u) << name << ", " << title;
+                }
+            }
+    }
+};
+
+LossWeights weights_of(float image, float likelihood) {
+    LossWeights w;
+    w.depth = w.intensity = w.drop = image;
+    w.likelihood = likelihood, w.chamfer = 0.0f;
+    w.likelihood_scale_m = 0.1f, w.likelihood_floor = 0.05f;
+    w.normalised_depth = true;
+    return w;
+}
+
+TEST_F(LikelihoodGradient, Alone) { expect_agreement(weights_of(0.0f, 1.0f), "likelihood"); }
+TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(weights_of(0.1f, 0.3f), "all terms"); }
+
+/// Two surfels, 30 cm apart, of a ray that measured the second: S = w_0 k + w_1, k = 1 /
+/// (1 + (0.3 / s)^2), at 80 m as at 3 m.
+TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
+    for (const double start : {3.0, 79.0}) {
+        const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
+        test::RandomScene scene;
+        for (int i : {0, 1}) {
+            reference::Surfel s;
+            s.mean = {t[i], 0.0, 0.0};
+            s.rotation = {0.70710678118654752, 0.0, 0.70710678118654752, 0.0};
+            s.opacity_logit = std::log(opacity[i] / (1.0 - opacity[i]));
+            scene.world.surfels.push_back(s);
+        }
+        scene.world.instances = {{0, 2, {}}};
+        scene.rays = {{{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0}, t[1]}};
+        std::vector<reference::PixelGradient> upstream(1);
+        upstream[0].likelihood = 1.0;
+        RendererOptions options = test::options_of({});
+        options.trace.likelihood = RangeKernel{0.1f};
+        test::Passes passes(device(), {}, scene, upstream, options);
+        passes.run();
+        const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
+                     w1 = 0.4 * 0.5;
+        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;  // of a range, by a float
+        EXPECT_NEAR(passes.renderer.rendered().rendered->download()[0].likelihood, w0 * k + w1,
+                    1e-6 + w0 * slope * resolved);
+        const Surfels found = passes.gradients().surfels.download();
+        EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
+            << "the nearer one is drawn to the range";
+        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
+            << "the other is there";
+        // S = s_0 k + (1 - s_0) s_1, by the opacities s
+        EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
+        EXPECT_NEAR(found.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
+    }
+}
+
+TEST_F(LikelihoodGradient, GatheredTheSameBitsInEveryRun) {
+    const WallProblem p(weights_of(0.1f, 0.3f));
+    std::vector<float> first;
+    for (int i = 0; i < 3; ++i) {
+        DevicePasses passes(device(), p, 0, {.reduction = Reduction::gather});
+        passes.run_all();
+        std::vector<float> all;
+        const Gradients& g = passes.gradients();
+        for (const Array<float>* array :
+             std::initializer_list<const Array<float>*>{&g.records, &g.surfels.rotation, &g.rays, &g.poses})
+            for (const float x : array->download()) all.push_back(x);
+        if (i == 0) first = all;
+        EXPECT_EQ(all, first);
+    }
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,196 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the forward pass renders on demand against the double reference: blended normals,
+// the likelihood (M12) and the heaviest surface (M13); random scenes with instances, chunk
+// sizes, lists, rays of many hits. The image is the same, bit for bit, whether they are
+// rendered or not.
+#include <algorithm>
+#include <utility>
+
+#include <relidar/diff/forward.hpp>
+
+#include "../../support/device.hpp"
+#include "../../support/floats.hpp"
+#include "../../support/placed.hpp"
+#include "../../support/random_scene.hpp"
+#include "../../support/tolerances.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
+
+class OnDemand : public test::DeviceTest {
+protected:
+    struct Found {
+        std::vector<float> image;       ///< [n] RenderedRay without its likelihood, number by number
+        std::vector<float> likelihood;  ///< [n]
+        std::vector<float> surfaces;    ///< [n,4] normal and mode, or empty
+    };
+    /// Renders a scene's rays.
+    Found trace(const test::RandomScene& random, const ImageModel& model, const TraceOptions& options) {
+        const test::SceneAndPoses placed =
+            test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
+        const std::uint32_t n_rays = std::uint32_t(random.rays.size());
+        // a guard behind
+        Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
+        renderer.scene().set_poses(placed.world_from_instance);
+        const Array<DeviceRay> rays(
+            device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(random.rays))), "rays");
+        const std::vector<shared::DeviceTarget> measured = test::to_targets(random.rays);
+        const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured),
+                                                  "targets");
+        const Array<shared::RenderedSurface>* surfaces = renderer.rendered().surfaces;
+        if (surfaces)
+            surfaces->upload(std::vector<shared::RenderedSurface>(
+                n_rays + 1, {.normal = glm::vec3(-7.0f), .mode = -7.0f}));
+        renderer.place(glm::vec3(random.view_origin));
+        renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
+        renderer.stream().finish();
+        Found found;
+        if (surfaces) {
+            found.surfaces = test::floats_of(surfaces->download());
+            for (int k = 0; k < 4; ++k, found.surfaces.pop_back())
+                EXPECT_EQ(found.surfaces.back(), -7.0f) << "wrote past the end";
+        }
+        std::vector<shared::RenderedRay> image = renderer.rendered().rendered->download(n_rays);
+        for (shared::RenderedRay& ray : image)
+            found.likelihood.push_back(std::exchange(ray.likelihood, 0.0f));
+        found.image = test::floats_of(image);
+        return found;
+    }
+};
+
+TEST_F(OnDemand, AgreesWithDoubleReference) {
+    test::RandomSceneOptions few, many;
+    few.seed = 24, few.rays = 200;
+    many.seed = 25, many.rays = 60, many.background_surfels = 120, many.actor_surfels = 0,
+    many.actor_instances = 0, many.opacity_low = 0.02, many.opacity_high = 0.2;
+    for (const test::RandomSceneOptions& options : {few, many}) {
+        reference::Settings settings;
+        settings.likelihood_scale_m = 0.3;
+        const test::RandomScene scene = test::make_random_scene(options, settings);
+        const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+        const TraceOptions both{.chunk = 5, .normals = true, .likelihood = kKernel};
+        const Found found = trace(scene, settings.image, both);
+        double likeliest = 0.0;
+        for (std::size_t i = 0; i < scene.rays.size(); ++i) {
+            const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
+            const float* q = &found.surfaces[4 * i];
+            EXPECT_LE(glm::length(glm::dvec3(q[0], q[1], q[2]) - p.normal), 1e-5) << "ray " << i;
+            EXPECT_NEAR(found.likelihood[i], p.likelihood, 1e-5) << "ray " << i;
+            EXPECT_EQ(found.likelihood[i] > 0.0f, scene.rays[i].measured_m > 0.0) << "ray " << i;
+            likeliest = std::max(likeliest, p.likelihood);
+        }
+        EXPECT_GT(likeliest, 0.2) << "no ray meets what it measured";
+        EXPECT_EQ(trace(scene, settings.image, {.chunk = 5}).image, found.image)
+            << "the image does not depend on it";
+        TraceOptions other = both;
+        other.chunk = 64;
+        const Found again = trace(scene, settings.image, other);
+        EXPECT_EQ(again.surfaces, found.surfaces) << "nor on the chunk";
+        EXPECT_EQ(again.likelihood, found.likelihood);
+        other.chunk = 5, other.order = HitOrder::lists;
+        for (const int room : {4, 64}) {
+            other.list_room = room;
+            const Found lists = trace(scene, settings.image, other);
+            for (std::size_t k = 0; k < lists.surfaces.size(); ++k)
+                EXPECT_NEAR(lists.surfaces[k], found.surfaces[k], 1e-6f);
+            for (std::size_t k = 0; k < lists.likelihood.size(); ++k)
+                EXPECT_NEAR(lists.likelihood[k], found.likelihood[k], 1e-6f);
+        }
+        const Found alone = trace(scene, settings.image, {.likelihood = kKernel});
+        EXPECT_EQ(alone.image, found.image);
+        EXPECT_EQ(alone.likelihood, found.likelihood);
+        EXPECT_TRUE(alone.surfaces.empty());
+    }
+}
+
+/// The heaviest surface (M13), of rays whose gaps and weights say clearly which one it
+/// is.
+TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
+    constexpr float kGap = 0.3f;
+    test::RandomSceneOptions options;
+    options.seed = 28, options.rays = 100;
+    const reference::Settings settings;
+    const test::RandomScene scene = test::make_random_scene(options, settings);
+    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    const Found with_mode = trace(scene, settings.image, {.chunk = 5, .mode_gap_m = kGap});
+    EXPECT_EQ(with_mode.image, trace(scene, settings.image, {.chunk = 5}).image)
+        << "the image does not depend on it";
+    const std::vector<float>& found = with_mode.surfaces;
+    const std::vector<float> by_lists =
+        trace(scene, settings.image, {.order = HitOrder::lists, .mode_gap_m = kGap}).surfaces;
+    for (std::size_t k = 3; k < found.size(); k += 4) EXPECT_NEAR(by_lists[k], found[k], 1e-5f);
+    int clear = 0, other_than_first = 0;
+    for (std::size_t i = 0; i < scene.rays.size(); ++i) {
+        std::vector<reference::ShadedHit> hits;
+        reference::render(scene.world, brute, settings, scene.rays[i], 16, &hits);
+        bool is_clear = !hits.empty();
+        for (std::size_t k = 1; k < hits.size(); ++k)
+            is_clear = is_clear && std::abs(hits[k].t - hits[k - 1].t - double(kGap)) > 1e-4;
+        const std::vector<reference::Surface> all = reference::surfaces(hits, double(kGap));
+        const auto heaviest = std::ranges::max_element(all, {}, &reference::Surface::weight);
+        for (auto s = all.begin(); s != all.end(); ++s)
+            is_clear = is_clear && (s == heaviest || heaviest->weight - s->weight > 1e-5);
+        if (!is_clear) continue;
+        EXPECT_NEAR(found[4 * i + 3], heaviest->mean, 1e-5) << "ray " << i;
+        ++clear;
+        other_than_first += heaviest != all.begin();
+    }
+    EXPECT_GT(clear, 90);
+    EXPECT_GT(other_than_first, 10);
+}
+
+/// A batch finds what its rays measured by their places, and renders no likelihood where
+/// it brings no targets.
+TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
+    test::RandomSceneOptions options;
+    options.seed = 27, options.rays = 60;
+    const test::RandomScene scene = test::make_random_scene(options, {});
+    const test::SceneAndPoses placed =
+        test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    Renderer renderer(device(), placed.scene, {}, {.trace = {.likelihood = kKernel}, .n_rays = 60});
+    renderer.scene().set_poses(placed.world_from_instance);
+    renderer.place(glm::vec3(scene.view_origin));
+    const Array<DeviceRay> rays(
+        device(), std::span<const DeviceRay>(to_device_rays(test::to_world_rays(scene.rays))), "rays");
+    const Array<shared::DeviceTarget> targets(
+        device(), std::span<const shared::DeviceTarget>(test::to_targets(scene.rays)), "targets");
+    const auto likelihoods = [&](const RayBatch& batch) {
+        renderer.record_forward(batch);
+        renderer.stream().finish();
+        std::vector<float> found;
+        for (const shared::RenderedRay& ray : renderer.rendered().rendered->download(batch.n_rays))
+            found.push_back(ray.likelihood);
+        return found;
+    };
+    const std::vector<float> all = likelihoods({&rays, 0, 1, 60, 0, &targets}),
+                             some = likelihoods({&rays, 1, 3, 20, 0, &targets});
+    for (std::size_t k = 0; k < 20; ++k) EXPECT_EQ(some[k], all[1 + 3 * k]) << "ray " << k;
+    EXPECT_GT(*std::max_element(some.begin(), some.end()), 0.1f);
+    EXPECT_EQ(likelihoods({&rays, 0, 1, 60}), std::vector<float>(60, 0.0f));
+}
+
+TEST_F(OnDemand, OfARenderer) {
+    test::RandomSceneOptions options;
+    options.seed = 26, options.rays = 100;
+    const reference::Settings settings;
+    const test::RandomScene scene = test::make_random_scene(options, settings);
+    const reference::BruteForce brute(scene.world, settings.image, reference::Precision::double_record);
+    const test::SceneAndPoses placed =
+        test::to_scene(test::to_surfels(scene.world.surfels), scene.world.instances);
+    for (const bool wanted : {true, false}) {
+        Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = wanted}});
+        renderer.scene().set_poses(placed.world_from_instance);
+        renderer.place(glm::vec3(scene.view_origin));
+        const Rendering found = renderer.forward(test::to_world_rays(scene.rays));
+        ASSERT_EQ(found.normal.size(), wanted ? scene.rays.size() : 0u);
+        for (std::size_t i = 0; i < found.normal.size(); ++i) {
+            const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
+            EXPECT_LE(glm::length(glm::dvec3(found.normal[i]) - p.normal), 1e-5) << "ray " << i;
+        }
+    }
+}
+
+}  // namespace
+}  // namespace relidar
