@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the
-// same in every run. Hits come sorted by row; a thread takes a block of 32 and adds the
-// sum of each row that lies in it. What it has of a row that began earlier or goes on is
-// left in `parts`, for backward/gather_heads. Input: scene, upstream, hits, rows, slots, n_hits. Accumulated: d_records, d_sh. Output: parts.
-// Maximum: most_hits.
+// Sums the gradients of hits by surfel, in the order of rays, without atomics. So the
+// result is the same in every run. The hits are sorted by row. A thread processes a block
+// of 32 hits and adds the sum of each row that lies within the block. Partial sums of
+// rows that begin in an earlier block or continue in the next block are stored in `parts`
+// for backward/gather_heads. Input: scene, upstream, hits, rows, slots, n_hits.
+// Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward
-// pass kept, front to back, and adds the gradient of every hit to its surfel's record
-// gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
-// Input: scene, rendered, upstream, kept, first_hit. Accumulated:
-// d_records, d_sh (where SH are evaluated a hit). Output: touched, d_rays, hits, rows.
+// Backward pass (Eq. 9; M7, M8): casts the same rays again, or uses the hits that the
+// forward pass has stored, front to back. Adds the gradient of every hit to its surfel's
+// record gradient, or writes a record of the hit for backward/gather. One thread per ray.
+// Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (if SH
+// are evaluated per hit). Output: touched, d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and
-// is right. The background needs no term of its own: it is in the final value that Eq. 9
-// subtracts from.
+// is correct. The background needs no separate term, because the final value from which
+// Eq. 9 subtracts includes it.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -173,7 +173,7 @@ void empty_slots(uint ray_index, uint first, uint n) {
         params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
-/// Whether any blended value has a gradient.
+/// Returns true if any blended value has a gradient.
 bool has_gradient(RayGradient g) {
     bool any_gradient = false;
 #define RELIDAR_HAS(name, built, value, input, slope, meaning) \

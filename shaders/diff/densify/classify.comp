@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel,
-// faint, too large or outside its actor's box; else it grows by its gradient (clone or
-// split), or stays. One thread a surfel of any model. Input:
+// Decides what happens to each surfel (docs/method.md section 6). Drops a surfel if it is
+// invalid, faint, too large or outside its actor's box. Otherwise the surfel grows by its
+// gradient (clone or split), or is kept. One thread per surfel of any model. Input:
 // surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require

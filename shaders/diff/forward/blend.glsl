@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5): the values of
 // relidar/diff/blended_values.h, and for scans the normal and the heaviest surface (M13).
-// Include after RELIDAR_PARAMS(ForwardParams).
+// Include this file after RELIDAR_PARAMS(ForwardParams).
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
 /// State of a ray during blending.
 struct Blended {
     RenderedRay ray;
-    RayGradient lost;  // what rounding took from each blended value
+    RayGradient lost;  // rounding error of each blended value, for compensated summation
     vec3 normal;
     Surfaces surfaces;
 };

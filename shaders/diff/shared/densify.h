@@ -90,8 +90,8 @@ struct MoveParams {
     uint fresh;  // 1: rows of new surfels, and of surfels whose values change, become zero (moments)
 };
 
-/// Values of split surfels in their new places, which hold copies of the old ones
-/// (densify/spawn.comp).
+/// Parameters of densify/spawn.comp, which computes the values of split surfels. Their
+/// new rows hold copies of the old values.
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, in the new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] in the old order

@@ -72,7 +72,7 @@ struct ForwardParams {
     Hits kept;              // output [ceil(n/2),n_kept,2] of n threads, first hits of their rays
     // Accumulated [1] rays with more hits than are kept; not used if n_kept is 0.
     RELIDAR_OF(Uints, OverfullCount) n_overfull;
-    RenderedSurfaces surfaces;  // output [n_rays], where the kernel is built for normals or modes
+    RenderedSurfaces surfaces;  // output [n_rays], if the kernel is built with normals or modes
     uint n_kept;
     uint kept_in_lists;   // 1: the kept hits are lists.hits
     float surface_gap_m;  // minimum distance between two surfaces, if the kernel is built with modes

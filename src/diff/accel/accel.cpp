@@ -11,7 +11,8 @@ namespace relidar {
 Proxy resolve(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
-    // measured: docs/performance.md; hardware intersects triangles itself
+    // Ray-tracing hardware intersects triangles itself, so triangles are faster on a GPU
+    // (docs/performance.md).
     return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/densify/observe, classify, spawn and reset_opacity, and the order of a
-// densification: classify, read the counts back, make room, hand out copies, move every
-// array, give the new surfels their values.
+// Bindings of diff/densify/observe, classify, spawn and reset_opacity, and the steps of a
+// densification: classify, read the counts back, allocate memory, distribute copies, move
+// every array, compute the values of new surfels.
 #include <relidar/diff/densify.hpp>
 
 #include <cmath>

@@ -31,8 +31,9 @@ struct GrowthPlan {
     std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
 };
 
-/// Returns survivors and growth by one surfel for each that grows, up to
-/// DensifyOptions::max_surfels. @param random any number: fixes the phase
+/// Plans the growth: all survivors, and one new surfel per growing surfel, up to
+/// DensifyOptions::max_surfels.
+/// @param random  random number that determines the phase
 GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
                        std::uint64_t random);
 /// Limits a plan to a total number of surfels. Survivors always stay.

@@ -64,10 +64,10 @@ inline KernelVariant traversal_variant(const Device& device) {
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
-/// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree
-/// together. This is faster on lavapipe (docs/performance.md). On a GPU lanes
-/// are free to part; on a CPU they are those of one vector, and load surfels for each
-/// other.
+/// Returns the constant TOGETHER of the tracing kernels: 0 if each ray walks the software
+/// tree alone, otherwise the joint walk. GPU lanes diverge freely, CPU lanes are those of
+/// one vector. On a CPU (value 2) the lanes also load surfels cooperatively. The joint
+/// walk is faster on lavapipe (docs/performance.md).
 inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
