@@ -32,8 +32,8 @@ struct LidarTopic {
     std::map<Place, folder::PointTable> samples = {};
     SpinningSensor sensor = {};  ///< sensor of a topic of packets
 };
-/// Finds what numbers of a topic's points mean, by some of its clouds. @param step_s  from
-/// cloud to cloud
+/// Determines the units of a topic's point values from some of its clouds.
+/// @param step_s  time between clouds
 LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
 /// Returns world_from_lidar at a time of the log.

@@ -81,7 +81,8 @@ private:
     struct Link {
         std::vector<PoseSample> samples;
         bool is_static = false;  ///< from /tf_static
-        bool changes = false;    ///< false for static transforms, which are often repeated on /tf
+        /// true if the samples differ; static transforms are often repeated on /tf
+        bool changes = false;
     };
     std::map<std::string, std::map<std::string, Link>> parents_;  ///< by frame, then by parent
 

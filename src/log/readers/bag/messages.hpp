@@ -81,8 +81,9 @@ Cloud read_point_cloud(MessageReader& reader);
 /// Reads a cloud.
 /// @throws DataError with the invalid field
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
-/// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they
-/// stand. @param message  that the cloud was read from
+/// Returns the points of a cloud with relidar's field names (point_table.hpp) and
+/// unchanged values.
+/// @param message  message from which the cloud was read
 folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message);
 
 /// Reads the transforms of tf2_msgs/TFMessage or tf/tfMessage, or the single pose of

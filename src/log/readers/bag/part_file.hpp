@@ -50,11 +50,11 @@ private:
     mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
-/// A chunk as its file compressed it: "", "none", "lz4", "zstd" or "bz2". A chunk that is
-/// not compressed is not copied.
-/// @param n  its size unpacked, as the file has it; refused before anything is allocated
-/// where it cannot be
-/// @throws DataError
+/// Unpacks a chunk with the compression of its file: "", "none", "lz4", "zstd" or "bz2".
+/// Does not copy an uncompressed chunk.
+/// @param n  unpacked size from the file; an impossible size is rejected before memory is
+/// allocated
+/// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n);
 
 }  // namespace relidar::bag
