@@ -6,8 +6,8 @@
 //     status u32 (all bits set: it was measured).
 //   Others: a packet has a header and a footer of 32 bytes. A column is [timestamp u64 ns,
 //     number u16, status u8 (bit 0: it was measured), 1 byte], then its pixels.
-// A range is the length of the beam's path from the axis. A beam leaves the sensor's axis
-// region at the distance n, given by lidar_origin_to_beam_origin_mm.
+// A range in a packet is measured from the axis along the beam's path. The decoder
+// subtracts lidar_origin_to_beam_origin_mm, so that ranges begin at the beam's origin.
 #include <array>
 #include <cmath>
 
