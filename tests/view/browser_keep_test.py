@@ -1,32 +1,33 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Driving and placing in the page of `relidar view`, and what it keeps: its state through a reload and a restart of the program.
+"""Tests driving and placing actors in the page of `relidar view`. The page must keep its state when it is
+reloaded and when the program restarts.
 
     browser_keep_test.py RELIDAR WORK_FOLDER
 
-Exits 77 (skipped) where chromium, its driver or python3-selenium is missing."""
+Exits with 77 (skipped) if chromium, its driver or python3-selenium is missing."""
 import pathlib
 import re
 import subprocess
 import sys
 from urllib.parse import unquote
 
-from browser_page import Page, Viewer, need, train_street   # before selenium: says what is missing
+from browser_page import Page, Viewer, need, train_street   # before selenium: reports missing programs
 from selenium.webdriver.common.action_chains import ActionChains
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
 SPEED_MPS = 5.0
 FASTER = 4.0
-# Times of the first press of W and of its release, as the page is told them.
+# Records the times of the first press of W and of its release, from the page's events.
 WATCH_W = """
 window.wTimes = [];
 for (const kind of ['keydown', 'keyup'])
   document.addEventListener(kind, (event) => { if (event.key.toLowerCase() === 'w' && !event.repeat) window.wTimes.push(event.timeStamp); });"""
-# Calls back after two pictures of the screen.
+# Calls back after two animation frames.
 TWO_PICTURES = "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()));"
 WARNS = "return !window.dispatchEvent(new Event('beforeunload', {cancelable: true}));"
-CAR_HEIGHT_M = 0.825   # of the middle of a street's car, above its flat ground
+CAR_HEIGHT_M = 0.825   # height of a car's centre above the flat ground of the street
 
 
 def place(page):
@@ -112,7 +113,7 @@ def rows(page):
 
 
 def click_on_view(page, right, down):
-    """Of the view's middle, pixels."""
+    """Clicks at an offset in pixels from the centre of the view."""
     view = page.find("#view")
     page.driver.execute_script("arguments[0].scrollIntoView({block: 'center'})", view)
     ActionChains(page.driver).move_to_element_with_offset(view, right, down).click().perform()
@@ -128,7 +129,7 @@ def start_of(relidar, run, track):
 def places_actors_on_the_ground(page, relidar, work):
     page.click(".actor[data-track='0'] button:nth-of-type(4)")
     assert "placing" in page.find("#view").get_attribute("class")
-    click_on_view(page, 0, -240)   # above the horizon
+    click_on_view(page, 0, -240)   # a point above the horizon
     page.wait("a click into the sky refused", lambda: "sky" in page.find("#save-hint").text or "no surface" in page.find("#save-hint").text)
     click_on_view(page, 60, 60)
     page.wait("a copy where the click was", lambda: rows(page) == ["0", "1", "0-copy-1"])
@@ -182,7 +183,7 @@ def goes_on_after_a_restart(page, relidar, work, viewer):
     page.click("#show-boxes")
     viewer.end()
     page.wait("the page to say that the program has ended", lambda: "Trying again" in page.find("#message").text)
-    page.type("#place-y", "-2.5")   # nobody renders it now
+    page.type("#place-y", "-2.5")   # no program renders it now
     viewer = Viewer(relidar, work, "run", "--insert", "run", "--port", port)
     try:
         page.wait("the page to go on", lambda: page.find("#message").text == "")
@@ -237,7 +238,7 @@ def main():
         drives_while_keys_are_down(page)
         places_actors_on_the_ground(page, relidar, work)
         survives_a_reload(page)
-        assert page.errors() == [], page.errors()   # from here on a program that is not there is one
+        assert page.errors() == [], page.errors()   # from here on, a stopped program causes errors
         goes_on_after_a_restart(page, relidar, work, viewer)
     finally:
         viewer.kill()

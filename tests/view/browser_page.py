@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the tests of the page share: a run of a small street, the program that serves it, and headless Chromium looking at it.
+"""Helpers for tests of the viewer's page: a run of a small street, the program that serves it, and
+headless Chromium that displays it.
 
-Ends the test as skipped (77) where chromium, its driver or python3-selenium is missing."""
+Exits with 77 (skipped) if chromium, its driver or python3-selenium is missing."""
 import shutil
 import signal
 import subprocess
@@ -76,7 +77,7 @@ class Page:
 
 
 def train_street(relidar, work):
-    """A run in work/run, barely trained."""
+    """Trains a run in work/run for a few iterations."""
     shutil.rmtree(work, ignore_errors=True)
     (work / "street").mkdir(parents=True)
     (work / "street/street.toml").write_text(STREET)
@@ -84,7 +85,7 @@ def train_street(relidar, work):
 
 
 class Viewer:
-    """`relidar view`, started with some arguments."""
+    """A process of `relidar view` with the given arguments."""
 
     def __init__(self, relidar, work, *arguments):
         command = [relidar, "view", *arguments, "--save-to", "saved", "--quiet"]
@@ -93,7 +94,7 @@ class Viewer:
 
     def end(self):
         self.process.send_signal(signal.SIGINT)
-        assert self.process.wait(timeout=PATIENCE_S) == 0, self.process.returncode   # a busy tab may take all of the viewer's goodbye
+        assert self.process.wait(timeout=PATIENCE_S) == 0, self.process.returncode   # a busy tab may delay the end of the viewer
 
     def kill(self):
         self.process.kill()

@@ -1,21 +1,22 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""The page of `relidar view` in headless Chromium, as a user has it: points, another place, another sensor, traffic, the log.
+"""Tests the page of `relidar view` in headless Chromium: points, sensor pose, sensor model, traffic, and
+the log.
 
     browser_test.py RELIDAR WORK_FOLDER
 
-Exits 77 (skipped) where chromium, its driver or python3-selenium is missing."""
+Exits with 77 (skipped) if chromium, its driver or python3-selenium is missing."""
 import os
 import pathlib
 import subprocess
 import sys
 
-from browser_page import Page, Viewer, need, train_street   # before selenium: says what is missing
+from browser_page import Page, Viewer, need, train_street   # before selenium: reports missing programs
 from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
-# Pixels of a picture (PNG, base64) that have a colour, neither white, black nor gray: points and boxes.
+# Counts the pixels of a picture (PNG, base64) that are not white, black or gray: points and boxes.
 COLOURED = """
 const done = arguments[arguments.length - 1], image = new Image();
 image.onload = () => {
@@ -28,7 +29,7 @@ image.onload = () => {
   done(n);
 };
 image.src = 'data:image/png;base64,' + arguments[0];"""
-# The longest time between two pictures of the screen, ms, while two seconds pass.
+# Measures the longest time between two animation frames in ms, during two seconds.
 LONGEST_PAUSE = """
 const done = arguments[0], end = performance.now() + 2000;
 let last = performance.now(), longest = 0;
@@ -36,9 +37,9 @@ let last = performance.now(), longest = 0;
   longest = Math.max(longest, now - last); last = now;
   if (now < end) requestAnimationFrame(tick); else done(longest);
 })(last);"""
-FIRST_BLUE = 0xFF000000 | 235 << 16 | 111 << 8 | 31      # the first actor's colour, as bytes of RGBA
+FIRST_BLUE = 0xFF000000 | 235 << 16 | 111 << 8 | 31      # colour of the first actor, as RGBA bytes
 SECOND_ORANGE = 0xFF000000 | 15 << 16 | 88 << 8 | 217
-COPY_GREEN = 0xFF000000 | 107 << 16 | 150 << 8 | 18    # the third's: the copy of a street with two
+COPY_GREEN = 0xFF000000 | 107 << 16 | 150 << 8 | 18    # colour of the third actor: a copy in a street with two actors
 
 
 def coloured_pixels(page, canvas):
@@ -83,7 +84,7 @@ def changes_sensor(page, work):
 
 
 def shows_channels(page):
-    """A number in colours between its ends, a vector as RGB."""
+    """Checks that a number is coloured between the ends of its range, and a vector as RGB."""
     Select(page.find("#colouring")).select_by_value("channel:incidence")
     page.wait("incidence in the legend", lambda: page.find("#legend-name").text == "incidence" and page.find("#legend-high").text == "1")
     of_incidence = page.strip()
@@ -97,7 +98,7 @@ def shows_channels(page):
 
 
 def shows_weather(page):
-    """Points of fog have the second colour of whole numbers, those of surfaces the first."""
+    """Checks that points of fog have the second colour of integers, and points of surfaces the first."""
     Select(page.find("#colouring")).select_by_value("channel:source")
     page.wait("no channel in clear air", lambda: page.strip().count(FIRST_BLUE) == 0)
     page.type("#weather", "fog=20\n")

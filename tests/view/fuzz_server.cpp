@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sends requests and WebSocket frames, changed at random, to the viewer's server, and
-// asks now and then whether it still lives.
+// Sends randomly modified requests and WebSocket frames to the viewer's server, and
+// regularly checks that the server still answers.
 //   view_fuzz [REQUESTS [SEED]]
 #include <cstdio>
 #include <cstdlib>
@@ -18,10 +18,10 @@ using namespace relidar;
 
 const std::vector<view::Asset> kAssets = {{"/", "text/html", "page"},
                                           {"/main.js", "text/javascript", "let a;"}};
-constexpr int kTogether = 8;         // requests on one connection
-constexpr int kBetweenChecks = 500;  // requests
+constexpr int kTogether = 8;         // requests per connection
+constexpr int kBetweenChecks = 500;  // requests between checks
 
-/// What changes a text here and there.
+/// Changes random characters of a text.
 class Changer {
 public:
     explicit Changer(unsigned seed) : random_(seed) {}
@@ -93,8 +93,7 @@ bool lives(int port) {
                test::ask(port, "GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")) == 200;
 }
 
-/// A connection that sends a few things one after the other and does not wait for what
-/// they do.
+/// Opens a connection that sends several requests or frames without waiting for answers.
 void bother(int port, Changer& change) {
     test::RawClient client(port);
     const bool as_socket = change.below(3) == 0;
@@ -103,7 +102,7 @@ void bother(int port, Changer& change) {
             "GET /live HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: "
             "Upgrade\r\nSec-WebSocket-Key: "
             "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n");
-    // the handshake is answered before frames may come
+    // Frames are allowed only after the answer to the handshake.
     if (as_socket) client.receive(100, std::chrono::milliseconds(200));
     for (int i = 0; i < kTogether; ++i)
         if (!client.send(as_socket ? change.frame() : change.request())) break;

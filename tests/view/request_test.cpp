@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the page may ask for, and what is refused however it is written.
+// Checks the requests that the viewer's page may send, and the errors for invalid
+// requests.
 #include "../../tools/view/request.hpp"
 
 #include <gmock/gmock.h>
@@ -24,7 +25,7 @@ std::string scan(const std::string& place, const std::string& edits = kNoEdits,
            R"(", "simulate": true, "real": false, "edits": )" + edits + "}";
 }
 
-/// The message of the refusal; empty where there is none.
+/// Returns the error message of a request, or an empty string if it is valid.
 std::string refusal(const std::string& message) {
     try {
         (void)parse_request(message);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Live scans: the same points as the library's own renderer gives, edits included, and a
-// frame that reads back as what was put in.
+// Compares live scans with the library's renderer, including edits, and checks that a
+// frame message can be decoded to the original data.
 #include "../../tools/view/scanner.hpp"
 
 #include <cstring>
@@ -21,7 +21,7 @@ namespace {
 
 using Json = nlohmann::json;
 
-/// A street with two moving cars, as initialised: nothing needs to be learnt here.
+/// Makes an untrained run of a street with two moving cars.
 Run small_run() {
     Run run;
     run.folder = "nowhere";
@@ -38,11 +38,11 @@ Run small_run() {
     options.actor_min_points = 10;
     run.scene = initialise_scene(run.sequence, run.split.train, options);
     run.coverage = find_coverage(run.sequence, run.sequence.world_from_vehicle, run.split.train, 80.0);
-    for (Frame& frame : run.sequence.frames) frame.scan = {};  // as a run that was loaded
+    for (Frame& frame : run.sequence.frames) frame.scan = {};  // as in a loaded run
     return run;
 }
 
-/// A frame message, read as page/frame.js does.
+/// Decodes a frame message like page/frame.js.
 struct Read {
     Json header;
     std::string arrays;
@@ -69,7 +69,7 @@ struct Read {
     }
 };
 
-/// A scan has the ranges and points of a message.
+/// Checks that a scan has the ranges and points of a message.
 void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
     const std::vector<float> range_m = point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);
@@ -95,7 +95,7 @@ protected:
     }
     Scanner& scanner() { return *made_; }
     const relidar::Run& run() const { return made_->run(); }
-    /// What `relidar render` makes of a run.
+    /// Renders a scan like `relidar render`.
     RenderedScan rendered(const relidar::Run& of, double time_s, const Pose& offset,
                           const Weather& weather = {}) {
         ScanRenderer renderer(device(), of);
@@ -117,8 +117,8 @@ TEST_F(LiveScan, IsWhatTheRendererGives) {
     expect_same(live, rendered(run(), wish.time_s, wish.sensor_offset), run());
 }
 
-/// A network that says of every ray that it returns: the page shows those that are points
-/// of the scan.
+/// With a network that predicts a return for every ray, the page must show exactly the
+/// returns that are points of the scan.
 TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
     relidar::Run run = small_run();
     run.config.refine.enabled = true;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The viewer's server before anybody on the network: what is served, what is refused with
-// which status, and that it lives on.
+// Tests the viewer's server against arbitrary clients on the network: which files are
+// served, which requests are rejected with which status, and that the server keeps
+// running.
 #include <filesystem>
 #include <fstream>
 #include <future>
@@ -29,7 +30,7 @@ constexpr const char* kToken = "0123456789abcdef0123456789abcdef";
 const std::vector<Asset> kAssets = {{"/", "text/html", "<p>the page</p>"},
                                     {"/main.js", "text/javascript", "let a = 1;"}};
 
-/// A server that sends texts back, and what its clients did.
+/// A server that echoes texts, and a record of its clients' events.
 struct Echo {
     Server server;
 
@@ -62,7 +63,7 @@ std::string upgrade(const std::string& fields = "Host: localhost\r\n", const std
            "dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n";
 }
 
-/// A client whose WebSocket is open.
+/// A client with an open WebSocket.
 struct Socket : RawClient {
     explicit Socket(int port, const std::string& handshake = upgrade()) : RawClient(port) {
         send(handshake);
@@ -71,7 +72,8 @@ struct Socket : RawClient {
     std::string answer;
 };
 
-/// Code of the close frame that a server's bytes end with; 0 where there is none.
+/// Returns the code of the close frame at the end of a server's bytes; 0 if there is
+/// none.
 int close_code(const std::string& bytes) {
     const std::size_t at = bytes.rfind(static_cast<char>(0x88));
     if (at == std::string::npos || at + 4 > bytes.size()) return 0;
@@ -95,7 +97,7 @@ TEST(ViewServer, ServesItsAssetsByTheirExactNames) {
     EXPECT_TRUE(head.ends_with("\r\n\r\n"));
 }
 
-/// The working folder of a test that writes into it.
+/// Changes to a temporary working folder while it exists.
 class InTemporaryFolder {
 public:
     InTemporaryFolder() {
@@ -233,7 +235,7 @@ TEST(ViewServer, HangsUpOnSlowClients) {
     half.send("GET / HTTP/1.1\r\nHost: loc");
     EXPECT_EQ(status_of(half.receive()), 408);
 
-    RawClient drop_by_drop(echo.port());  // each byte is in time, the request is not
+    RawClient drop_by_drop(echo.port());  // each byte arrives in time, but the request is too slow
     const auto start = std::chrono::steady_clock::now();
     for (const char c : get("/" + std::string(400, 'x'))) {
         if (!drop_by_drop.send(std::string(1, c))) break;
@@ -242,7 +244,7 @@ TEST(ViewServer, HangsUpOnSlowClients) {
     }
     EXPECT_EQ(status_of(drop_by_drop.receive()), 408);
     RawClient silent(echo.port());
-    EXPECT_EQ(silent.receive(), "");  // closed without a word
+    EXPECT_EQ(silent.receive(), "");  // closed without an answer
     EXPECT_LT(std::chrono::steady_clock::now() - start, std::chrono::seconds(10));
     EXPECT_TRUE(echo.lives());
 }
@@ -259,7 +261,8 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
     }
     int status = 503;
     for (int i = 0; i < 50 && status == 503; ++i) {
-        std::this_thread::sleep_for(milliseconds(20));  // until the server has seen them go
+        // until the server has noticed that they disconnected
+        std::this_thread::sleep_for(milliseconds(20));
         status = status_of(ask(echo.port(), get("/")));
     }
     EXPECT_EQ(status, 200);
@@ -268,7 +271,7 @@ TEST(ViewServer, TurnsAwayMoreThanItHasRoomFor) {
 TEST(ViewServer, AnswersWhileManyConnectionsAreSilent) {
     const ServerOptions options;
     const Echo echo(options);
-    Socket page(echo.port());  // is open before
+    Socket page(echo.port());  // was connected before
     std::vector<std::unique_ptr<RawClient>> silent;
     for (std::size_t i = 0; i < 3 * options.max_connections; ++i)
         silent.push_back(std::make_unique<RawClient>(echo.port()));
@@ -287,7 +290,8 @@ TEST(ViewServer, AnswersTexts) {
     const Echo echo;
     Socket socket(echo.port());
     ASSERT_EQ(status_of(socket.answer), 101);
-    EXPECT_THAT(socket.answer, HasSubstr("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="));  // of the example in RFC 6455
+    // from the example in RFC 6455
+    EXPECT_THAT(socket.answer, HasSubstr("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="));
     socket.send(text_frame("one"));
     EXPECT_EQ(socket.receive(10), std::string("\x81\x08") + "echo one");
     socket.send(frame(0x01, "t", true, 1) + frame(0x80, "wo", true, 2));  // in two fragments
@@ -332,11 +336,12 @@ TEST(ViewServer, SendsTheNewestToWhoReadsSlowly) {
     Socket socket(echo.port());
     socket.send(text_frame("hello"));
     socket.receive(12);
-    constexpr std::size_t kSize = std::size_t(1) << 22;  // more than the system's buffers hold
+    constexpr std::size_t kSize = std::size_t(1) << 22;  // larger than the buffers of the system
     for (char c = 'a'; c <= 'z'; ++c) echo.server.send_newest(echo.last, std::string(kSize, c));
-    EXPECT_TRUE(echo.lives());  // an answer of the same thread: it has taken all that was sent before
+    // answered by the same thread, so the server has processed all earlier messages
+    EXPECT_TRUE(echo.lives());
     const std::string all = socket.receive(SIZE_MAX, milliseconds(500));
-    EXPECT_EQ(all.size(), 2 * (kSize + 10));  // the one that was on its way, and the last
+    EXPECT_EQ(all.size(), 2 * (kSize + 10));  // the message being sent, and the last message
     EXPECT_EQ(all.back(), 'z');
 }
 
@@ -346,7 +351,7 @@ TEST(ViewServer, GivesUpOnWhoNeverReads) {
     socket.send(text_frame("hello"));
     socket.receive(12);
     for (int i = 0; i < 200; ++i) echo.server.send_text(echo.last, std::string(1 << 20, 'x'));
-    EXPECT_TRUE(echo.lives());  // it has taken all of them
+    EXPECT_TRUE(echo.lives());  // the server has processed all messages
     EXPECT_LT(socket.receive(SIZE_MAX, milliseconds(500)).size(), std::size_t(100) << 20);
     EXPECT_TRUE(echo.lives());
 }
@@ -372,18 +377,18 @@ TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
     Socket socket(port), other(port);
     socket.send(text_frame("hello"));
     ASSERT_THAT(socket.receive(12), HasSubstr("echo hello"));
-    const std::string large(std::size_t(8) << 20, 'x');  // more than the system takes at once
+    const std::string large(std::size_t(8) << 20, 'x');  // larger than a single write of the system
     echo.server.send_newest(echo.last, large);
     auto closed = std::async(std::launch::async, [&] { echo.server.close(std::chrono::seconds(20)); });
     const std::string received = socket.receive();
-    // a frame and a close frame
+    // a message and a close frame
     EXPECT_EQ(received.size(), 10 + large.size() + 2 + 2 + std::string("the program ends").size());
     EXPECT_EQ(close_code(received), 1001);
     EXPECT_EQ(close_code(other.receive()), 1001);
     socket.abort();
     other.abort();
     EXPECT_EQ(closed.wait_for(std::chrono::seconds(10)), std::future_status::ready);
-    EXPECT_THROW(RawClient{port}, std::exception);  // nobody is let in any more
+    EXPECT_THROW(RawClient{port}, std::exception);  // the server accepts no more connections
 }
 
 TEST(ViewServer, EndsAtOnceWhateverIsOpen) {

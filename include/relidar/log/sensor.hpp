@@ -302,8 +302,8 @@ struct ScanningWindow {
 /// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
-/// What makes the rays of a sensor: one of the kinds of the table in
-/// src/log/sensor/pattern_kinds.cpp.
+/// What makes the rays of a sensor. relidar has a table of these kinds, which
+/// docs/architecture.md explains.
 using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
 
 /// Rays of the scan at a time. @throws UsageError as make_rays() of the kind it holds

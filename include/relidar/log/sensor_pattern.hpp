@@ -12,7 +12,7 @@ namespace relidar {
 
 class JsonField;
 
-/// Reads a sensor: {"<kind>": {...}} with a kind of src/log/sensor/pattern_kinds.cpp. All
+/// Reads a sensor: {"<kind>": {...}} with a kind of describe_pattern_kinds(). All
 /// files that hold sensors use this object. The maximum range is infinite where the file
 /// gives none.
 /// @param name  of the sensor if the file gives none

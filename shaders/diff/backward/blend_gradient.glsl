@@ -17,6 +17,16 @@ struct BlendState {
     float lost;       // rounding error of `remaining`
 };
 
+/// Whether any blended value has a gradient.
+bool has_gradient(RayGradient g) {
+    bool any_gradient = false;
+#define RELIDAR_HAS(name, built, value, input, slope, meaning) \
+    any_gradient = any_gradient || (built && g.name != 0.0);
+    RELIDAR_BLENDED_VALUES(RELIDAR_HAS)
+#undef RELIDAR_HAS
+    return any_gradient;
+}
+
 /// Returns g . c of a hit, the derivative of the loss with respect to the hit's weight.
 float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
     vec3 channels = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);

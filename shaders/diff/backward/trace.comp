@@ -173,16 +173,6 @@ void empty_slots(uint ray_index, uint first, uint n) {
         params.rows.at[k] = RELIDAR_NO_ROW(params.n_rows);
 }
 
-/// Returns true if any blended value has a gradient.
-bool has_gradient(RayGradient g) {
-    bool any_gradient = false;
-#define RELIDAR_HAS(name, built, value, input, slope, meaning) \
-    any_gradient = any_gradient || (built && g.name != 0.0);
-    RELIDAR_BLENDED_VALUES(RELIDAR_HAS)
-#undef RELIDAR_HAS
-    return any_gradient;
-}
-
 void main() {
     uint i = traced_ray(params.scene);
     bool inside = i < params.scene.n_rays;

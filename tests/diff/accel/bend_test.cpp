@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that walk (diff/accel/proxies, diff/accel/bvh_refit): the trees of models that
-// bend follow their surfels, others are left alone.
+// Checks walking actors (diff/accel/proxies, diff/accel/bvh_refit): the trees of models
+// with a gait follow their surfels, and other trees do not change.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -21,8 +21,8 @@ class Bend : public test::DeviceTest {
 protected:
     static constexpr std::uint32_t kFirstWalker = 1200, kSurfels = 2000;
 
-    /// Actors on a background, the second and the last two of which walk; one has no
-    /// surfel.
+    /// Makes actors on a background. The second and the last two actors walk; one actor
+    /// has no surfels.
     static Scene some_walkers(Primitive primitive) {
         test::TraversalCase random_case = test::random_case(3, kSurfels, 0);
         if (primitive == Primitive::gaussian) random_case = test::as_gaussians(random_case, 4);
@@ -76,7 +76,8 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     };
     Placed some(device(), scene), all(device(), scene);
     const BvhOnHost before = some.bvh.download();
-    // a launch leaves nothing behind that would stop the next one
+    // Several launches in a row, because no launch may leave data that disturb the next
+    // one.
     for (const double turns : {0.3, 0.7, 0.0, 0.45}) {
         const BvhOnHost a = some.at(turns, walkers), b = all.at(turns, {{0, kSurfels}});
         ASSERT_EQ(a.nodes.size(), b.nodes.size());
@@ -91,7 +92,7 @@ TEST_F(Bend, FitsTheTreesOfThoseThatWalkAndNoOthers) {
     for (glm::vec3& mean : elsewhere.mean) mean += glm::vec3(50.0f, 0.0f, 0.0f);
     some.scene.parameters().upload(elsewhere);
     const BvhOnHost after = some.at(0.0, walkers);
-    for (std::uint32_t i = 0; i < kSurfels; ++i) {  // where nothing was asked for nothing was done
+    for (std::uint32_t i = 0; i < kSurfels; ++i) {  // surfels outside the requested range must not change
         if (test::surfel_box(before, i).empty()) continue;
         EXPECT_EQ(after.boxes[6 * i] == before.boxes[6 * i], i < kFirstWalker) << "surfel " << i;
     }

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The trees over the surfels (diff/accel/bvh_bounds, bvh_keys, bvh_cluster,
+// Checks the trees over the surfels (diff/accel/bvh_bounds, bvh_keys, bvh_cluster,
 // bvh_wide_mark, bvh_wide_count, bvh_wide_scan, bvh_wide_place, bvh_wide_emit, bvh_refit,
-// bvh_cost): what must hold of every tree, read back after builds and refits of scenes of
-// every kind, and the surfels that rays reach through it against all surfels one by one.
+// bvh_cost). Reads back trees of various scenes after builds and refits and checks the
+// properties that every tree must have. Compares the surfels that rays reach in the tree
+// with a test of all surfels.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -21,7 +22,7 @@ namespace {
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr float kInf = std::numeric_limits<float>::infinity();
 
-/// Surfels of 2 cm to 1 m in a box of 40 x 20 x 5 m.
+/// Returns surfels of 2 cm to 1 m in a box of 40 x 20 x 5 m.
 Surfels random_surfels(std::uint32_t n, std::uint32_t seed = 1) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
@@ -38,7 +39,7 @@ Surfels random_surfels(std::uint32_t n, std::uint32_t seed = 1) {
     return s;
 }
 
-/// Models of these sizes, in order, one instance each.
+/// Makes models of the given sizes in order, one instance each.
 Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) {
     Scene scene = make_background_scene(surfels);
     scene.models.clear();
@@ -54,7 +55,7 @@ Scene scene_of(const Surfels& surfels, const std::vector<std::uint32_t>& sizes) 
 
 class BvhBuild : public test::DeviceTest {
 protected:
-    /// A scene on the device with its structure, built.
+    /// A scene on the device with its acceleration structure.
     struct Built {
         DeviceScene scene;
         Bvh bvh;
@@ -87,7 +88,7 @@ protected:
             n += model.count;
             if (model.count == 0) {
                 EXPECT_EQ(host.roots[m], RELIDAR_BVH_NO_NODE) << what;
-                ++seen[m];  // a root nobody reaches
+                ++seen[m];  // an empty model does not use its root node
                 continue;
             }
             EXPECT_EQ(test::fault_of_tree(host, host.roots[m], model, seen), "") << what << ", model " << m;
@@ -168,7 +169,8 @@ TEST_F(BvhBuild, ManyModelsOfVeryDifferentSizes) {
         Built built(device(), scene_of(random_surfels(n), some));
         expect_sound(built.build(), built.scene.layout(), std::to_string(some.size()) + " models");
     }
-    EXPECT_THROW(Built(device(), scene_of(random_surfels(10), {4, 5})), DataError);  // a surfel of no model
+    // a surfel belongs to no model
+    EXPECT_THROW(Built(device(), scene_of(random_surfels(10), {4, 5})), DataError);
 }
 
 TEST_F(BvhBuild, RefitFollowsTheSurfels) {
@@ -207,8 +209,8 @@ TEST_F(BvhBuild, BuildsAreEqualBitForBit) {
     }
 }
 
-/// Box of a surfel in double: half size along x is k |(s_u a_u.x, s_v a_v.x)|, where
-/// sigma exp(-k^2 / 2) = 1 / 255.
+/// Computes the box of a surfel in double. The half size along x is k |(s_u a_u.x, s_v
+/// a_v.x)|, where sigma exp(-k^2 / 2) = 1 / 255.
 test::HostBox expected_box(const Surfels& s, std::size_t i) {
     const double sigma = 1.0 / (1.0 + std::exp(-double(s.opacity_logit[i]))),
                  k = std::sqrt(2.0 * std::log(255.0 * sigma));
@@ -259,7 +261,7 @@ TEST_F(BvhBuild, RaysReachEverySurfelTheyMeet) {
         n_hits += expected.size();
     }
     EXPECT_GT(n_hits, 1'000u);
-    EXPECT_LT(n_visits, 500u * host.nodes.size() / 4);  // a tree that culls
+    EXPECT_LT(n_visits, 500u * host.nodes.size() / 4);  // the tree must cull most nodes
 }
 
 }  // namespace

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree over the instances (diff/accel/bvh_top): every instance that is there in one
-// leaf, none that is absent, world boxes hold what stands in them, after placing, moving
-// and taking away; and rays through both levels against all instances and surfels.
+// Checks the tree over the instances (diff/accel/bvh_top) after instances were placed,
+// moved and removed. Every present instance must be in exactly one leaf, absent instances
+// in none, and world boxes must contain their instances. Compares rays through both
+// levels with a test of all instances and surfels.
 #include <algorithm>
 #include <cstring>
 #include <random>
@@ -39,7 +40,7 @@ std::vector<InstancePose> random_poses(std::size_t n, std::mt19937& random, doub
     return poses;
 }
 
-/// Instances of five models, one of them empty.
+/// Makes instances of five models, one of them empty.
 Scene scene_of_instances(std::uint32_t n_instances, std::mt19937& random) {
     Scene scene = make_background_scene(some_surfels(500, random));
     scene.models = {{"a", 0, 200}, {"b", 200, 0}, {"c", 200, 1}, {"d", 201, 99}, {"e", 300, 200}};
@@ -76,7 +77,7 @@ protected:
         }
     };
 
-    /// Real box of all below a node, with every instance counted.
+    /// Computes the exact box of everything below a node and counts every instance.
     static void check_node(const Built& built, const BvhOnHost& host, std::uint32_t index,
                            std::vector<int>& seen, test::HostBox& real) {
         ASSERT_LT(index, host.top_nodes.size());
@@ -97,8 +98,8 @@ protected:
         }
     }
 
-    /// Around the corners of the model's surfel boxes where the instance stands, in
-    /// double.
+    /// Computes in double the box around the corners of the model's surfel boxes at the
+    /// pose of the instance.
     static test::HostBox world_box(const Built& built, const BvhOnHost& host, std::uint32_t instance) {
         const Scene& layout = built.scene.layout();
         const Model& model = layout.models[layout.instances[instance].model];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The software acceleration structure on the host: decoded boxes, what holds for every
-// tree, and walks along rays.
+// Reads the software acceleration structure on the host: decodes boxes, checks properties
+// that every tree must have, and walks along rays.
 #pragma once
 
 #include <array>
@@ -29,21 +29,22 @@ struct HostBox {
     }
 };
 
-/// Child box of a node as a traversal decodes it, in float arithmetic.
+/// Decodes the child box of a node like the traversal, in float arithmetic.
 HostBox decoded_box(const shared::BvhNode& node, int slot);
 HostBox surfel_box(const BvhOnHost& bvh, std::size_t surfel);
 
 struct Slot {
     bool inner = false;
-    std::uint32_t child = 0;  ///< of an inner slot
-    /// entries of `order` of a leaf slot; count 0 and not inner: empty
+    std::uint32_t child = 0;  ///< child node of an inner slot
+    /// Range of `order` in a leaf slot; count 0 and not inner: empty slot.
     std::uint32_t first = 0, count = 0;
 };
 std::array<Slot, RELIDAR_BVH_WIDTH> slots_of(const shared::BvhNode& node);
 
-/// What is wrong with the tree of a model, or nothing: every surfel in one leaf, every
-/// box in the one above, all indices within their arrays, no node seen twice. @param seen
-/// [nodes] counts visits, over all models
+/// Returns the first error in the tree of a model, or an empty string. Every surfel must
+/// be in one leaf, every box in its parent's box, all indices within their arrays, and
+/// every node must be reached once.
+/// @param seen [nodes] counts visits, over all models
 std::string fault_of_tree(const BvhOnHost& bvh, std::uint32_t root, const Model& model,
                           std::vector<int>& seen);
 
@@ -51,11 +52,12 @@ struct HostRay {
     glm::dvec3 origin, direction;
 };
 
-/// Whether a ray meets a box ahead of its origin.
+/// Returns true if a ray hits a box in front of its origin.
 bool meets(const HostRay& ray, const HostBox& box);
 
-/// Walks nodes from `root` into every decoded box the ray meets. @param leaf is given
-/// each entry of `order` reached @return nodes visited
+/// Walks from `root` through every node whose decoded box the ray hits.
+/// @param leaf called with each entry of `order` that is reached
+/// @return number of visited nodes
 std::size_t walk(const std::vector<shared::BvhNode>& nodes, std::uint32_t root, const HostRay& ray,
                  const std::function<void(std::uint32_t)>& leaf);
 

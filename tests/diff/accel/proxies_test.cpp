@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/accel/proxies and the acceleration structure (M3, Fig. 3): proxies hold all of
-// sigma G >= alpha_min (rays at the rim are found), a refit follows moved surfels, moving
-// an instance builds no bottom level.
+// Checks diff/accel/proxies and the acceleration structure (M3, Fig. 3). Proxies must
+// contain all points with sigma G >= alpha_min, so that rays at the rim hit. A refit must
+// follow moved surfels. Moving an instance must not build a bottom level.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -18,7 +18,7 @@ namespace {
 
 class Proxies : public test::DeviceTest {};
 
-/// One surfel facing the sensor at x = 10, 0.5 m by 0.25 m.
+/// Returns a surfel at x = 10 that faces the sensor, 0.5 m by 0.25 m.
 Surfels one_surfel(float opacity) {
     Surfels s;
     s.resize(1);
@@ -30,7 +30,7 @@ Surfels one_surfel(float opacity) {
     return s;
 }
 
-/// The same outline along x by the second and third scale of a 3D Gaussian, 2 m long
+/// Returns a 3D Gaussian with the same outline along x (second and third scale), 2 m long
 /// along the rays.
 Surfels one_gaussian(float opacity) {
     Surfels s = one_surfel(opacity);
@@ -41,8 +41,8 @@ Surfels one_gaussian(float opacity) {
     return s;
 }
 
-/// Parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma G =
-/// alpha_min, times `factor`.
+/// Returns parallel rays along x at k (cos, sin) times the half axes of the ellipse sigma
+/// G = alpha_min, times `factor`.
 WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0) {
     const double k = std::sqrt(2.0 * std::log(opacity / alpha_min)) * factor;
     WorldRays rays;
@@ -55,14 +55,14 @@ WorldRays rim_rays(float opacity, double factor, double alpha_min = 1.0 / 255.0)
     return rays;
 }
 
-/// diff/accel/model_radii: the rim of every ellipse lies within its model's radius, and
-/// not far within.
+/// diff/accel/model_radii: the rim of every ellipse must be within the radius of its
+/// model, and the radius must not be much larger.
 TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
-    constexpr std::uint32_t kFirst = 150, kAll = 230;  // more than a thread goes over
+    constexpr std::uint32_t kFirst = 150, kAll = 230;  // more surfels than one thread processes
     constexpr double kAlphaMin = 1.0 / 255.0;
     Surfels surfels = make_benchmark_street(kAll);
     for (std::uint32_t i = 0; i < kAll; i += 3) surfels.opacity_logit[i] = 2.0f;
-    surfels.opacity_logit[7] = -20.0f, surfels.mean[7] = {1e4f, 0.0f, 0.0f};  // never hit
+    surfels.opacity_logit[7] = -20.0f, surfels.mean[7] = {1e4f, 0.0f, 0.0f};  // too transparent to be hit
     Scene scene = make_background_scene(surfels);
     scene.models = {{"background", 0, kFirst}, {"actor", kFirst, kAll - kFirst}};
     DeviceScene on_device(device(), scene);
@@ -82,7 +82,7 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
          .first_surfel = 0,
          .n_surfels = kAll});
     stream.finish();
-    const std::vector<std::uint32_t> found = radii.download();
+    const std::vector<std::uint32_t> actual = radii.download();
     for (const std::uint32_t m : {0u, 1u}) {
         double expected = 0.0;
         for (std::uint32_t i = scene.models[m].first; i < scene.models[m].first + scene.models[m].count;
@@ -93,7 +93,7 @@ TEST_F(Proxies, ModelRadiiHoldEverythingThatCanBeSeen) {
             expected = std::max(expected, double(glm::length(surfels.mean[i])) +
                                               std::sqrt(2.0 * std::log(opacity / kAlphaMin)) * largest);
         }
-        EXPECT_NEAR(double(std::bit_cast<float>(found[m])), expected, 1e-5 * expected) << "model " << m;
+        EXPECT_NEAR(double(std::bit_cast<float>(actual[m])), expected, 1e-5 * expected) << "model " << m;
     }
 }
 
@@ -108,7 +108,7 @@ TEST_F(Proxies, HoldEverythingThatCanBeSeen) {
             for (const std::uint32_t n : renderer.forward(rim_rays(opacity, 1.001)).hits)
                 EXPECT_EQ(n, 0u) << "opacity " << opacity;
         }
-    // sigma under the cut has no proxy
+    // A surfel with an opacity below the cut has no proxy.
     Renderer renderer(device(), make_background_scene(one_surfel(1.0f / 256.0f)), {});
     renderer.place(glm::vec3(0.0f));
     for (const std::uint32_t n : renderer.forward(rim_rays(0.5f, 0.1)).hits) EXPECT_EQ(n, 0u);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// When a structure is built anew instead of refitted: the first time, when told, after so
-// many refits, and, software tree alone, when it has outgrown its build.
+// Checks when an acceleration structure is rebuilt instead of refitted: the first time,
+// on request, after a number of refits, and (software tree only) when its cost has grown
+// since the build.
 #include <relidar/diff/accel.hpp>
 #include <relidar/scene/device_scene.hpp>
 
@@ -57,7 +58,7 @@ TEST_F(Rebuild, WhenTheTreeHasOutgrownItsBuild) {
     EXPECT_EQ(refits_after(stream, scene, accel), 3)
         << "growth is measured by one check and seen by the next";
     accel.check_growth(stream);
-    // drivers do not tell a structure's cost
+    // Drivers do not report the cost of a structure.
     const bool measured = device().traversal() == Traversal::software;
     EXPECT_EQ(refits_after(stream, scene, accel), measured ? 0 : 4);
     for (const int refits : {1, 2, 3}) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (ii) of the gradient chain: diff/backward/trace and scene/activate_vjp against the
-// double reference backward (Eq. 9; M7, M8), every parameter lane of every surfel and the
-// ray, in both SH direction modes; and a few direct differences of the device itself, so
-// that the chain is tested as a whole.
+// Link (ii) of the gradient chain: compares diff/backward/trace and scene/activate_vjp
+// with the double reference backward pass (Eq. 9; M7, M8), for every parameter of every
+// surfel and the rays, in both SH direction modes. A few direct differences of the device
+// test the chain as a whole.
 #include <cmath>
 #include <span>
 
@@ -20,11 +20,11 @@ using test::Outputs;
 using test::Passes;
 using test::random_upstream;
 
-/// A way in which the gradients of hits are found and summed.
+/// A method to find hits and to sum their gradients.
 struct Way {
     const char* name;
     BackwardOptions options;
-    std::uint32_t kept = 0;  ///< hits a ray kept by the forward pass
+    std::uint32_t kept = 0;  ///< hits per ray that the forward pass keeps
     HitOrder order = HitOrder::chunks;
     int list_room = 64;
 };
@@ -40,18 +40,22 @@ constexpr Way kWays[] = {
     {"lists", {.reduction = Reduction::gather}, 64, HitOrder::lists},
     {"gather without room for all",
      {.reduction = Reduction::gather, .coalesced_atomics = true, .hits_per_ray = 2}}};
-constexpr std::size_t kFewWays = 3;  ///< the first ones: both sums, all ways of finding hits
+constexpr std::size_t kFewWays = 3;  ///< the first methods: both sums and all ways to find hits
 
 constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 
-/// How a scene is rendered, what of it has a gradient, and how well that must agree.
+/// Rendering options of a comparison, the outputs with gradients, and the tolerance.
 struct How {
     Proxy proxy = Proxy::boxes;
-    bool every_way = false;    ///< not the first kFewWays alone: for a scene of each layout of gradients
-    bool brute_force = false;  ///< the first two ways: others of finding hits change nothing there
+    /// tests all methods, not only the first kFewWays; for one scene of each gradient
+    /// layout
+    bool every_way = false;
+    /// tests the first two methods only, because other ways to find hits make no
+    /// difference
+    bool brute_force = false;
     double tolerance = test::kKernelGradient;
     Outputs outputs = Outputs::image;
-    std::optional<int> chunk = {};  ///< else that of the other tests
+    std::optional<int> chunk = {};  ///< otherwise the chunk size of the other tests
 };
 
 class DeviceGradient : public test::DeviceTest {
@@ -125,8 +129,8 @@ TEST_F(DeviceGradient, ShAlongRayWithInstances) {
 
 TEST_F(DeviceGradient, ModelsThatMoveWhileRaysAreFired) {
     const test::RandomSceneOptions options{.seed = 38, .rays = 60, .moving = true};
-    // A kernel turns the ray's origin, 8 m away, in float: that rounds it once more by
-    // 1e-6 m.
+    // A kernel rotates the ray's origin, 8 m away, in float, which adds a rounding error
+    // of 1e-6 m.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .tolerance = tolerance}, "models that move");
@@ -156,9 +160,9 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
     test::RandomSceneOptions options;
     options.seed = 34;
     options.opacity_low = 0.5, options.opacity_high = 0.98, options.wide_surfels = 2;
-    // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha; Eq. 9 divides
-    // by that, and the transmittance behind such a wall carries it on to rows that are
-    // themselves small. Single precision holds no fourth digit there.
+    // An opacity near 0.99 is rounded to 6e-8, which is 6e-6 of 1 - alpha. Eq. 9 divides
+    // by 1 - alpha, and the transmittance behind such a wall carries the error to rows
+    // that are small themselves. Single precision has no fourth digit there.
     const double tolerance = 10.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.brute_force = true, .tolerance = tolerance}, "brute force, opaque");
@@ -170,10 +174,10 @@ TEST_F(DeviceGradient, OpaqueWithClampsBruteForce) {
 TEST_F(DeviceGradient, Gaussians) {
     test::RandomSceneOptions options;
     options.primitive = Primitive::gaussian;
-    // each is met by more rays than a surfel
+    // more rays hit a 3D Gaussian than a surfel
     options.seed = 36, options.rays = 30, options.background_surfels = 24, options.actor_surfels = 8;
-    // Points 10 m away are rounded to 1e-6 m: 3e-5 standard deviations of the thinnest,
-    // 0.03 m, in every gradient of alpha.
+    // Points 10 m away are rounded to 1e-6 m. This is 3e-5 standard deviations of the
+    // thinnest Gaussian (0.03 m) in every gradient of alpha.
     const double tolerance = 3.0 * test::kKernelGradient;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
                      {.proxy = Proxy::triangles, .tolerance = tolerance},
@@ -184,8 +188,8 @@ TEST_F(DeviceGradient, Gaussians) {
                      "3D Gaussians, boxes, SH along sensor -> mean, 2 instances");
 }
 
-/// The ablation of the paper: hit logits are 0 whatever the scene holds, and nothing
-/// moves them. The first two scenes again.
+/// The ablation of the paper with a single drop logit: hit logits count as 0 and have no
+/// gradient. Uses the first two scenes again.
 TEST_F(DeviceGradient, SingleDropLogit) {
     test::RandomSceneOptions options;
     options.seed = 31;
@@ -241,8 +245,8 @@ TEST_F(DeviceGradient, Likelihood) {
                      "likelihood, 3D Gaussians");
 }
 
-/// Direct differences of the device: blunt (single precision), but nothing of the chain
-/// is shared with the reference.
+/// Central differences of the device. They are less accurate (single precision) but share
+/// nothing with the reference.
 class DeviceDifferences : public test::DeviceTest, public testing::WithParamInterface<Primitive> {};
 INSTANTIATE_TEST_SUITE_P(Primitives, DeviceDifferences,
                          testing::Values(Primitive::surfel, Primitive::gaussian));

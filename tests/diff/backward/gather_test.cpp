@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/backward/gather and diff/backward/gather_heads: surfels with thousands of hits,
-// rays without a gradient, and the promise for which they exist: every gradient the same
-// bit for bit in every run, however the hits are found and however much room there is.
-// (Their values against the double reference: device_gradient_test.cpp.)
+// Checks diff/backward/gather and diff/backward/gather_heads: surfels with thousands of
+// hits, rays without a gradient, and the guarantee that gradients are equal bit for bit
+// in every run, for all ways to find hits and all buffer sizes. device_gradient_test.cpp
+// compares the values with the double reference.
 #include <algorithm>
 #include <cmath>
 
@@ -35,7 +35,7 @@ std::vector<float> all_gradients(const Gradients& g) {
 
 class Gather : public test::DeviceTest {
 protected:
-    /// Many rays into few surfels: rows that go on over many blocks.
+    /// Makes many rays through few surfels, so that rows extend over many blocks.
     test::RandomScene crowded(const reference::Settings& settings) {
         test::RandomSceneOptions options;
         options.seed = 51, options.rays = 20, options.background_surfels = 20, options.actor_surfels = 6;
@@ -72,9 +72,9 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
     }
 }
 
-/// Where zeros of the others are not wanted, a CPU goes over the surfels that a hit has
-/// marked alone. Bits are compared, which gathered sums alone have; atomics mark the same
-/// ones.
+/// If the other rows do not need zeros, a CPU processes only the surfels that hits have
+/// marked. The test compares bits, which only gathered sums keep equal; atomics mark the
+/// same surfels.
 TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         reference::Settings settings;
@@ -95,7 +95,7 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
             EXPECT_GT(std::ranges::count(touched, 0u), 100);
             EXPECT_GT(std::ranges::count(touched, 1u), 20);
             Stream stream(device());
-            gradients.surfels.fill_zero(stream);  // what is not written stays so
+            gradients.surfels.fill_zero(stream);  // rows that are not written keep this value
             stream.finish();
             gradients.zero_untouched = false;
             passes.run();
@@ -105,8 +105,8 @@ TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     }
 }
 
-/// Against the sum of the same rays one hundred times: 100 x the gradient of twenty rays,
-/// by atomics.
+/// The same twenty rays a hundred times must give 100 x the gradient of twenty rays,
+/// which atomics sum.
 TEST_F(Gather, SumsRowsOverManyBlocks) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;
@@ -152,8 +152,8 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
     }
 }
 
-/// Slots of rays without a gradient stay empty; a batch after a larger one does not see
-/// what that left.
+/// Slots of rays without a gradient stay empty. A small batch must not read data of a
+/// previous larger batch.
 TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     reference::Settings settings;
     const test::RandomScene scene = crowded(settings);

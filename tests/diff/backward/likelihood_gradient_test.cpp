@@ -28,7 +28,7 @@ constexpr int kRows = 6, kColumns = 7;
 
 glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
     std::normal_distribution<double> normal;
-    // the normal to -x
+    // Rotates the normal to -x.
     const glm::dquat to_sensor = glm::angleAxis(-1.5707963267948966, glm::dvec3(0.0, 1.0, 0.0));
     const glm::dquat q = glm::angleAxis(tilt * normal(random),
                                         glm::normalize(glm::dvec3(0.0, normal(random), normal(random)))) *
@@ -36,8 +36,8 @@ glm::dvec4 rotation_facing(std::mt19937_64& random, double tilt) {
     return {q.w, q.x, q.y, q.z};
 }
 
-/// A wall of tilted surfels, faint ones before it, and a model of four placed before it
-/// too, seen as an image.
+/// Makes a wall of tilted surfels, faint surfels in front of it, and an instance of a
+/// model with four surfels, seen as an image.
 test::RandomScene wall(std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
@@ -70,9 +70,10 @@ test::RandomScene wall(std::uint64_t seed) {
     return scene;
 }
 
-/// A wall all of whose rays keep the margins.
+/// Returns a wall for which all rays keep the margins.
 test::RandomScene smooth_wall(const reference::Settings& settings) {
-    // one seed for 42 rays: smaller ones, still far above what differences move
+    // Smaller margins than in other tests, so that a seed for 42 rays exists. They are
+    // still far above the steps of the differences.
     const test::Margins margins{.log_alpha = 5e-3, .separation_m = 5e-4, .log_stop = 5e-3};
     for (std::uint64_t seed = 1; seed < 5000; ++seed) {
         const test::RandomScene scene = wall(seed);
@@ -86,7 +87,7 @@ test::RandomScene smooth_wall(const reference::Settings& settings) {
     throw std::runtime_error("smooth_wall: no seed keeps the margins");
 }
 
-/// The losses of a wall in double, and what they are made of.
+/// The losses of a wall in double, and the data they depend on.
 struct WallProblem {
     reference::Settings settings;
     test::RandomScene scene = smooth_wall(settings);
@@ -131,7 +132,7 @@ RendererOptions options_of(const LossWeights& w, std::uint32_t keep_hits) {
     return options;
 }
 
-/// The same on the device.
+/// The same problem on the device.
 struct DevicePasses : test::Passes {
     std::vector<std::unique_ptr<Loss>> losses;
     Array<float> loss_terms;
@@ -159,7 +160,8 @@ struct DevicePasses : test::Passes {
     }
 };
 
-/// Rows by central differences, the same names and order as in `actual_rows`.
+/// Computes the expected rows by central differences, with the names and order of
+/// `actual_rows`.
 std::vector<std::pair<std::string, std::vector<double>>> expected_rows(WallProblem& p) {
     std::vector<std::pair<std::string, std::vector<double>>> rows;
     const auto terms = [&] { return p.terms(); };
@@ -228,7 +230,7 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     const auto sign = [&] { return random() % 2 == 0 ? -1.0 : 1.0; };
     for (reference::Surfel& s : moved.scene.world.surfels) {
         const double opacity = 1.0 / (1.0 + std::exp(-s.opacity_logit));
-        // relative
+        // relative error
         const double alpha = test::sigmoid_error(opacity, s.opacity_logit) / opacity + test::exp_error(0.5);
         s.opacity_logit += sign() * alpha / (1.0 - opacity);
         for (int k = 0; k < 2; ++k) s.log_scale[k] += sign() * test::exp_error(s.log_scale[k]);
@@ -239,8 +241,8 @@ WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     return moved;
 }
 
-/// Rows of the problem, and how far each moves where the device computes other last
-/// digits, the most of some draws.
+/// Returns the rows of the problem, and for each row the largest change in several random
+/// draws of rounding errors.
 std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
     std::vector<Rows> draws(5);  // the first is the problem itself
     parallel_for(int(draws.size()), [&](int i) {
@@ -282,8 +284,8 @@ protected:
                 DevicePasses passes(device(), p, kept, {.reduction = reduction});
                 passes.run_all();
                 const std::vector<double> terms = p.terms();
-                const std::vector<float> found = passes.loss_terms.download();
-                EXPECT_NEAR(std::accumulate(found.begin(), found.end(), 0.0),
+                const std::vector<float> device_result = passes.loss_terms.download();
+                EXPECT_NEAR(std::accumulate(device_result.begin(), device_result.end(), 0.0),
                             std::accumulate(terms.begin(), terms.end(), 0.0), 1e-5);
                 const std::vector<std::vector<double>> actual = actual_rows(passes.gradients());
                 ASSERT_EQ(actual.size(), expected.size());
@@ -338,14 +340,14 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
         const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;  // of a range, by a float
         EXPECT_NEAR(passes.renderer.rendered().rendered->download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);
-        const Surfels found = passes.gradients().surfels.download();
-        EXPECT_NEAR(found.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
+        const Surfels device_result = passes.gradients().surfels.download();
+        EXPECT_NEAR(device_result.mean[0].x, w0 * slope, 1e-6 + resolved * w0 / (scale * scale))
             << "the nearer one is drawn to the range";
-        EXPECT_NEAR(found.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
+        EXPECT_NEAR(device_result.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
             << "the other is there";
-        // S = s_0 k + (1 - s_0) s_1, by the opacities s
-        EXPECT_NEAR(found.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
-        EXPECT_NEAR(found.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
+        // S = s_0 k + (1 - s_0) s_1, with the opacities s
+        EXPECT_NEAR(device_result.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
+        EXPECT_NEAR(device_result.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
     }
 }
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A thousand copies of an actor in one scene: one model placed a thousand times, and a
-// thousand models. Image and gradients against the double reference, twenty steps of
-// training, and as many launches as for two copies.
+// Checks a thousand copies of an actor in one scene, as a thousand instances of one model
+// and as a thousand models. Compares image and gradients with the double reference,
+// trains for twenty steps, and checks that the number of launches equals that for two
+// copies.
 #include <numeric>
 #include <random>
 
@@ -15,13 +16,13 @@ namespace {
 
 using test::Passes;
 
-constexpr int kAcross = 10;  // actors along each axis ...
-// ... of a lattice: near, so that their places cost single precision few digits
+constexpr int kAcross = 10;  // actors along each axis of a lattice
+// spacing of the lattice; small, so that single precision loses few digits
 constexpr double kApart_m = 1.5;
 
-/// Copies of an actor in front of a sensor at the origin, every third one turned around:
-/// poses without a rounding error.
-/// @param own  every copy has surfels of its own, all different
+/// Places copies of an actor in front of a sensor at the origin, every third copy turned
+/// around. The poses have no rounding errors.
+/// @param own true if every copy has separate, different surfels
 test::RandomScene many_actors(bool own, int n_actors) {
     constexpr int kSurfels = 12;
     const int n_surfels = own ? kSurfels * n_actors : kSurfels;
@@ -31,7 +32,7 @@ test::RandomScene many_actors(bool own, int n_actors) {
     test::RandomScene scene;
     scene.view_origin = glm::dvec3(glm::vec3(0.1f, -0.2f, 0.2f));
     scene.world.surfels = drawn.world.surfels;
-    // of a corridor of 2 to 10 m
+    // from a corridor of 2 to 10 m
     for (reference::Surfel& s : scene.world.surfels) s.mean.x = double(float(0.25 * (s.mean.x - 6.0)));
     for (int i = 0; i < n_actors; ++i) {
         const glm::dvec3 cell(i % kAcross, i / kAcross % kAcross - 4.5, i / (kAcross * kAcross) - 4.5);
@@ -43,7 +44,7 @@ test::RandomScene many_actors(bool own, int n_actors) {
     return scene;
 }
 
-/// Rays towards actors, those that keep the margins of a comparison or any.
+/// Adds rays towards actors: rays that keep the margins of a comparison, or any rays.
 void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings* margins) {
     std::mt19937_64 random(73);
     std::uniform_real_distribution<double> aside(-0.4, 0.4);
@@ -56,7 +57,7 @@ void add_rays(test::RandomScene& scene, std::size_t n, const reference::Settings
     }
 }
 
-/// Normalised mean squared error over all rows of a group.
+/// Returns the normalised mean squared error over all rows of a group.
 double nmse(const test::GradientGroup& group) {
     double difference = 0.0, size = 0.0;
     for (std::size_t i = 0; i < group.expected.size(); ++i)
@@ -69,8 +70,8 @@ double nmse(const test::GradientGroup& group) {
 
 class ManyActors : public test::DeviceTest {
 protected:
-    /// One model a thousand times with SH along the ray, or a thousand models with SH a
-    /// surfel.
+    /// A thousand instances of one model use SH along the ray; a thousand models use SH
+    /// along the surfel.
     static ImageModel image_of(bool own) {
         return {.sh_direction = own ? ShDirection::surfel : ShDirection::ray};
     }
@@ -103,7 +104,8 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
         test::add_surfel_rows(table, expected.surfels, passes.gradients().surfels.download());
         table.print(own ? "1000 models" : "1000 instances of a model");
         for (const auto& [name, group] : table.groups()) {
-            // over rows: one alone has a hit or two, whose terms may cancel
+            // The error is computed over all rows, because a single row has one or two
+            // hits whose terms may cancel.
             EXPECT_LE(nmse(group), test::kKernelNmse) << name;
             EXPECT_EQ(group.missing_rows(), 0u) << name;
             EXPECT_GT(group.nonzero_rows(), 0u) << name;
@@ -111,7 +113,7 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
     }
 }
 
-/// Measured: 0.1 m behind and 0.1 brighter than what is rendered at first.
+/// Returns targets 0.1 m behind and 0.1 brighter than the first rendering.
 std::vector<DeviceTarget> targets_beside(const std::vector<shared::RenderedRay>& rendered) {
     std::vector<DeviceTarget> targets;
     for (const shared::RenderedRay& r : rendered)
@@ -119,7 +121,8 @@ std::vector<DeviceTarget> targets_beside(const std::vector<shared::RenderedRay>&
     return targets;
 }
 
-/// Losses of twenty steps of a scene that moves a little before each.
+/// Returns the losses of twenty training steps; the scene moves slightly before each
+/// step.
 std::vector<float> train(Passes& passes) {
     DifferentiableRenderer& renderer = passes.renderer;
     Device& device = renderer.stream().device();
@@ -169,7 +172,7 @@ TEST_F(ManyActors, Train) {
     }
 }
 
-/// What an iteration launches does not depend on how many models there are.
+/// The launches of an iteration must not depend on the number of models.
 TEST_F(ManyActors, AreLaunchedTogether) {
     if (!device().info().timestamps) GTEST_SKIP() << "no timestamps: launches are not counted";
     SurfelLoss surfel_loss(device(), {.box = 0.1f});
@@ -180,7 +183,7 @@ TEST_F(ManyActors, AreLaunchedTogether) {
         Passes passes(device(), image_of(true), scene,
                       std::vector<reference::PixelGradient>(scene.rays.size()),
                       test::options_of(image_of(true)));
-        passes.run();  // builds the tree, whose number of launches is the logarithm of its size
+        passes.run();  // builds the tree, which takes a number of launches logarithmic in its size
         Stream& stream = passes.renderer.stream();
         stream.reset_times();
         passes.run();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A random scene with a forward and a backward pass on the device, and random gradients
-// of what its rays render.
+// Runs the forward and backward pass of a random scene on the device with random upstream
+// gradients.
 #pragma once
 
 #include <vector>
@@ -17,15 +17,15 @@
 
 namespace relidar::test {
 
-/// The rotation by |w| radians about w.
+/// Returns the rotation by |w| radians about w.
 inline glm::dquat turn_by(const glm::dvec3& w) {
     return glm::length(w) > 0.0 ? glm::angleAxis(glm::length(w), glm::normalize(w))
                                 : glm::dquat(1.0, 0.0, 0.0, 0.0);
 }
 
-/// Boxes, and chunks of 4 hits where harmonics are along the ray, of 16 where they are
-/// along the surfel. Making kernels takes most of these tests' time, so the tests share
-/// one size for each.
+/// Uses boxes, with chunks of 4 hits for harmonics along the ray and of 16 along the
+/// surfel. All tests share these sizes, because creating kernels takes most of their
+/// time.
 inline RendererOptions options_of(const ImageModel& model) {
     return {.accel = {.proxy = Proxy::boxes},
             .trace = {.chunk = model.sh_direction == ShDirection::ray ? 4 : 16}};
@@ -36,7 +36,7 @@ inline RendererOptions with_room(RendererOptions options, std::size_t n_rays) {
     return options;
 }
 
-/// A scene with rays, ready to be rendered and differentiated.
+/// A scene with rays that can be rendered and differentiated.
 struct Passes {
     SceneAndPoses placed;
     DifferentiableRenderer renderer;
@@ -44,7 +44,7 @@ struct Passes {
     Array<shared::DeviceTarget> targets;
     glm::vec3 view_origin;
 
-    /// @param g  [>= rays] of every ray, until a loss writes others
+    /// @param g [>= rays] upstream gradients of all rays, until a loss overwrites them
     Passes(Device& device, const ImageModel& model, const RandomScene& s,
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
            const BackwardOptions& sums = {})
@@ -94,7 +94,7 @@ struct Passes {
 
 /// Hit records of the gather; zeros with atomics.
 struct GatheredHits {
-    std::uint64_t most = 0;  ///< hits of the largest batch since they were taken last
+    std::uint64_t most = 0;  ///< hits of the largest batch since the last readback
     std::uint64_t capacity = 0;
 };
 inline GatheredHits take_gathered_hits(Passes& passes) {
@@ -113,7 +113,8 @@ std::vector<double> lanes(const Vector& v, int n) {
     return row;
 }
 
-/// A row for each parameter group of each surfel, harmonics by channel.
+/// Adds a row for each parameter group of each surfel; harmonics are separated by
+/// channel.
 inline void add_surfel_rows(GradientTable& table, const std::vector<reference::Surfel>& expected,
                             const Surfels& actual) {
     for (std::size_t i = 0; i < expected.size(); ++i) {

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses and of the sensor's pose: diff/backward/pose_blocks, poses
-// and sensor_pose against the double reference, where they are summed hit by hit instead
-// of surfel by surfel, and against central differences of the double forward pass.
-// Overlapping instances, one model placed twice, instances that are absent or that no ray
-// meets.
+// Checks gradients of instance poses and of the sensor's pose (diff/backward/pose_blocks,
+// poses and sensor_pose). Compares them with the double reference, which sums per hit
+// instead of per surfel, and with central differences of the double forward pass. Covers
+// overlapping instances, one model placed twice, and instances that are absent or not
+// hit.
 #include <glm/gtc/quaternion.hpp>
 
 #include <random>
@@ -21,7 +21,7 @@ using test::GradientTable;
 using test::lanes;
 using test::Passes;
 
-/// A random scene, its upstream gradients and the double loss.
+/// A random scene with upstream gradients and its loss in double.
 struct PoseProblem {
     reference::Settings settings;
     test::RandomScene scene;
@@ -45,7 +45,8 @@ struct PoseProblem {
         return result;
     }
 
-    /// The whole sensor moved by v and turned by w about the view origin.
+    /// Returns the loss terms after the sensor is moved by v and turned by w about the
+    /// view origin.
     std::vector<double> terms_of_moved_sensor(const glm::dvec3& v, const glm::dvec3& w) const {
         const glm::dquat turn = test::turn_by(w);
         reference::Settings s = settings;
@@ -58,7 +59,7 @@ struct PoseProblem {
     }
 };
 
-/// Central differences of a twist (v, w) that `terms` takes.
+/// Computes central differences of `terms` with respect to a twist (v, w).
 std::vector<double> twist_differences(
     const std::function<std::vector<double>(const glm::dvec3&, const glm::dvec3&)>& terms) {
     glm::dvec3 v(0.0), w(0.0);
@@ -108,7 +109,9 @@ protected:
             placed.world_from_model = start, placed.change = {};
             add_twist(table, "differences, pose", differences, lanes(poses.data() + 6 * k, 6));
         }
-        if (!options.moving)  // for moving instances the sensor's gradient is not exact: Gradients::sensor
+        // for moving instances the sensor's gradient is an approximation, see
+        // Gradients::sensor
+        if (!options.moving)
             add_twist(table, "differences, sensor",
                       twist_differences([&](const glm::dvec3& v, const glm::dvec3& w) {
                           return p.terms_of_moved_sensor(v, w);
@@ -171,7 +174,7 @@ TEST_F(PoseGradient, MoreSurfelsThanThreadsOfAWorkgroup) {
     expect_agreement(ShDirection::ray, options, "poses, transparent, 90 surfels an actor");
 }
 
-/// A street of `n_background` surfels and an actor of `n_actor` surfels.
+/// Makes a street of `n_background` surfels and an actor of `n_actor` surfels.
 Scene background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
     Scene layout = make_background_scene(make_benchmark_street(n_background + n_actor));
     layout.models = {{"background", 0, n_background}, {"actor", n_background, n_actor}};
@@ -179,8 +182,8 @@ Scene background_and_actor(std::uint32_t n_background, std::uint32_t n_actor) {
     return layout;
 }
 
-/// Of a street and an actor in several blocks each, from record gradients at random: sums
-/// in double, and the same bits in every run.
+/// A street and an actor with several blocks each and random record gradients. Compares
+/// with sums in double and checks that all runs give the same bits.
 TEST_F(PoseGradient, ManyBlocksOfSurfels) {
     const Scene layout = background_and_actor(2500, 1100);
     const std::size_t n = layout.surfels.size();
@@ -189,7 +192,7 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
     std::mt19937_64 random(45);
     std::normal_distribution<float> normal;
     std::vector<float> d_records(16 * n), d_view(3 * n);
-    for (std::size_t i = 0; i < n; i += 2) {  // the others have no gradient
+    for (std::size_t i = 0; i < n; i += 2) {  // the other surfels have no gradient
         for (std::size_t k = 0; k < 16; ++k) d_records[16 * i + k] = normal(random);
         for (std::size_t k = 0; k < 3; ++k) d_view[3 * i + k] = normal(random);
     }
@@ -242,7 +245,8 @@ TEST_F(PoseGradient, ManyBlocksOfSurfels) {
     }
 }
 
-/// Behind the sensor, absent, or met by rays without a gradient: exactly nothing.
+/// Instances that are behind the sensor, absent, or hit only by rays without a gradient
+/// must have a gradient of exactly zero.
 TEST_F(PoseGradient, WhatNoRayMeetsHasNone) {
     test::RandomSceneOptions options;
     options.seed = 44, options.actor_instances = 3;

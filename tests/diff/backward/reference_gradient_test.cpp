@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Link (i) of the gradient chain: the oracle's backward pass (M7, M8) against central
-// differences of its forward pass (M1-M5), for every parameter group, the ray, the view
-// origin and instance poses, in both SH direction modes, with more hits than a chunk.
-// Also its own consistency: radial part of the rotation, chunking, clamps.
+// Link (i) of the gradient chain: compares the backward pass of the reference (M7, M8)
+// with central differences of its forward pass (M1-M5). Covers every parameter group, the
+// ray, the view origin and instance poses, in both SH direction modes, with more hits
+// than a chunk. Also checks the radial part of the rotation, chunking and clamps.
 #include <gtest/gtest.h>
 
 #include "base/parallel.hpp"
@@ -16,7 +16,7 @@ namespace {
 
 using test::GradientTable;
 
-/// A scene, random upstream gradients, and the loss sum_r g_r . pixel_r.
+/// A scene with random upstream gradients and the loss sum_r g_r . pixel_r.
 struct Problem {
     test::RandomScene scene;
     Settings settings;
@@ -34,8 +34,8 @@ struct Problem {
         upstream = test::random_upstream(scene.rays.size(), options.seed + 1, outputs);
     }
 
-    /// All hits in one chunk, which is quicker: the derivatives take short ones, and that
-    /// the size does not matter is tested below.
+    /// Renders with all hits in one chunk, which is faster. Another test shows that the
+    /// chunk size does not matter.
     double term(const BruteForce& brute, std::size_t i) const {
         const Pixel p = render(scene.world, brute, settings, scene.rays[i], 1000);
         return inner_product(upstream[i], p);
@@ -65,8 +65,8 @@ struct Row {
     std::vector<double> expected, actual;
 };
 
-/// A problem of the rays that meet a surfel. The others keep their margins to it
-/// (random_scene.hpp): no difference reaches them.
+/// Returns the problem with only the rays that hit a surfel. Other rays keep their
+/// margins to the surfel (random_scene.hpp), so small changes do not affect them.
 Problem seen_by(Problem p, std::size_t surfel) {
     const BruteForce provider = p.brute();
     std::size_t kept = 0;
@@ -82,7 +82,7 @@ Problem seen_by(Problem p, std::size_t surfel) {
     return p;
 }
 
-/// All parameters of one surfel.
+/// Returns the rows of all parameters of one surfel.
 std::vector<Row> surfel_rows(const Problem& all, const Gradients& gradients, std::size_t i) {
     Problem p = seen_by(all, i);
     std::vector<Row> rows;
@@ -220,8 +220,8 @@ TEST(ReferenceGradient, GaussiansOpaqueShAlongSurfel) {
                              "3D Gaussians, opaque, SH along sensor -> mean, chunk 2");
 }
 
-/// How many blended hits are clamped at alpha_max, and how many rays end by the T_min
-/// rule.
+/// Counts the blended hits that are clamped at alpha_max and the rays that end by the
+/// T_min rule.
 std::pair<int, int> count_clamps_and_stops(const Problem& p) {
     int clamps = 0, stops = 0;
     const BruteForce provider = p.brute();

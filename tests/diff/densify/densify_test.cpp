@@ -24,7 +24,7 @@ constexpr float kAlphaMin = 1.0f / 255.0f;
 constexpr std::uint64_t kSeed = 42;
 constexpr std::uint32_t kFrames = 40;
 
-/// A scene with moments and statistics that tell every surfel apart.
+/// A scene whose moments and statistics differ for every surfel.
 struct Case {
     Scene scene;
     DeviceScene device_scene;
@@ -100,7 +100,7 @@ std::vector<Fate> expected_fates(const Case& c, int step) {
 
 bool survives(Fate fate) { return fate >= Fate::keep; }
 
-/// Where a new row comes from.
+/// Origin of a row after densification.
 struct Row {
     std::uint32_t source;
     Fate fate;     // of the source; keep where it got no copy
@@ -193,7 +193,8 @@ void expect_models(const Case& c, const std::vector<Row>& rows) {
     EXPECT_EQ(next, c.device_scene.size());
 }
 
-/// Runs one densification and compares everything with the reference. @return its report
+/// Runs one densification and compares all results with the reference.
+/// @return report of the densification
 DensifyReport expect_reference(Case& c, int step) {
     const std::vector<Fate> fates = expected_fates(c, step);
     const auto count = [&](Fate fate) { return std::uint32_t(std::count(fates.begin(), fates.end(), fate)); };
@@ -238,7 +239,7 @@ TEST_F(Densify, AdaptiveAgreesWithTheReference) {
     }
 }
 
-/// The third scale is the largest of some, and takes part in every decision.
+/// The third scale is the largest for some Gaussians and is part of every decision.
 TEST_F(Densify, GaussiansAgreeWithTheReference) {
     Scene scene = test::random_model_scene({500, 300}, 21);
     make_primitive(scene.surfels, Primitive::gaussian, 1.5);
@@ -298,8 +299,7 @@ TEST_F(Densify, ModelsAndScenesMayEndEmpty) {
     EXPECT_EQ(all.device_scene.parameters().download().size(), 0u);
 }
 
-/// What the training loop makes for the scene afterwards takes empty models and empty
-/// scenes.
+/// The steps after a densification must accept empty models and empty scenes.
 TEST_F(Densify, EmptyModelsCanBeTraced) {
     for (const std::vector<std::uint32_t>& counts :
          {std::vector<std::uint32_t>{50, 0, 20}, std::vector<std::uint32_t>{0, 0}}) {

@@ -22,7 +22,8 @@ namespace {
 
 class DensifyKernels : public test::DeviceTest {};
 
-/// @param largest weight
+/// Compares the allotted copies with the reference.
+/// @param largest largest weight
 void expect_allotted(Device& device, std::uint32_t largest) {
     std::mt19937 random(4);
     const std::uint32_t n = 777;
@@ -69,10 +70,11 @@ void expect_allotted(Device& device, std::uint32_t largest) {
 
 TEST_F(DensifyKernels, AllotHandsOutAsTheReferenceDoes) {
     expect_allotted(device(), 255);
-    expect_allotted(device(), 10'000'000);  // their sum is close to 2^32, and times n_new has 64 bits
+    // the sum is close to 2^32, and the product with n_new needs 64 bits
+    expect_allotted(device(), 10'000'000);
 }
 
-/// A densifier and what it works on, at its own times.
+/// A densifier with its scene and optimiser at chosen steps.
 struct Trained {
     Scene scene;
     DeviceScene device_scene;
@@ -114,7 +116,7 @@ TEST_F(DensifyKernels, ResetOpacityAtItsTimes) {
     EXPECT_EQ(after.log_scale, tags.log_scale);
 }
 
-/// Else nothing would ever learn again.
+/// A surfel that is invisible after the reset would never get a gradient again.
 TEST_F(DensifyKernels, WhatIsResetStaysVisible) {
     DensifyOptions options;
     options.strategy = DensifyStrategy::adaptive;

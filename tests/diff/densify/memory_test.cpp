@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Growth and its ends: capacity is taken in steps, device memory that runs out caps the
-// scene and harms nothing.
+// Checks the limits of growth: capacity grows in steps, and if the device runs out of
+// memory the scene stops growing without damage.
 #include <relidar/base/error.hpp>
 #include <relidar/diff/densify.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -14,7 +14,7 @@ namespace {
 
 class DensifyMemory : public test::DeviceTest {};
 
-/// A scene in which every surfel wants to grow at every densification.
+/// A scene in which every surfel grows at every densification.
 struct Growing {
     Device& device;
     Scene scene;
@@ -43,7 +43,7 @@ struct Growing {
         adam.moment1().upload(scene.surfels);
         adam.moment2().upload(scene.surfels);
     }
-    /// @param share of the surfels that want to grow
+    /// @param share share of the surfels that should grow
     DensifyReport grow(int step, double share, double others_bytes = 0.0) {
         std::vector<float> sum(device_scene.size(), 0.0f);
         for (std::size_t i = 0; i < std::size_t(share * double(sum.size())); ++i) sum[i] = 1.0f;
@@ -51,7 +51,8 @@ struct Growing {
         densifier.statistics().n_seen.upload(std::vector<std::uint32_t>(sum.size(), 1u));
         return densifier.run(stream, device_scene, adam, step, others_bytes);
     }
-    /// Every surfel is one of the originals, in their order, with its moments or none.
+    /// Checks that every surfel is a copy of an original, in the original order, with its
+    /// moments or with zero moments.
     void expect_sound() {
         const Surfels now = device_scene.parameters().download(), m = adam.moment1().download();
         ASSERT_EQ(m.size(), now.size());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scenes for tests of densification: random surfels in models of given sizes, the first
-// unbounded, the others in a box that some of them leave; each surfel carries its index
-// in its SH coefficients.
+// Makes scenes for tests of densification: random surfels in models of given sizes. The
+// first model is unbounded; some surfels of the others lie outside their box. SH
+// coefficients contain the index of each surfel.
 #pragma once
 
 #include <vector>
@@ -12,16 +12,17 @@
 
 namespace relidar::test {
 
-/// @param counts surfels of each model
+/// Makes models with random surfels.
+/// @param counts number of surfels of each model
 Scene random_model_scene(const std::vector<std::uint32_t>& counts, std::uint64_t seed);
 
-/// Makes every 20th surfel not finite, each in another way.
+/// Makes every 20th surfel non-finite, each in a different parameter.
 void poison(Surfels& surfels);
 
-/// Surfel i for the reference.
+/// Converts surfel i to the type of the reference.
 reference::DensifiedSurfel densified(const Surfels& surfels, std::size_t i);
 
-/// The index that random_model_scene gave surfel i.
+/// Returns the index that random_model_scene() assigned to surfel i.
 std::uint32_t tag_of(const Surfels& surfels, std::size_t i);
 
 }  // namespace relidar::test

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/densify/observe: sums and counts against the same in double, and the normalisation
-// of batches that are a part of their frame's rays.
+// Compares the sums and counts of diff/densify/observe with sums in double. Checks the
+// normalisation of batches that contain a part of a frame's rays.
 #include <cmath>
 #include <random>
 
@@ -15,7 +15,7 @@ namespace {
 
 class Statistics : public test::DeviceTest {};
 
-/// A densifier, and gradients to show it.
+/// A densifier and the gradients that it observes.
 struct Observed {
     Device& device;
     DeviceScene scene;
@@ -46,7 +46,7 @@ struct Observed {
 };
 
 TEST_F(Statistics, SumsAndCountsOverBatches) {
-    constexpr std::uint32_t kN = 333, kFrames = 70;  // three words of frames
+    constexpr std::uint32_t kN = 333, kFrames = 70;  // three words of frame bits
     Observed o(device(), kN, kFrames);
     std::mt19937 random(5);
     std::normal_distribution<float> normal;
@@ -55,21 +55,21 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
     std::vector<std::vector<bool>> frames(kN, std::vector<bool>(kFrames, false));
     for (int batch = 0; batch < 24; ++batch) {
         const std::uint32_t frame = random() % kFrames;
-        const bool whole = batch % 2 == 0;
+        const bool full = batch % 2 == 0;
         std::vector<float> d_mean(3 * kN);
         std::vector<std::uint32_t> touched(kN);
         for (std::uint32_t i = 0; i < kN; ++i) {
             touched[i] = random() % 3 == 0;
-            // undefined where not touched
+            // undefined for surfels that are not touched
             for (std::uint32_t k = 0; k < 3; ++k) d_mean[3 * i + k] = touched[i] ? normal(random) : NAN;
-            if (touched[i] || (!whole && frames[i][frame])) ++seen[i];
+            if (touched[i] || (!full && frames[i][frame])) ++seen[i];
             if (!touched[i]) continue;
             sum[i] += std::sqrt(double(d_mean[3 * i]) * d_mean[3 * i] +
                                 double(d_mean[3 * i + 1]) * d_mean[3 * i + 1] +
                                 double(d_mean[3 * i + 2]) * d_mean[3 * i + 2]);
             frames[i][frame] = true;
         }
-        o.show(d_mean, touched, frame, whole);
+        o.show(d_mean, touched, frame, full);
     }
     const SurfelStatistics& s = o.densifier.statistics();
     ASSERT_EQ(s.n_words, 3u);
@@ -83,9 +83,9 @@ TEST_F(Statistics, SumsAndCountsOverBatches) {
     }
 }
 
-/// Surfel i covers i + 1 rays of each of three frames, all with the same gradient; the
-/// loss is a mean over the batch. Every s-th ray is as good as all of them, for surfels
-/// that most batches miss too.
+/// Surfel i covers i + 1 rays in each of three frames, all with the same gradient; the
+/// loss is a mean over the batch. Batches of every s-th ray must give the same statistics
+/// as all rays, also for surfels that most batches miss.
 TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
     constexpr std::uint32_t kN = 40, kRays = 1000, kStride = 16;
     const auto mean_of = [&](std::uint32_t stride, int n_batches) {
@@ -109,12 +109,12 @@ TEST_F(Statistics, EveryStridethRayCountsAsTheWholeFrame) {
         for (std::uint32_t i = 0; i < kN; ++i) mean[i] = sum[i] / std::max(seen[i], 1u);
         return mean;
     };
-    const std::vector<double> whole = mean_of(1, 3), part = mean_of(kStride, 600);
+    const std::vector<double> full = mean_of(1, 3), part = mean_of(kStride, 600);
     for (std::uint32_t i = 0; i < kN; ++i) {
-        EXPECT_NEAR(whole[i], double(i + 1) / kRays, 1e-6);
-        // a mean over the batches it is touched in alone is 16 times too large for one
-        // ray
-        EXPECT_NEAR(part[i] / whole[i], 1.0, 0.35) << i + 1 << " rays";
+        EXPECT_NEAR(full[i], double(i + 1) / kRays, 1e-6);
+        // A mean over only the batches that touch a surfel would be 16 times too large
+        // for a single ray.
+        EXPECT_NEAR(part[i] / full[i], 1.0, 0.35) << i + 1 << " rays";
     }
 }
 

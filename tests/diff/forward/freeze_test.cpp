@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A frozen scene renders what the scene renders with its actors placed: turned, walking,
-// or absent.
+// Compares the rendering of a frozen scene with the rendering of the original scene with
+// placed actors: turned, walking or absent.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -16,7 +16,8 @@ namespace {
 
 class Freeze : public test::DeviceTest {
 protected:
-    /// A background and three actors, two of which walk, with harmonics of degree 3.
+    /// Makes a background and three actors, two of which walk, with harmonics of degree
+    /// 3.
     static Scene some_actors(Primitive primitive) {
         constexpr std::uint32_t kSurfels = 1500;
         test::TraversalCase random_case = test::random_case(5, kSurfels, 0);
@@ -46,7 +47,8 @@ protected:
     }
     void expect_equal(const Rendering& a, const Rendering& b, const std::string& what) {
         ASSERT_EQ(a.size(), b.size());
-        // where rounding takes a surfel over the rim of what is seen, a ray differs
+        // A few rays differ, because rounding can move a surfel across the visibility
+        // limit.
         std::size_t n_hit = 0, n_off = 0;
         for (std::size_t i = 0; i < a.size(); ++i) {
             n_hit += a.hits[i] > 0;

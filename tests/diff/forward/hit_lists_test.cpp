@@ -24,7 +24,7 @@ using test::TraversalCase;
 
 constexpr std::uint32_t kUntouched = 0xabababab;
 
-/// A way to search.
+/// A hit provider.
 struct Provider {
     const char* name;
     Proxy proxy = Proxy::automatic;
@@ -40,7 +40,7 @@ std::vector<Provider> providers(const Device& device) {
         {.name = "triangles", .proxy = Proxy::triangles}, {.name = "boxes", .proxy = Proxy::boxes}, brute};
 }
 
-/// A case on the device, ready to be traced.
+/// A test case on the device that is ready to be traced.
 struct Placed {
     test::SceneAndPoses placed;
     ImageModel model;
@@ -73,7 +73,7 @@ struct Placed {
         return rendered.download();
     }
 
-    /// What lists render by themselves, without diff/forward/trace for what they leave.
+    /// Renders with lists only, without diff/forward/trace for the remaining rays.
     std::vector<shared::RenderedRay> render_lists(int room) {
         Device& device = stream.device();
         const Array<shared::RenderedRay> rendered(device, rays.size(), "rendered rays");
@@ -100,7 +100,7 @@ struct Placed {
 
 bool is_near(float a, float b) { return std::abs(a - b) <= 1e-5f * std::max(1.0f, std::abs(b)); }
 
-/// Whether rays render the same but for the rounding of another kernel.
+/// Returns true if two rays are equal except for the rounding of different kernels.
 bool is_same(const shared::RenderedRay& a, const shared::RenderedRay& b) {
     return a.n_hits == b.n_hits && a.instance == b.instance && is_near(a.depth, b.depth) &&
            is_near(a.weight, b.weight) && is_near(a.intensity, b.intensity) &&
@@ -115,7 +115,8 @@ std::size_t differences(const std::vector<shared::RenderedRay>& a,
     return n;
 }
 
-/// Hits of rays that are not the same, bit for bit, in two memories of as many a ray.
+/// Counts the rays whose kept hits differ in any bit between two buffers with the same
+/// capacity per ray.
 std::size_t different_hits(const KeptHits& a, const KeptHits& b,
                            const std::vector<shared::RenderedRay>& rays) {
     const std::vector<shared::Hit> hits_a = a.hits.download(), hits_b = b.hits.download();
@@ -135,15 +136,15 @@ protected:
         for (const Provider& provider : providers(device())) {
             const Forced forced(device(), {.brute_force = provider.brute_force});
             Placed placed(device(), c, provider);
-            for (const float least : {1e-4f, 1e-30f}) {  // the second: nearly everything is blended
+            for (const float least : {1e-4f, 1e-30f}) {  // with 1e-30 nearly all hits are blended
                 placed.model.transmittance_min = least;
                 const std::vector<shared::RenderedRay> expected =
                     placed.render({.chunk = 5, .walk = provider.walk, .order = HitOrder::chunks});
                 for (const int room : {1, 7, 64, 512}) {
                     const std::vector<shared::RenderedRay> actual = placed.render(
                         {.chunk = 5, .walk = provider.walk, .order = HitOrder::lists, .list_room = room});
-                    // what rounding of another kernel may decide otherwise: whether a
-                    // product is under T_min
+                    // Rounding in another kernel may decide whether a product is below
+                    // T_min.
                     EXPECT_LE(differences(actual, expected), c.rays.size() / 5000)
                         << c.name << ", " << provider.name << ", room " << room << ", T_min " << least;
                 }
@@ -160,8 +161,8 @@ TEST_F(Lists, ConformanceCasesOfGaussians) {
     for (const TraversalCase& c : test::gaussian_cases(43, 500)) expect_what_chunks_render(c);
 }
 
-/// Without diff/forward/trace: lists alone render every ray that finds no more hits than
-/// they have room for, and touch no other.
+/// Without diff/forward/trace: lists alone must render every ray whose hits fit into its
+/// list, and must not write other rays.
 TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     TraversalCase c = test::long_list_case();
     for (const TraversalCase& other :
@@ -170,17 +171,18 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
         const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
         EXPECT_EQ(differences(placed.render_lists(512), expected), 0u) << other.name;
     }
-    for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;  // nothing ends a ray
+    for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;  // no ray stops early
     Placed placed(device(), c, {.name = "any"});
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
-    for (const int asked : {1, 60, 512}) {
-        const int room = std::min(asked, static_cast<int>(most_list_room(device())));
-        const std::vector<shared::RenderedRay> actual = placed.render_lists(asked);
+    for (const int requested_room : {1, 60, 512}) {
+        const int room = std::min(requested_room, static_cast<int>(most_list_room(device())));
+        const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_room);
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(room))
                 EXPECT_EQ(actual[i].n_hits, kUntouched) << "ray " << i;
-            // an edge between two triangles may be reported twice, which takes room
+            // An edge between two triangles may be reported twice, which uses two
+            // entries.
             else if (actual[i].n_hits == kUntouched)
                 EXPECT_GE(2 * expected[i].n_hits, static_cast<std::uint32_t>(room)) << "ray " << i;
             else EXPECT_TRUE(is_same(actual[i], expected[i])) << "ray " << i << ", room " << room;
@@ -188,7 +190,7 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     }
 }
 
-/// Of every length that a sort may have, with hits at the same distance.
+/// Sorts lists of every possible length, including hits at equal distance.
 TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
     constexpr std::uint32_t kMost = 512;
     for (const int n :
@@ -204,8 +206,8 @@ TEST_F(Lists, PutHitsInOrderWhateverTheirNumber) {
     }
 }
 
-/// Hits are kept for the backward pass as they are blended, whether lists lie in their
-/// memory, are longer than what is kept, or are left to diff/forward/trace.
+/// Hits for the backward pass are kept in blending order: if lists use the same memory,
+/// if they are longer than the kept hits, and if diff/forward/trace renders the ray.
 TEST_F(Lists, KeepTheHitsThatTheyBlend) {
     TraversalCase long_lists = test::long_list_case();
     for (float& opacity : long_lists.surfels.opacity_logit) opacity = -4.5f;
@@ -225,8 +227,7 @@ TEST_F(Lists, KeepTheHitsThatTheyBlend) {
     }
 }
 
-/// A wall that lets nothing through ends the walk: what lies behind it is not in the
-/// list.
+/// An opaque wall ends the search, so hits behind it are not in the list.
 TEST_F(Lists, EndBehindAWall) {
     TraversalCase c = test::long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = 8.0f;
@@ -234,11 +235,12 @@ TEST_F(Lists, EndBehindAWall) {
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_EQ(differences(placed.render({.order = HitOrder::lists}), expected), 0u);
     EXPECT_TRUE(std::ranges::all_of(expected, [](const auto& ray) { return ray.n_hits < 10; }));
-    if (device().traversal() != Traversal::software) return;  // a driver's order is its own
+    // the order of hits from a driver is unknown
+    if (device().traversal() != Traversal::software) return;
     EXPECT_EQ(differences(placed.render_lists(64), expected), 0u) << "100 surfels lie along each ray";
 }
 
-/// Room doubles while any ray has too little, and no longer.
+/// The capacity doubles while some list is too short, and then stays constant.
 TEST_F(Lists, Grow) {
     TraversalCase c = test::long_list_case();
     for (float& opacity : c.surfels.opacity_logit) opacity = -4.5f;

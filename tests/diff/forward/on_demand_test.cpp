@@ -31,7 +31,7 @@ protected:
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
         const std::uint32_t n_rays = std::uint32_t(random.rays.size());
-        // a guard behind
+        // one more ray than needed, to detect writes beyond the end
         Renderer renderer(device(), placed.scene, model, {.trace = options, .n_rays = n_rays + 1});
         renderer.scene().set_poses(placed.world_from_instance);
         const Array<DeviceRay> rays(
@@ -40,9 +40,7 @@ protected:
         const Array<shared::DeviceTarget> targets(device(), std::span<const shared::DeviceTarget>(measured),
                                                   "targets");
         const Array<shared::RenderedSurface>* surfaces = renderer.rendered().surfaces;
-        if (surfaces)
-            surfaces->upload(std::vector<shared::RenderedSurface>(
-                n_rays + 1, {.normal = glm::vec3(-7.0f), .mode = -7.0f}));
+        if (surfaces) renderer.stream().fill(*surfaces, 0xc0e00000u);  // -7 as a float
         renderer.place(glm::vec3(random.view_origin));
         renderer.record_forward({&rays, 0, 1, n_rays, 0, &targets});
         renderer.stream().finish();
@@ -183,11 +181,11 @@ TEST_F(OnDemand, OfARenderer) {
         Renderer renderer(device(), placed.scene, settings.image, {.trace = {.normals = wanted}});
         renderer.scene().set_poses(placed.world_from_instance);
         renderer.place(glm::vec3(scene.view_origin));
-        const Rendering found = renderer.forward(test::to_world_rays(scene.rays));
-        ASSERT_EQ(found.normal.size(), wanted ? scene.rays.size() : 0u);
-        for (std::size_t i = 0; i < found.normal.size(); ++i) {
+        const Rendering actual = renderer.forward(test::to_world_rays(scene.rays));
+        ASSERT_EQ(actual.normal.size(), wanted ? scene.rays.size() : 0u);
+        for (std::size_t i = 0; i < actual.normal.size(); ++i) {
             const reference::Pixel p = reference::render(scene.world, brute, settings, scene.rays[i], 16);
-            EXPECT_LE(glm::length(glm::dvec3(found.normal[i]) - p.normal), 1e-5) << "ray " << i;
+            EXPECT_LE(glm::length(glm::dvec3(actual.normal[i]) - p.normal), 1e-5) << "ray " << i;
         }
     }
 }

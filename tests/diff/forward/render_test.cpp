@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass (Eq. 2-4; M4, M5) by chunks and by lists against the double reference
-// on random scenes, and the benchmark street against the image another implementation
-// rendered of it.
+// Compares the forward pass (Eq. 2-4; M4, M5), with chunks and with lists, with the
+// double reference on random scenes. Compares the benchmark street with the image of
+// another implementation.
 #include <algorithm>
 #include <cmath>
 #include <cstdlib>
@@ -22,7 +22,7 @@ namespace {
 
 class Forward : public test::DeviceTest {};
 
-/// All instances at the origin, as is the sensor.
+/// Renders with all instances and the sensor at the origin.
 Rendering render_once(Device& device, const Scene& scene, const ImageModel& model, const WorldRays& rays,
                       const RendererOptions& options = {}) {
     Renderer renderer(device, scene, model, options);
@@ -30,7 +30,7 @@ Rendering render_once(Device& device, const Scene& scene, const ImageModel& mode
     return renderer.forward(rays);
 }
 
-/// Normalised mean squared error of one output over the rays.
+/// Returns the normalised mean squared error of one output over the rays.
 double nmse(const std::vector<float>& actual, const std::vector<double>& expected) {
     double error = 0.0, power = 0.0;
     for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -63,7 +63,7 @@ Expected render_reference(const test::RandomScene& scene, const reference::Setti
     return e;
 }
 
-/// How hits are found and put in order; lists with room for all, and for some rays alone.
+/// Methods to find and sort hits; lists are large enough for all rays or only for some.
 struct Way {
     Proxy proxy;
     HitOrder order;
@@ -85,7 +85,7 @@ TEST_F(Forward, AgreesWithDoubleReference) {
         test::RandomSceneOptions options;
         options.seed = 21;
         options.primitive = primitive;
-        // SH a surfel are those its first instance sees
+        // With SH along the surfel, the first instance determines the direction.
         options.actor_instances = direction == ShDirection::ray ? 2 : 1;
         options.background_surfels = 24, options.actor_surfels = 20;
         options.rays = 300;
@@ -136,8 +136,8 @@ TEST_F(Forward, MovedInstanceIsSeenWhereItStands) {
     }
 }
 
-/// One logit: what a scene holds as hit logits plays no part, and M6 is a sigmoid that
-/// calls an empty ray dropped.
+/// With a single drop logit, the stored hit logits have no effect. M6 becomes a sigmoid,
+/// and a ray without hits is dropped.
 TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     for (const ShDirection direction : {ShDirection::ray, ShDirection::surfel}) {
         reference::Settings settings;
@@ -165,8 +165,8 @@ TEST_F(Forward, SingleDropLogitAgreesWithDoubleReference) {
     }
 }
 
-/// 3D Gaussians that get thinner render what surfels do; thick ones do not. Normals face
-/// the rays within 50 degrees.
+/// Thin 3D Gaussians must render like surfels; thick ones differ. Normals face the rays
+/// within 50 degrees.
 TEST_F(Forward, ThinGaussiansApproachSurfels) {
     test::RandomSceneOptions options;
     options.seed = 23, options.rays = 200;
@@ -210,8 +210,8 @@ TEST_F(Forward, SceneOfAnotherPrimitiveIsRefused) {
     EXPECT_NO_THROW(render_once(device(), scene, gaussians, ray));
 }
 
-/// A faint floater before a wall does not give its name to the wall; alone, it is what
-/// the ray meets.
+/// A faint surfel in front of a wall must not determine the instance label of the ray; if
+/// it is the only surfel, it does.
 TEST_F(Forward, LabelIsThatOfTheSurfaceNotOfAFloater) {
     Surfels surfels;
     surfels.resize(2);
@@ -243,7 +243,7 @@ TEST_F(Forward, EmptySceneIsBackground) {
     EXPECT_EQ(r.depth[0], 0.0f);
 }
 
-/// Copies of some surfels of a set, each made unusable in its own way.
+/// Returns copies of some surfels, each invalid in a different parameter.
 Surfels poisoned_copies(const Surfels& good, float bad) {
     const bool is_gaussian = good.primitive == Primitive::gaussian;
     Surfels extra = test::take(good, is_gaussian ? std::vector<std::uint32_t>{0, 1, 2, 3, 4, 5}
@@ -295,7 +295,7 @@ const NamedArray& find(const std::vector<NamedArray>& arrays, const std::string&
     throw std::runtime_error("no array " + name);
 }
 
-/// Issue 1, item 3: the 100k street equals another implementation's image on at least
+/// The street of 100k surfels must equal the image of another implementation on at least
 /// 99.9 % of the rays.
 TEST_F(Forward, StreetEqualsImageByOthers) {
     const std::filesystem::path file = shared_folder() / "bench" / "peer_render_A100k_kitti.npz";

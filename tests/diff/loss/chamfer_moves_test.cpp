@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chamfer's gradient is used: a wall of surfels that stands beside where it was measured
-// is moved back by that term alone, through the backward pass and Adam. It stays where it
-// is when the gradient is cut off.
+// Checks that training uses the gradient of the Chamfer loss. This loss alone, through
+// the backward pass and Adam, must move a displaced wall of surfels back to its measured
+// position. If the gradient is cut off, the wall must not move.
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/loss.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -15,8 +15,8 @@ class ChamferMoves : public test::DeviceTest {};
 
 constexpr float kWall_m = 6.0f, kShift_m = 0.4f;
 
-/// A wall at x = kWall_m + shift that faces the sensor, as surfels 0.25 m apart that
-/// hardly drop.
+/// Makes a wall at x = kWall_m + shift that faces the sensor, of surfels 0.25 m apart
+/// with a low drop probability.
 Scene wall(float shift) {
     Surfels s;
     s.resize(20 * 20);
@@ -30,7 +30,7 @@ Scene wall(float shift) {
     return make_background_scene(s);
 }
 
-/// Every ray measured the wall at kWall_m.
+/// Makes rays that all measured the wall at kWall_m.
 void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets) {
     for (std::uint32_t i = 0; i < side * side; ++i) {
         const glm::vec3 d = glm::normalize(glm::vec3(1.0f, 0.6f * (float(i % side) / float(side - 1) - 0.5f),
@@ -40,8 +40,8 @@ void measure_wall(std::uint32_t side, std::vector<DeviceRay>& rays, std::vector<
     }
 }
 
-/// Mean distance of the means that rays can see from the measured wall, after some steps
-/// of Chamfer alone.
+/// Returns the mean distance of the visible means to the measured wall after some steps
+/// with the Chamfer loss only.
 double distance_after(Device& device, float shift, bool cut_gradient, bool image) {
     constexpr std::uint32_t kSide = 24, kRays = kSide * kSide;
     std::vector<DeviceRay> rays;
@@ -74,7 +74,7 @@ double distance_after(Device& device, float shift, bool cut_gradient, bool image
     }
     double sum = 0.0, n = 0.0;
     for (const glm::vec3& m : renderer.download().surfels.mean) {
-        if (std::abs(m.y) > 1.5f || std::abs(m.z) > 1.5f) continue;  // beyond the rays
+        if (std::abs(m.y) > 1.5f || std::abs(m.z) > 1.5f) continue;  // outside the rays
         sum += std::abs(m.x - kWall_m);
         n += 1.0;
     }

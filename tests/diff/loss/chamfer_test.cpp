@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and chamfer_vjp:
-// nearest neighbours against brute force on clouds of every shape, value and derivative
-// against the double reference.
+// Checks diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and
+// chamfer_vjp. Compares nearest neighbours with brute force on various clouds, and values
+// and derivatives with the double reference.
 #include <cmath>
 #include <functional>
 #include <limits>
@@ -19,27 +19,29 @@
 namespace relidar {
 namespace {
 
+constexpr std::size_t kRayFloats = sizeof(shared::RayGradient) / sizeof(float);
+
 class Chamfer : public test::DeviceTest {};
 
 constexpr float kInfinity = std::numeric_limits<float>::infinity();
 
-/// Both clouds of a scan, ray by ray; range 0 = none.
+/// Simulated and measured points of a scan, ray by ray; range 0 = no return.
 struct Clouds {
     ImageShape image;
     std::vector<DeviceRay> rays;
     std::vector<float> simulated, measured;
 };
 
-/// A sweep of a spinning sensor that drives meanwhile, before a rough wall; all
-/// coordinates are multiples of 1/1024, so that points are the same numbers on the host
-/// whatever a device contracts.
+/// Makes a sweep of a driving, spinning sensor in front of a rough wall. All coordinates
+/// are multiples of 1/1024, so that host and device compute the same points even if the
+/// device contracts operations.
 Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
     std::mt19937_64 random(rows * 977 + columns);
     std::uniform_real_distribution<float> unit(0.0f, 1.0f);
     Clouds c{{rows, columns, true}, {}, {}, {}};
     const auto on = [](float x, float steps) { return std::round(x * steps) / steps; };
     for (std::uint32_t i = 0; i < rows * columns; ++i) {
-        // uneven rows
+        // unevenly spaced rows
         const float azimuth = 6.2831853f * float(i % columns) / float(columns),
                     elevation = -0.4f * std::pow(float(i / columns) / float(rows), 1.7f);
         c.rays.push_back({{on(float(i % columns) / float(columns), 1024), 0, 0},
@@ -54,7 +56,7 @@ Clouds lattice_scan(std::uint32_t rows, std::uint32_t columns, float missing) {
 struct FoundChamfer {
     std::array<std::vector<std::uint32_t>, 2> nearest;
     double loss = 0.0;
-    std::vector<float> upstream;  ///< [n,5]
+    std::vector<float> upstream;  ///< [n,kRayFloats]
 };
 
 struct Setting {
@@ -96,8 +98,8 @@ FoundChamfer device_chamfer(Device& device, const Clouds& c, const Setting& s = 
     return {loss.nearest(), terms.download()[loss_term::chamfer], test::floats_of(upstream.download())};
 }
 
-/// Points as the device sees them, relative to the first ray's origin; infinite where
-/// there is none.
+/// Returns points as the device computes them, relative to the first ray's origin;
+/// infinite if there is no return.
 std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) {
     std::vector<glm::vec3> result;
     for (std::size_t i = 0; i < range.size(); ++i)
@@ -107,29 +109,29 @@ std::vector<glm::vec3> points(const Clouds& c, const std::vector<float>& range) 
     return result;
 }
 
-/// In the kernel's order of operations: distances are compared for equality.
+/// Uses the kernel's order of operations, because distances are compared for equality.
 float squared(const glm::vec3& a, const glm::vec3& b) {
     const glm::vec3 d = a - b;
     return (d.x * d.x + d.y * d.y) + d.z * d.z;
 }
 
 void expect_nearest(const std::vector<glm::vec3>& queries, const std::vector<glm::vec3>& cloud,
-                    const std::vector<std::uint32_t>& found, const char* what) {
-    ASSERT_EQ(found.size(), queries.size());
+                    const std::vector<std::uint32_t>& device_result, const char* what) {
+    ASSERT_EQ(device_result.size(), queries.size());
     for (std::size_t i = 0; i < queries.size(); ++i) {
         float best = kInfinity;
         if (std::isfinite(queries[i].x))
             for (const glm::vec3& p : cloud)
                 if (std::isfinite(p.x)) best = std::min(best, squared(queries[i], p));
-        if (best == kInfinity) EXPECT_EQ(found[i], ~0u) << what << " " << i;
-        else EXPECT_EQ(squared(queries[i], cloud.at(found[i])), best) << what << " " << i;
+        if (best == kInfinity) EXPECT_EQ(device_result[i], ~0u) << what << " " << i;
+        else EXPECT_EQ(squared(queries[i], cloud.at(device_result[i])), best) << what << " " << i;
     }
 }
 
-void expect_exact(const Clouds& c, const FoundChamfer& found, const std::string& what) {
+void expect_exact(const Clouds& c, const FoundChamfer& device_result, const std::string& what) {
     const std::vector<glm::vec3> simulated = points(c, c.simulated), measured = points(c, c.measured);
-    expect_nearest(simulated, measured, found.nearest[0], (what + ", simulated").c_str());
-    expect_nearest(measured, simulated, found.nearest[1], (what + ", measured").c_str());
+    expect_nearest(simulated, measured, device_result.nearest[0], (what + ", simulated").c_str());
+    expect_nearest(measured, simulated, device_result.nearest[1], (what + ", measured").c_str());
 }
 
 TEST_F(Chamfer, NearestNeighboursAreExact) {
@@ -162,12 +164,13 @@ TEST_F(Chamfer, DegenerateClouds) {
     const auto expect = [&](const char* what, const std::function<void(Clouds&)>& change) {
         Clouds c = scan;
         change(c);
-        const FoundChamfer found = device_chamfer(device(), c);
-        expect_exact(c, found, what);
+        const FoundChamfer device_result = device_chamfer(device(), c);
+        expect_exact(c, device_result, what);
         const bool empty =
             c.simulated == std::vector<float>(320, 0.0f) || c.measured == std::vector<float>(320, 0.0f);
-        EXPECT_EQ(found.loss == 0.0, empty || c.simulated == c.measured) << what;
-        for (const float x : found.upstream) EXPECT_TRUE(std::isfinite(x) && (!empty || x == 0.0f)) << what;
+        EXPECT_EQ(device_result.loss == 0.0, empty || c.simulated == c.measured) << what;
+        for (const float x : device_result.upstream)
+            EXPECT_TRUE(std::isfinite(x) && (!empty || x == 0.0f)) << what;
     };
     const std::vector<float> none(320, 0.0f);
     std::vector<float> one = none, far = none;
@@ -194,10 +197,10 @@ TEST_F(Chamfer, UnknownDroppedAndThinRaysAreNoPoints) {
     EXPECT_NE(solid.nearest[0][0], ~0u);
     Clouds broken = c;
     broken.simulated[7] = std::numeric_limits<float>::quiet_NaN();
-    const FoundChamfer found = device_chamfer(device(), broken);
-    EXPECT_EQ(found.nearest[0][7], ~0u);
-    for (const std::uint32_t i : found.nearest[1]) EXPECT_NE(i, 7u);
-    EXPECT_TRUE(std::isfinite(found.loss));
+    const FoundChamfer device_result = device_chamfer(device(), broken);
+    EXPECT_EQ(device_result.nearest[0][7], ~0u);
+    for (const std::uint32_t i : device_result.nearest[1]) EXPECT_NE(i, 7u);
+    EXPECT_TRUE(std::isfinite(device_result.loss));
 }
 
 TEST_F(Chamfer, AgreesWithReference) {
@@ -208,19 +211,21 @@ TEST_F(Chamfer, AgreesWithReference) {
         std::vector<reference::ChamferRay> rays;
         for (std::size_t i = 0; i < c.rays.size(); ++i) {
             c.rays[i].direction = glm::normalize(c.rays[i].direction);
-            // pairs beyond doubt: no ties
+            // avoids ties, so that the pairs are unambiguous
             if (c.simulated[i] > 0.0f) c.simulated[i] += 0.3f * unit(random);
             rays.push_back({c.rays[i].origin, c.rays[i].direction, c.simulated[i], c.measured[i]});
         }
         const float weight = 0.6f;
         std::vector<double> d_range;
         const double loss = reference::chamfer_loss(rays, &d_range);
-        const FoundChamfer found = device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
-        EXPECT_NEAR(found.loss, loss, 1e-4 * loss);
-        // of the norm of all: differences of points 10 m away hold 1e-6 m
+        const FoundChamfer device_result =
+            device_chamfer(device(), c, {.normalised = normalised, .weight = weight});
+        EXPECT_NEAR(device_result.loss, loss, 1e-4 * loss);
+        // Relative to the norm of all rows, because differences of points 10 m away are
+        // accurate to 1e-6 m.
         std::vector<double> expected, actual;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            const float* row = &found.upstream[5 * i];
+            const float* row = &found.upstream[kRayFloats * i];
             expected.insert(expected.end(), {normalised ? d_range[i] / weight : d_range[i],
                                              normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
             actual.insert(actual.end(), {row[0], row[1]});
@@ -228,7 +233,7 @@ TEST_F(Chamfer, AgreesWithReference) {
             for (std::size_t k = 2; k < 5; ++k) EXPECT_EQ(row[k], 0.0f);
         }
         EXPECT_EQ(device_chamfer(device(), c, {.normalised = normalised, .weight = weight}).upstream,
-                  found.upstream)
+                  device_result.upstream)
             << "the same bits every time";
         test::GradientTable table;
         table.add_row("depth and weight", expected, actual);

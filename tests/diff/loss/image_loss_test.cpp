@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/image_loss (Eq. 10, M6) against the double reference, values and derivatives,
-// on both depth and both intensity terms; masked rays, extreme logits, strided batches.
+// Compares values and derivatives of diff/loss/image_loss (Eq. 10, M6) with the double
+// reference, for both depth and both intensity terms, masked rays, extreme logits and
+// strided batches.
 #include <cmath>
 #include <random>
 
@@ -31,7 +32,7 @@ Data random_data(std::size_t n, std::uint64_t seed) {
     for (std::size_t i = 0; i < n; ++i) {
         const float weight = 0.2f + 0.8f * unit(random), range = 2.0f + 50.0f * unit(random),
                     depth = weight * (range + unit(random) - 0.5f);
-        const float spread = i % 7 == 0 ? 80.0f : 3.0f;  // extreme logits, too
+        const float spread = i % 7 == 0 ? 80.0f : 3.0f;  // includes extreme logits
         const float hit = spread * (unit(random) - 0.5f), drop = spread * (unit(random) - 0.5f),
                     intensity = unit(random);
         const bool dropped = unit(random) < 0.3f;
@@ -54,6 +55,7 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             LossWeights weights;
             weights.normalised_depth = normalised;
             weights.intensity_delta = normalised ? 0.2f : 0.0f;
+            constexpr std::size_t kFloats = sizeof(shared::RayGradient) / sizeof(float);
             std::vector<reference::PixelGradient> expected;
             const reference::LossTerms terms = reference::evaluate_loss(
                 d.pixels, d.expected_targets,
@@ -63,7 +65,8 @@ TEST_F(ImageLossTest, AgreesWithReference) {
             Stream stream(device());
             const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
             const Array<DeviceTarget> targets(device(), std::span<const DeviceTarget>(d.targets), "targets");
-            Array<shared::RayGradient> upstream(device(), n + 1, "upstream");  // a guard behind
+            // detects writes beyond the end
+            Array<shared::RayGradient> upstream(device(), n + 1, "upstream");
             const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
             stream.fill(upstream, 0x7fc00000u);
             double returned = 0.0;
@@ -77,13 +80,15 @@ TEST_F(ImageLossTest, AgreesWithReference) {
                         1e-4 * weights.intensity * terms.intensity);
             EXPECT_NEAR(s[loss_term::drop], weights.drop * terms.drop, 1e-4 * weights.drop * terms.drop);
             for (std::size_t i = 0; i < n; ++i) {
-                const double row[] = {expected[i].depth, expected[i].weight, expected[i].intensity,
-                                      expected[i].hit_logit, expected[i].drop_logit};
-                for (std::size_t k = 0; k < 5; ++k)
-                    EXPECT_NEAR(g[5 * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n)))
+                const double row[] = {expected[i].depth,      expected[i].weight,
+                                      expected[i].intensity,  expected[i].hit_logit,
+                                      expected[i].drop_logit, 0.0};  // the likelihood is another loss
+                for (std::size_t k = 0; k < kFloats; ++k)
+                    EXPECT_NEAR(g[kFloats * i + k], row[k], 1e-6 * (std::abs(row[k]) + 1.0 / double(n)))
                         << "ray " << i << " lane " << k;
             }
-            for (std::size_t k = 0; k < 5; ++k) EXPECT_TRUE(std::isnan(g[5 * n + k])) << "wrote past the end";
+            for (std::size_t k = 0; k < kFloats; ++k)
+                EXPECT_TRUE(std::isnan(g[kFloats * n + k])) << "wrote past the end";
         }
 }
 
@@ -96,18 +101,18 @@ TEST_F(ImageLossTest, MaskedRaysTakeNoPartAndStrideSelects) {
     const Array<shared::RenderedRay> rendered(device(), d.rendered, "rendered");
     const Array<float> sums(device(), std::vector<float>(kLossTerms, 0.0f), "terms");
     Array<shared::RayGradient> upstream(device(), 16, "upstream");
-    // targets 0, 4, 8, ...: all masked
+    // targets 0, 4, 8, ... are masked
     loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 0, 4, 16, 16.0, 16.0}, sums);
     stream.finish();
     for (const float x : test::floats_of(upstream.download())) EXPECT_EQ(x, 0.0f);
     for (const float x : sums.download()) EXPECT_EQ(x, 0.0f);
-    // targets 1, 5, 9, ...: all known
+    // targets 1, 5, 9, ... are known
     loss.compare(stream, {{}, &rendered, &upstream}, {&targets, 1, 4, 16, 16.0, 16.0}, sums);
     stream.finish();
     EXPECT_GT(sums.download()[loss_term::drop], 0.0f);
 }
 
-/// Names of the losses, by what they are.
+/// Returns the names of the losses, derived from their types.
 std::vector<std::string> made(Device& device, const LossWeights& weights) {
     std::vector<std::string> names;
     for (const std::unique_ptr<Loss>& loss : make_losses(device, weights, 64))

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/ssim and diff/loss/ssim_vjp against the double reference: values and
-// derivatives on images with unknown and dropped pixels, whole sweeps and windows, fewer
-// rows and columns than the window, strided targets; what lies at a dropped pixel plays
-// no part.
+// Compares values and derivatives of diff/loss/ssim and diff/loss/ssim_vjp with the
+// double reference. Covers images with unknown and dropped pixels, full sweeps and
+// windows, images smaller than the window, and strided targets. Values at dropped pixels
+// must not matter.
 #include <random>
 
 #include <relidar/diff/forward.hpp>
@@ -24,7 +24,7 @@ Image random_image(int rows, int columns, bool circular, double known_share) {
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Image image{rows, columns, circular, {}, {}, {}};
     for (int i = 0; i < rows * columns; ++i) {
-        // half the image nearly flat: small variances
+        // One half of the image is nearly flat and has small variances.
         const double flat = i % columns < columns / 2 ? 0.3 : 0.3 + 0.4 * unit(random);
         image.y.push_back(float(flat));
         image.x.push_back(float(flat + 0.05 * unit(random)));
@@ -38,8 +38,8 @@ struct Result {
     std::vector<double> d_x;
 };
 
-/// The device's loss; every pixel that is not known is dropped or unknown by turns, and
-/// holds nonsense.
+/// Computes the loss on the device. Pixels that are not known are alternately dropped and
+/// unknown and contain invalid values.
 Result device_ssim(Device& device, const Image& image, float share, std::uint32_t stride = 1) {
     const std::size_t n = image.x.size();
     std::vector<shared::RenderedRay> rendered;
@@ -84,15 +84,15 @@ TEST_F(Ssim, AgreesWithReference) {
         const Image image = random_image(c.rows, c.columns, c.circular, c.known);
         std::vector<double> expected;
         const double loss = reference::ssim_loss(image, &expected);
-        const Result found = device_ssim(device(), image, 1.0f, c.stride);
-        EXPECT_NEAR(found.ssim, loss, 1e-4 * loss) << c.rows << " x " << c.columns;
-        EXPECT_EQ(found.l1, 0.0);
+        const Result device_result = device_ssim(device(), image, 1.0f, c.stride);
+        EXPECT_NEAR(device_result.ssim, loss, 1e-4 * loss) << c.rows << " x " << c.columns;
+        EXPECT_EQ(device_result.l1, 0.0);
         test::GradientTable table;
-        table.add_row("image", expected, found.d_x);
+        table.add_row("image", expected, device_result.d_x);
         EXPECT_EQ(table.groups().at("image").missing_rows(), 0u);
         EXPECT_LE(table.worst_error(), test::kKernelGradient) << c.rows << " x " << c.columns;
         for (std::size_t i = 0; i < expected.size(); ++i)
-            EXPECT_TRUE(image.known[i] || found.d_x[i] == 0.0) << "pixel " << i << " takes no part";
+            EXPECT_TRUE(image.known[i] || device_result.d_x[i] == 0.0) << "pixel " << i << " takes no part";
     }
 }
 

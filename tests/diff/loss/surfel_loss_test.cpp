@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/surfel_loss against the double reference: a background without a box and two
-// actors; gradients are added to what is there, in touched rows only; surfels outside
-// their box come back.
+// Compares diff/loss/surfel_loss with the double reference for a background without a box
+// and two actors. Gradients must be added to existing ones in touched rows only. Training
+// must move surfels back into their box.
 #include <cmath>
 #include <random>
 
@@ -38,7 +38,7 @@ Scene random_scene() {
     return scene;
 }
 
-/// All rows of surfels, then touched rows of 3D Gaussians.
+/// Tests all rows of surfels, then only touched rows of 3D Gaussians.
 TEST_F(SurfelLossTest, AgreesWithReference) {
     Scene scene = random_scene();
     LossWeights weights;
@@ -63,7 +63,7 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
 
         double box = 0.0;
         test::GradientTable table;
-        const Surfels found = d.download();
+        const Surfels device_result = d.download();
         for (std::size_t i = 0; i < n; ++i) {
             reference::BoxedSurfel expected, ignored;
             expected.mean = {0.25, 0.25, 0.25};
@@ -78,11 +78,12 @@ TEST_F(SurfelLossTest, AgreesWithReference) {
                                            0.3 / (2 * kActor), write ? expected : ignored);
             }
             table.add_row("mean", {expected.mean[0], expected.mean[1], expected.mean[2]},
-                          {found.mean[i].x, found.mean[i].y, found.mean[i].z});
+                          {device_result.mean[i].x, device_result.mean[i].y, device_result.mean[i].z});
             table.add_row("log_scale", {expected.log_scale[0], expected.log_scale[1]},
-                          {found.log_scale[i].x, found.log_scale[i].y});
+                          {device_result.log_scale[i].x, device_result.log_scale[i].y});
             if (is_gaussian)
-                table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)}, {found.log_scale_w[i]});
+                table.add_row("log_scale_w", {expected.log_scale_w.value_or(0.0)},
+                              {device_result.log_scale_w[i]});
         }
         EXPECT_NEAR(terms.download()[loss_term::box], 0.3 * box / (2 * kActor), 1e-5 * box);
         EXPECT_LE(table.worst_error(), test::kKernelGradient);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/matmul and diff/network/softmax, by way of attention, against the double
-// reference: values, shares and derivatives; several heads, batches, slices, fewer pixels
-// than a subgroup has lanes; large scores.
+// Compares diff/network/matmul and diff/network/softmax, used by attention, with the
+// double reference: values, weights and derivatives. Covers several heads, batches,
+// slices, fewer pixels than a subgroup has lanes, and large scores.
 #include "diff/network/attention.hpp"
 
 #include "../../support/device.hpp"
@@ -34,18 +34,18 @@ INSTANTIATE_TEST_SUITE_P(Refine, AttentionSizes,
 TEST_P(AttentionSizes, ForwardAndBackward) {
     const AttentionCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, 3 * c.channels, 1),
-                           asked = test::random_images(c.grid, c.channels, 2);
+                           upstream = test::random_images(c.grid, c.channels, 2);
     Attention attention(device(), std::uint32_t(c.heads));
     AttentionState state = attention.make_state(device(), c.grid, true);
     Stream stream(device());
     const OnDevice qkv(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels),
-                                          d_to(device(), asked),
+                                          d_to(device(), upstream),
                                           d_qkv = OnDevice::unwritten(device(), c.grid, 3 * c.channels);
     attention.forward(stream, qkv.slice(), state, to.slice());
     attention.vjp(stream, qkv.slice(), state, d_to.slice(), d_qkv.slice());
     stream.finish();
     EXPECT_LT(worst_error(to.read(), reference::attend(values, c.heads)), test::kLayer);
-    EXPECT_LT(worst_error(d_qkv.read(), reference::attend_vjp(values, c.heads, asked)), test::kLayer);
+    EXPECT_LT(worst_error(d_qkv.read(), reference::attend_vjp(values, c.heads, upstream)), test::kLayer);
     const std::vector<double> shares = test::doubles(state.share.values);
     const std::size_t pixels = c.grid.pixels();
     ASSERT_EQ(shares.size(), c.grid.n * std::size_t(c.heads) * pixels * pixels);
@@ -56,7 +56,7 @@ TEST_P(AttentionSizes, ForwardAndBackward) {
     }
 }
 
-/// exp() of these scores is beyond any float.
+/// exp() of these scores overflows float.
 TEST_F(AttentionTest, LargeScores) {
     const Grid grid{1, 3, 7};
     const test::ImageBatch values = test::random_images(grid, 12, 1, 30.0);
@@ -70,14 +70,14 @@ TEST_F(AttentionTest, LargeScores) {
     EXPECT_LT(worst_error(to.read(), reference::attend(values, 1)), 1e-3);
 }
 
-/// Every pixel takes the value of the one whose key answers its query: a turn of the
-/// ring.
+/// The key of each pixel matches the query of its neighbour, so attention must shift the
+/// values by one pixel around the ring.
 TEST_F(AttentionTest, TakesWhatItAsksFor) {
     const int n = 5;
     test::ImageBatch values(1, 3 * n, 1, n), expected(1, n, 1, n);
     for (int x = 0; x < n; ++x) {
-        values.at(0, x, 0, x) = 100.0;               // pixel x asks for x,
-        values.at(0, n + (x + 1) % n, 0, x) = 10.0;  // and is answered by the pixel before it
+        values.at(0, x, 0, x) = 100.0;               // the query of pixel x is x
+        values.at(0, n + (x + 1) % n, 0, x) = 10.0;  // the key x belongs to the previous pixel
         values.at(0, 2 * n + x, 0, x) = 1.0;
         expected.at(0, (x + n - 1) % n, 0, x) = 1.0;
     }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/conv, diff/network/conv_weights and diff/network/sum_parts against the
-// double reference: values and both derivatives, slices, batches, images smaller than a
-// subgroup; the ring; weights in shared memory (as on a GPU) and in lanes (as on a CPU).
+// Compares diff/network/conv, diff/network/conv_weights and diff/network/sum_parts with
+// the double reference: values and both derivatives, slices, batches, and images smaller
+// than a subgroup. Covers the ring of columns, and weights in shared memory (as on a GPU)
+// and in registers (as on a CPU).
 #include "diff/network/conv.hpp"
 
 #include "../../support/device.hpp"
@@ -102,10 +103,10 @@ TEST_P(ConvSizes, DerivativeByTheWeights) {
     actual.pop_back(), repeated.pop_back();
     EXPECT_LT(worst_error(actual, reference::convolve_weights_vjp(layer.from, layer.d_to, int(c.taps))),
               test::kLayer);
-    EXPECT_EQ(actual, repeated);  // a fixed order
+    EXPECT_EQ(actual, repeated);  // the order of summation is fixed
 }
 
-/// <d_to, W v> = <W^T d_to, v>, all of it on the device.
+/// Checks <d_to, W v> = <W^T d_to, v> on the device.
 TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     const Case c{9, {4, 11, 37}, 9, 17};
     const Layer layer = random_layer(c);
@@ -128,7 +129,7 @@ TEST_F(ConvTest, ForwardAndBackwardAreTransposes) {
     EXPECT_NEAR(test::dot(test::doubles(d_weights), layer.weights), asked, scale);
 }
 
-/// A single one in the first column reaches the last one, and nothing beyond the first
+/// A value in the first column must affect the last column, but nothing beyond the first
 /// and last row.
 TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
     for (const std::uint32_t columns : {2u, 3u, 8u, 13u, 64u, 70u}) {
@@ -145,9 +146,11 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
         stream.finish();
         const test::ImageBatch seen = to.read(), asked = back.read();
         const int last = int(columns) - 1;
-        const double both = columns == 2 ? 1.0 : 0.0;  // the neighbours on both sides are one
+        // with two columns, the left and right neighbour are the same
+        const double both = columns == 2 ? 1.0 : 0.0;
         EXPECT_EQ(seen.at(0, 0, 0, 0), 5.0);
-        EXPECT_EQ(seen.at(0, 0, 0, last), 6.0 + both * 4.0);  // sees it by its right tap
+        // the last column reads the value with its right tap
+        EXPECT_EQ(seen.at(0, 0, 0, last), 6.0 + both * 4.0);
         EXPECT_EQ(seen.at(0, 0, 1, last), 3.0 + both * 1.0);
         EXPECT_EQ(asked.at(0, 0, 0, last), 4.0 + both * 6.0);
         EXPECT_EQ(asked.at(0, 0, 1, last), 7.0 + both * 9.0);
@@ -155,15 +158,15 @@ TEST_F(ConvTest, ColumnsAreARingAndRowsEnd) {
     }
 }
 
-/// How diff/network/conv is built: pixels that a thread makes, and whether the weights
-/// lie in shared memory.
+/// Specialisation of diff/network/conv: pixels per thread, and whether weights are stored
+/// in shared memory.
 struct Variant {
     std::uint32_t pixels, staged;
 };
 class ConvVariants : public test::DeviceTest, public testing::WithParamInterface<Variant> {};
 INSTANTIATE_TEST_SUITE_P(Refine, ConvVariants, testing::Values(Variant{8, 1}, Variant{1, 1}, Variant{2, 0}));
 
-/// As other devices have it.
+/// Tests the variants that other devices use.
 TEST_P(ConvVariants, Agree) {
     const auto lanes = std::uint32_t(device().info().subgroup_size);
     const auto tiles = [](std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/drop_inputs against loops: what the sensor sees turns about it, its own
-// channels stay, start is the rendered logit as it is.
+// Compares diff/network/drop_inputs with plain loops: channels of the scene turn around
+// the sensor, channels of the sensor stay, and the start value is the rendered logit.
 #include "../../support/device.hpp"
 #include "diff/shared/refine.h"
 #include "gpu/stream.hpp"
@@ -21,7 +21,7 @@ const std::vector<std::uint32_t> kChosen{2, 0, 2, 1};
 std::vector<double> scale() { return {1.0, 2.0, 0.5, -1.0, 4.0}; }
 std::vector<double> shift() { return {0.0, 1.0, -3.0, 0.25, 2.0}; }
 
-/// A column of a sample comes to lie `turn` columns on.
+/// Shifts the columns of each sample by `turn`.
 Batch turned(const test::ImageBatch& samples, const std::vector<double>& targets,
              const std::vector<std::uint32_t>& turn, int n_fixed) {
     const refine::Grid grid = test::grid_of(samples);
@@ -93,7 +93,7 @@ TEST_F(DropInputsTest, TurnsWhatIsSeenAndKeepsTheSensorsOwn) {
             };
             for (const Buffer* array : {&images.buffer(), &start.buffer(), &target.buffer()})
                 stream.fill(*array, 0x7fc00000u);
-            launch({});  // no target: none is written
+            launch({});  // without a target, no target is written
             for (const double x : test::doubles(target)) EXPECT_TRUE(std::isnan(x));
             EXPECT_LT(test::worst_error(written(images), expected.images), 1e-6);
             launch(target.address());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/drop_loss against the double reference: mean, accuracy, probabilities and
-// derivatives; extreme logits, pixels that are not known, a start to which the logits are
-// added, what may be left out.
+// Compares diff/network/drop_loss with the double reference: mean, accuracy,
+// probabilities and derivatives. Covers extreme logits, unknown pixels, a start value
+// added to the logits, and optional outputs.
 #include "diff/network/drop_loss.hpp"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ Data random_data(std::size_t n) {
     std::uniform_real_distribution<double> unit(0.0, 1.0);
     Data d{test::random_floats(n, 1, 2.0), test::random_floats(n, 2, 2.0), {}, {}};
     for (std::size_t i = 0; i < n; ++i) {
-        if (i % 17 == 3) d.logit[i] = i % 2 ? 120.0 : -120.0;  // exp() of which no float holds
+        if (i % 17 == 3) d.logit[i] = i % 2 ? 120.0 : -120.0;  // exp() overflows float
         d.sum.push_back(double(float(d.logit[i]) + float(d.start[i])));
         const double u = unit(random);
         d.target.push_back(u < 0.2 ? -1.0 : u < 0.5 ? 1.0 : 0.0);
@@ -45,7 +45,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
         const Array<float> logit = test::to_device(device(), d.logit);
         const auto start = test::to_device<shared::StartLogits>(device(), d.start);
         const auto target = test::to_device<shared::DropTargets>(device(), d.target);
-        Array<float> d_logit(device(), n + 1, "gradient");  // a guard behind
+        Array<float> d_logit(device(), n + 1, "gradient");  // detects writes beyond the end
         Array<float, shared::DropProbabilities> probability(device(), n + 1, "probability");
         for (const bool with_start : {true, false}) {
             const reference::DropEntropy expected =
@@ -71,7 +71,7 @@ TEST_F(DropLossTest, AgreesWithReference) {
     }
 }
 
-/// The derivative is that of the mean which the device itself gives.
+/// The derivative must match the mean that the device computes.
 TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     const std::size_t n = 37;
     const Data d = random_data(n);
@@ -93,7 +93,7 @@ TEST_F(DropLossTest, DerivativeIsThatOfTheScore) {
     };
     for (std::size_t i = 0; i < n; i += 5) {
         std::vector<double> logits = test::random_floats(n, 9), above = logits, below = logits;
-        above[i] += 0.125, below[i] -= 0.125;  // differences of floats need a long step
+        above[i] += 0.125, below[i] -= 0.125;  // differences of floats need a large step
         const double difference = (entropy(above) - entropy(below)) / 0.25;
         entropy(logits);
         EXPECT_NEAR(test::doubles(d_logit)[i], difference, 3e-3 / double(d.known) * 2.0) << i;
@@ -123,7 +123,7 @@ TEST_F(DropLossTest, NothingKnown) {
         EXPECT_EQ(loss.score(0).entropy, 0.0);
         EXPECT_EQ(loss.score(0).accuracy, 0.0);
     }
-    // no derivative is asked for: probabilities alone
+    // no derivative requested: only probabilities
     loss.run(stream, n,
              {.logit = logit.address_as<float, shared::DropLogits>(), .probability = probability.address()},
              0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training and asking the ray-drop network: it learns a rule that no pixel shows by
-// itself, gives the same answer twice, starts as nothing, works on other image sizes, and
-// refuses what it cannot work with.
+// Trains and evaluates the ray-drop network. It must learn a rule that no single pixel
+// reveals, give the same result twice, have no effect before training, accept other image
+// sizes, and reject unsuitable inputs.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -18,8 +18,8 @@ namespace {
 
 class DropNetworkTest : public test::DeviceTest {};
 
-/// Random intensities; a ray is dropped where its right neighbour is dark. The rendered
-/// logit says 0.3 everywhere.
+/// Makes an image with random intensities in which a ray is dropped if its right
+/// neighbour is dark. The rendered logit is 0.3 everywhere.
 DropImage dark_neighbours(int rows, int columns, const RefineOptions& options, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     const std::vector<std::string> names = drop_channel_names(options);
@@ -69,11 +69,11 @@ TEST_F(DropNetworkTest, LearnsWhatNeighboursSay) {
     DropRefiner refiner(device(), network);
     const DropImage seen_first_now = dark_neighbours(16, 40, options, 99),
                     larger = dark_neighbours(25, 61, options, 98);
-    // 0.7 by always saying "returned"
+    // always predicting a return would reach 0.7
     EXPECT_GT(accuracy_of(refiner.refine(seen_first_now), seen_first_now), 0.97);
     EXPECT_GT(accuracy_of(refiner.refine(larger), larger), 0.97);
     EXPECT_EQ(refiner.refine(larger), refiner.refine(larger));
-    // more than it keeps room for
+    // more shapes than the network caches
     const DropImage shapes[] = {seen_first_now, larger, dark_neighbours(20, 50, options, 97)};
     for (const int which : {0, 1, 0, 2, 1, 2, 0})
         EXPECT_EQ(refiner.refine(shapes[which]), DropRefiner(device(), network).refine(shapes[which]))
@@ -92,7 +92,7 @@ TEST_F(DropNetworkTest, PixelsByThemselvesCannotKnow) {
 TEST_F(DropNetworkTest, SameSeedGivesTheSameBitsAnotherDoesNot) {
     RefineOptions options = short_training();
     options.epochs = 2;
-    options.network = "paper";  // which drops values
+    options.network = "paper";  // the paper's network uses dropout
     options.width = 8;
     const std::vector<DropImage> images = some_images(options, 4);
     const DropNetwork a = train_drop_network(device(), images, options, 1, {}),
@@ -137,7 +137,7 @@ TEST_F(DropNetworkTest, StopsWhereProgressSaysSo) {
     EXPECT_FALSE(network.empty());
 }
 
-/// Stops after a step, and gives the state there.
+/// Trains until `step` and returns the state after this step.
 RefineState state_after(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
                         int step, const RefineState* start = nullptr) {
     RefineState kept;
@@ -159,12 +159,12 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
         options.rays = "origin,direction";
         options.epochs = 4;
         const std::vector<DropImage> images = some_images(options, 6);
-        std::vector<RefineProgress> whole, parts;
+        std::vector<RefineProgress> uninterrupted, parts;
         const auto told_to = [](std::vector<RefineProgress>& lines) {
             return [&](const RefineProgress& p, const auto&) { return lines.push_back(p), true; };
         };
-        const DropNetwork expected = train_drop_network(device(), images, options, 1, told_to(whole));
-        ASSERT_EQ(whole.size(), 12u);
+        const DropNetwork expected = train_drop_network(device(), images, options, 1, told_to(uninterrupted));
+        ASSERT_EQ(uninterrupted.size(), 12u);
         const RefineState in_an_epoch = state_after(device(), images, options, 4),
                           at_its_end = state_after(device(), images, options, 6, &in_an_epoch);
         EXPECT_EQ(at_its_end.step, 6);
@@ -176,9 +176,9 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
         EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
         ASSERT_EQ(parts.size(), 6u);
         for (std::size_t i = 0; i < parts.size(); ++i) {
-            EXPECT_EQ(parts[i].step, whole[i + 6].step);
-            EXPECT_EQ(parts[i].epoch, whole[i + 6].epoch);
-            EXPECT_EQ(parts[i].entropy, whole[i + 6].entropy);
+            EXPECT_EQ(parts[i].step, uninterrupted[i + 6].step);
+            EXPECT_EQ(parts[i].epoch, uninterrupted[i + 6].epoch);
+            EXPECT_EQ(parts[i].entropy, uninterrupted[i + 6].entropy);
         }
         const RefineState all = state_after(device(), images, options, 12, &in_an_epoch);
         EXPECT_EQ(train_drop_network(device(), images, options, 1, told_to(parts), &all).parameters,
@@ -244,7 +244,7 @@ TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {
     RefineOptions options;
     options.network = "paper";
     options.rays = "origin,direction";
-    // d, intensity, beta, origin, and of the direction the elevation
+    // Channels: d, intensity, beta, origin, and the elevation of the direction.
     EXPECT_EQ(drop_channel_names(options).size(), 7u);
     EXPECT_NEAR(double(count_parameters(options)), 6.5e6, 0.1e6);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images of the double reference on the device, as a slice of a larger tensor whose other
-// channels must stay as they are.
+// Uploads images of the double reference as a slice of a larger tensor. The other
+// channels of the tensor must not change.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,7 @@ namespace relidar::test {
 
 using reference::ImageBatch;
 
-/// Normal deviates that a float holds, times `scale`, plus `offset`.
+/// Returns normally distributed numbers, rounded to float, times `scale` plus `offset`.
 inline std::vector<double> random_floats(std::size_t n, std::uint64_t seed, double scale = 1.0,
                                          double offset = 0.0) {
     std::mt19937_64 random(seed);
@@ -69,7 +69,7 @@ inline void upload(const refine::Tensor& tensor, const std::vector<double>& valu
 /// Images as channels [before, before + n) of a tensor.
 class OnDevice {
 public:
-    /// @param before,after  channels on both sides
+    /// @param before,after number of channels before and after the images
     OnDevice(Device& device, const ImageBatch& images, std::uint32_t before = 2, std::uint32_t after = 1)
         : tensor_(device, before + std::uint32_t(images.channels) + after, grid_of(images), "images"),
           before_(before),
@@ -80,7 +80,7 @@ public:
         });
         upload(tensor_, values);
     }
-    /// What is to be written: not a number until then.
+    /// Makes an output tensor filled with NaN.
     static OnDevice unwritten(Device& device, const refine::Grid& grid, int channels,
                               std::uint32_t before = 1, std::uint32_t after = 2) {
         ImageBatch images(int(grid.n), channels, int(grid.rows), int(grid.columns));
@@ -89,7 +89,7 @@ public:
     }
 
     refine::Slice slice() const { return tensor_.all().part(before_, std::uint32_t(shape_.channels)); }
-    /// The images; a failure where a neighbouring channel has changed.
+    /// Downloads the images. Fails the test if a neighbouring channel has changed.
     ImageBatch read() const {
         std::vector<float> values = tensor_.values.download();
         ImageBatch images = shape_;
@@ -122,8 +122,8 @@ private:
     }
 };
 
-/// Largest error over the largest value expected: a single place that is wrong shows.
-/// Infinite where a value is not a number.
+/// Returns the largest error divided by the largest expected value, so that a single
+/// wrong element is noticed. Returns infinity if a value is NaN.
 inline double worst_error(const std::vector<double>& actual, const std::vector<double>& expected) {
     if (actual.size() != expected.size()) return HUGE_VAL;
     double worst = 0.0, largest = 0.0;
@@ -138,9 +138,9 @@ inline double worst_error(const ImageBatch& actual, const ImageBatch& expected) 
     return worst_error(actual.values, expected.values);
 }
 
-/// 0 for values that the normalisation brings so near to 0 that rounding decides whether
-/// ReLU lets their gradient through.
-inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std::vector<double>& beta,
+/// Sets derivatives to 0 where the normalised value is so close to 0 that rounding
+/// decides whether ReLU passes the gradient.
+inline void leave_out_kinks(ImageBatch& upstream, const ImageBatch& from, const std::vector<double>& beta,
                             const std::vector<double>& gamma) {
     reference::NormLayer above{beta, gamma, {}}, below = above;
     for (double& x : below.beta) x = -x;
@@ -148,8 +148,8 @@ inline void leave_out_kinks(ImageBatch& asked, const ImageBatch& from, const std
     const reference::Moments moments = reference::moments_of(from);
     const ImageBatch positive = reference::normalise(from, moments, above),
                      negative = reference::normalise(from, moments, below);
-    for (std::size_t i = 0; i < asked.values.size(); ++i)
-        if (positive.values[i] + negative.values[i] < 1e-5) asked.values[i] = 0.0;
+    for (std::size_t i = 0; i < upstream.values.size(); ++i)
+        if (positive.values[i] + negative.values[i] < 1e-5) upstream.values[i] = 0.0;
 }
 
 inline double dot(const std::vector<double>& a, const std::vector<double>& b) {
@@ -158,7 +158,7 @@ inline double dot(const std::vector<double>& a, const std::vector<double>& b) {
     return sum;
 }
 
-/// Single precision: sums of some hundred products.
+/// Tolerance of a layer: sums of some hundred products in single precision.
 inline constexpr double kLayer = 1e-5;
 
 }  // namespace relidar::test

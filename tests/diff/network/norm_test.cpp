@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/channel_sums, diff/network/norm_finish, diff/network/norm and
-// diff/network/norm_vjp against the double reference: values, derivatives, running
-// moments, what is dropped, and moments of values far from zero.
+// Compares diff/network/channel_sums, diff/network/norm_finish, diff/network/norm and
+// diff/network/norm_vjp with the double reference: values, derivatives, running moments,
+// dropout, and moments of values far from zero.
 #include "diff/network/norm.hpp"
 
 #include "../../support/device.hpp"
@@ -62,12 +62,12 @@ struct OnePass {
     }
 };
 
-/// What a pass lets through of each value, found from what it made of values that are all
-/// positive.
+/// Returns the dropout factor of each value, computed from the output for positive
+/// inputs.
 std::vector<double> gate_of(Device& device, const NormCase& c, float dropout, std::uint32_t key) {
     OnePass pass(device, c);
     const std::size_t n = std::size_t(c.channels);
-    pass.beta_gamma =  // all become 1
+    pass.beta_gamma =  // all outputs become 1
         test::pairs_to_device<shared::BetaGamma>(device, std::vector<double>(n, 1.0),
                                                  std::vector<double>(n, 0.0));
     pass.state.dropout = dropout;
@@ -81,15 +81,15 @@ double largest(const std::vector<double>& values) {
     return most;
 }
 
-/// Bound of what is summed to a derivative by an input; of two pixels nearly all of it
-/// cancels.
+/// Returns a bound of the terms that sum to the derivative of an input. With two pixels
+/// the terms nearly cancel.
 double largest_term(const test::ImageBatch& from, const reference::NormLayer& layer,
-                    const test::ImageBatch& asked) {
+                    const test::ImageBatch& upstream) {
     double scale = 0.0;
     const reference::Moments moments = reference::moments_of(from);
     for (std::size_t k = 0; k < layer.gamma.size(); ++k)
         scale = std::max(scale, std::abs(layer.gamma[k]) / std::sqrt(moments.variance[k] + layer.epsilon));
-    return scale * largest(asked.values);
+    return scale * largest(upstream.values);
 }
 
 TEST_P(NormSizes, ForwardAndRunningMoments) {
@@ -112,7 +112,7 @@ TEST_P(NormSizes, EvaluationUsesTheRunningMoments) {
     const NormCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
     OnePass pass(device(), c);
-    pass.state.dropout = 0.9f;  // of no account
+    pass.state.dropout = 0.9f;  // has no effect here
     pass.state.dropout_key = 3;
     const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.grid, c.channels);
     pass.norm.evaluate(pass.stream, from.slice(), pass.weights(), pass.state, to.slice());
@@ -127,16 +127,16 @@ TEST_P(NormSizes, Derivatives) {
     const NormCase& c = GetParam();
     for (const float dropout : {0.0f, 0.3f}) {
         const test::ImageBatch values = test::random_images(c.grid, c.channels, 1, 2.0, 0.7);
-        test::ImageBatch asked = test::random_images(c.grid, c.channels, 2);
+        test::ImageBatch upstream = test::random_images(c.grid, c.channels, 2);
         OnePass pass(device(), c);
-        test::leave_out_kinks(asked, values, pass.layer.beta, pass.layer.gamma);
+        test::leave_out_kinks(upstream, values, pass.layer.beta, pass.layer.gamma);
         pass.state.dropout = dropout;
         pass.state.dropout_key = 77;
         if (dropout > 0.0f) pass.layer.gate = gate_of(device(), c, dropout, 77);
-        const OnDevice from(device(), values), d_to(device(), asked),
+        const OnDevice from(device(), values), d_to(device(), upstream),
             d_from = OnDevice::unwritten(device(), c.grid, c.channels);
         const std::size_t n = 2 * std::size_t(c.channels);
-        // a part of them, from the fourth
+        // writes a part of the array, from the fourth element
         const Array<float> d_parameters = test::to_device(device(), std::vector<double>(n + 6, -7.0));
         const test::ImageBatch actual = pass.forward(device(), from, c);
         pass.norm.vjp(pass.stream, from.slice(), pass.state, d_to.slice(), d_from.slice(), {d_parameters, 4});
@@ -144,8 +144,8 @@ TEST_P(NormSizes, Derivatives) {
         EXPECT_LT(
             worst_error(actual, reference::normalise(values, reference::moments_of(values), pass.layer)),
             test::kLayer);
-        const reference::NormGradient expected = reference::normalise_vjp(values, pass.layer, asked);
-        const double scale = largest(expected.from.values) / largest_term(values, pass.layer, asked);
+        const reference::NormGradient expected = reference::normalise_vjp(values, pass.layer, upstream);
+        const double scale = largest(expected.from.values) / largest_term(values, pass.layer, upstream);
         EXPECT_LT(worst_error(d_from.read(), expected.from) * scale, 2e-5);
         const std::vector<double> d = test::doubles(d_parameters);
         std::vector<double> d_beta, d_gamma;
@@ -159,9 +159,9 @@ TEST_P(NormSizes, Derivatives) {
 
 TEST_P(NormSizes, DerivativeByABias) {
     const NormCase& c = GetParam();
-    const test::ImageBatch asked = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
+    const test::ImageBatch upstream = test::random_images(c.grid, c.channels, 2, 1.0, 0.5);
     OnePass pass(device(), c);
-    const OnDevice d_to(device(), asked);
+    const OnDevice d_to(device(), upstream);
     const auto d_bias =
         test::to_device<shared::ConvBias>(device(), std::vector<double>(std::size_t(c.channels) + 1, -7.0));
     pass.norm.bias_vjp(pass.stream, d_to.slice(), d_bias.address());
@@ -169,10 +169,10 @@ TEST_P(NormSizes, DerivativeByABias) {
     std::vector<double> actual = test::doubles(d_bias);
     EXPECT_EQ(actual.back(), -7.0) << "wrote past the end";
     actual.pop_back();
-    EXPECT_LT(worst_error(actual, reference::channel_sums(asked)), test::kLayer);
+    EXPECT_LT(worst_error(actual, reference::channel_sums(upstream)), test::kLayer);
 }
 
-/// Mean 1000, deviation 1: the naive E[x^2] - E[x]^2 has no digits left in single
+/// Mean 1000, deviation 1: the formula E[x^2] - E[x]^2 would lose all digits in single
 /// precision.
 TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     for (const Grid& grid : {Grid{1, 66, 1030}, Grid{4, 7, 9}}) {
@@ -189,7 +189,7 @@ TEST_F(NormTest, MomentsOfValuesFarFromZero) {
     }
 }
 
-/// One value: nothing to divide by.
+/// With a single value the variance is 0.
 TEST_F(NormTest, ASinglePixelIsFinite) {
     const NormCase c{{1, 1, 1}, 3};
     OnePass pass(device(), c);
@@ -219,7 +219,7 @@ TEST_F(NormTest, DropoutDropsItsShareByKey) {
         EXPECT_EQ(gate, gate_of(device(), c, dropout, 11));
         const std::vector<double> other = gate_of(device(), c, dropout, 12);
         for (std::size_t i = 0; i < gate.size(); ++i) same += (gate[i] == 0.0) == (other[i] == 0.0);
-        // two independent masks agree where both drop or both keep
+        // Two independent masks agree if both drop or both keep a value.
         EXPECT_NEAR(same / n, double(dropout * dropout + (1.0f - dropout) * (1.0f - dropout)),
                     5.0 * 0.5 / std::sqrt(n));
     }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The layers of the ray-drop network against oneDNN. It knows no ring of columns: images
-// are given some columns of the other end on both sides, and what it makes of those is
-// left out, or of gradients added where they came from.
+// Compares the layers of the ray-drop network with oneDNN, which does not support a ring
+// of columns. The test therefore pads images with columns of the opposite end on both
+// sides. It crops the results, and adds the gradients of the padding to the original
+// columns.
 #include <onednn_primitive.hpp>
 
 #include "../../support/device.hpp"
@@ -49,7 +50,7 @@ protected:
     }
 };
 
-/// With `by` columns of the other end on both sides.
+/// Pads images with `by` columns of the opposite end on both sides.
 ImageBatch ringed(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns + 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -61,8 +62,8 @@ ImageBatch ringed(const ImageBatch& images, int by) {
     return result;
 }
 
-/// The transpose: gradients of such columns added to those of the columns they were
-/// copied from.
+/// Computes the transpose of ringed(): adds the gradients of the padding to the columns
+/// that it was copied from.
 ImageBatch folded(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -74,7 +75,7 @@ ImageBatch folded(const ImageBatch& images, int by) {
     return result;
 }
 
-/// Without `by` columns on both sides, or with zeros there for a negative one.
+/// Removes `by` columns on both sides, or adds zeros if `by` is negative.
 ImageBatch cropped(const ImageBatch& images, int by) {
     ImageBatch result(images.n, images.channels, images.rows, images.columns - 2 * by);
     for (int image = 0; image < images.n; ++image)
@@ -111,14 +112,14 @@ protected:
             engine_, forward, algorithm::convolution_direct, of_from, of_weights, of_bias, of_to, strides,
             ends, ends);
         memory in = given(from), w = given(of_weights, weights), b = given(of_bias, bias),
-               asked = given(d_to), out = empty(of_to), d_in = empty(of_from), d_w = empty(of_weights),
+               d_output = given(d_to), out = empty(of_to), d_in = empty(of_from), d_w = empty(of_weights),
                d_b = empty(of_bias);
         execute(dnnl::convolution_forward(forward),
                 {{DNNL_ARG_SRC, in}, {DNNL_ARG_WEIGHTS, w}, {DNNL_ARG_BIAS, b}, {DNNL_ARG_DST, out}});
         execute(dnnl::convolution_backward_data(by_input),
-                {{DNNL_ARG_DIFF_DST, asked}, {DNNL_ARG_WEIGHTS, w}, {DNNL_ARG_DIFF_SRC, d_in}});
+                {{DNNL_ARG_DIFF_DST, d_output}, {DNNL_ARG_WEIGHTS, w}, {DNNL_ARG_DIFF_SRC, d_in}});
         execute(dnnl::convolution_backward_weights(by_weights), {{DNNL_ARG_SRC, in},
-                                                                 {DNNL_ARG_DIFF_DST, asked},
+                                                                 {DNNL_ARG_DIFF_DST, d_output},
                                                                  {DNNL_ARG_DIFF_WEIGHTS, d_w},
                                                                  {DNNL_ARG_DIFF_BIAS, d_b}});
         return {images_of(out, d_to), folded(images_of(d_in, from), reach), values_of(d_w, weights.size()),
@@ -136,18 +137,18 @@ TEST_P(OneDnnConv, Agrees) {
     for (const Sizes& size :
          {Sizes{{4, 9, 37}, 9, 17}, Sizes{{1, 66, 1030}, 10, 16}, Sizes{{2, 2, 13}, 3, 1}}) {
         const ImageBatch values = test::random_images(size.grid, size.n_in, 1),
-                         asked = test::random_images(size.grid, size.n_out, 2);
+                         d_output = test::random_images(size.grid, size.n_out, 2);
         const std::vector<double> weights =
                                       test::random_floats(std::size_t(size.n_in) * size.n_out * taps, 3),
                                   bias = test::random_floats(std::size_t(size.n_out), 4);
-        const ConvAnswers expected = ask(values, weights, bias, asked, int(taps));
+        const ConvAnswers expected = ask(values, weights, bias, d_output, int(taps));
         refine::Conv conv(device(), taps);
         refine::Norm norm(device());
         norm.reserve(device(), std::uint32_t(size.n_out), size.grid);
         conv.reserve(device(),
                      conv.partial_floats(size.grid, std::uint32_t(size.n_in), std::uint32_t(size.n_out)));
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked),
+        const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::unwritten(device(), size.grid, size.n_out),
             d_from = OnDevice::unwritten(device(), size.grid, size.n_in);
         const auto w = test::to_device<shared::ConvWeights>(device(), weights);
@@ -173,7 +174,7 @@ struct NormAnswers {
 
 class OneDnnNorm : public OneDnnTest {
 protected:
-    /// ReLU by hand.
+    /// Runs batch normalisation in oneDNN and applies ReLU by hand.
     NormAnswers ask(const ImageBatch& from, const std::vector<double>& gamma_beta, const ImageBatch& d_to) {
         const memory::desc of_images = images_like(from);
         const auto flags = dnnl::normalization_flags::use_scale | dnnl::normalization_flags::use_shift;
@@ -192,16 +193,16 @@ protected:
                                                              {DNNL_ARG_MEAN, mean},
                                                              {DNNL_ARG_VARIANCE, variance},
                                                              {DNNL_ARG_DST, out}});
-        ImageBatch to = images_of(out, from), asked = d_to;
+        ImageBatch to = images_of(out, from), d_output = d_to;
         for (std::size_t i = 0; i < to.values.size(); ++i) {
-            if (to.values[i] <= 0.0) asked.values[i] = 0.0;
+            if (to.values[i] <= 0.0) d_output.values[i] = 0.0;
             to.values[i] = std::max(to.values[i], 0.0);
         }
-        memory d_out = given(asked);
+        memory d_out = given(d_output);
         execute(dnnl::batch_normalization_backward(backward), {
             {DNNL_ARG_SRC, in}, {DNNL_ARG_MEAN, mean}, {DNNL_ARG_VARIANCE, variance},
                 {DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_SCALE, scale},
-#if DNNL_VERSION_MAJOR < 3  // asks for what it does not use; 3 refuses it
+#if DNNL_VERSION_MAJOR < 3  // oneDNN 2 requires this unused argument, oneDNN 3 rejects it
                 {DNNL_ARG_SHIFT, shift},
 #endif
                 {DNNL_ARG_DIFF_SRC, d_in}, {DNNL_ARG_DIFF_SCALE, d_scale}, {
@@ -219,13 +220,13 @@ TEST_F(OneDnnNorm, Agrees) {
     for (const Grid& grid : {Grid{4, 33, 65}, Grid{1, 66, 1030}}) {
         const int channels = 9;
         const ImageBatch values = test::random_images(grid, channels, 1, 2.0, 0.7);
-        ImageBatch asked = test::random_images(grid, channels, 2);
+        ImageBatch d_output = test::random_images(grid, channels, 2);
         const std::vector<double> beta = test::random_floats(channels, 5, 0.5),
                                   gamma = test::random_floats(channels, 6);
-        test::leave_out_kinks(asked, values, beta, gamma);
+        test::leave_out_kinks(d_output, values, beta, gamma);
         std::vector<double> gamma_beta = gamma;
         gamma_beta.insert(gamma_beta.end(), beta.begin(), beta.end());
-        const NormAnswers expected = ask(values, gamma_beta, asked);
+        const NormAnswers expected = ask(values, gamma_beta, d_output);
         refine::Norm norm(device());
         norm.reserve(device(), channels, grid);
         refine::NormState state(device(), channels);
@@ -233,7 +234,7 @@ TEST_F(OneDnnNorm, Agrees) {
         const auto running = test::pairs_to_device<shared::RunningMoments>(device(), beta, gamma);
         const Array<float> d_parameters(device(), 2 * channels, "gradient");
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked),
+        const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::unwritten(device(), grid, channels),
             d_from = OnDevice::unwritten(device(), grid, channels);
         norm.forward(stream, from.slice(), {parameters.address(), running.address()}, state, to.slice());
@@ -254,15 +255,15 @@ class OneDnnResample : public OneDnnTest {};
 TEST_F(OneDnnResample, PoolingAgrees) {
     for (const Grid& grid : {Grid{4, 7, 13}, Grid{1, 66, 1030}}) {
         const ImageBatch values = test::random_images(grid, 3, 1),
-                         asked = test::random_images(refine::pooled(grid), 3, 2);
-        const memory::desc of_from = images_like(values), of_to = images_like(asked);
+                         d_output = test::random_images(refine::pooled(grid), 3, 2);
+        const memory::desc of_from = images_like(values), of_to = images_like(d_output);
         const memory::dims two{2, 2}, none{0, 0};
         const auto forward = onednn::describe<onednn::pooling_forward>(engine_, prop_kind::forward_training,
                                                                        algorithm::pooling_max, of_from, of_to,
                                                                        two, two, none, none, none);
         const auto backward = onednn::describe_backward<onednn::pooling_backward>(
             engine_, forward, algorithm::pooling_max, of_from, of_to, two, two, none, none, none);
-        memory in = given(values), d_out = given(asked), out = empty(of_to), d_in = empty(of_from),
+        memory in = given(values), d_out = given(d_output), out = empty(of_to), d_in = empty(of_from),
                which = empty(forward.workspace_desc());
         execute(onednn::pooling_forward(forward),
                 {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}, {DNNL_ARG_WORKSPACE, which}});
@@ -270,27 +271,27 @@ TEST_F(OneDnnResample, PoolingAgrees) {
                 {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_WORKSPACE, which}, {DNNL_ARG_DIFF_SRC, d_in}});
         refine::Resample resample(device());
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked),
+        const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::unwritten(device(), refine::pooled(grid), 3),
             d_from(device(), ImageBatch(values.n, 3, values.rows, values.columns));
         resample.pool(stream, from.slice(), to.slice());
         resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
         stream.finish();
-        EXPECT_EQ(to.read().values, images_of(out, asked).values);
+        EXPECT_EQ(to.read().values, images_of(out, d_output).values);
         EXPECT_EQ(d_from.read().values, images_of(d_in, values).values);
     }
 }
 
-/// Twice the columns, so that columns beyond the ends keep every centre where it was; any
-/// number of rows.
+/// Doubles the number of columns, so that padding does not move the pixel centres. Rows
+/// may have any sizes.
 TEST_F(OneDnnResample, UpsamplingAgrees) {
     struct Sizes {
         Grid small, large;
     };
     for (const Sizes& size : {Sizes{{4, 3, 13}, {4, 7, 26}}, Sizes{{1, 33, 515}, {1, 66, 1030}}}) {
         const ImageBatch values = test::random_images(size.small, 3, 1),
-                         asked = test::random_images(size.large, 3, 2);
-        const ImageBatch wide = ringed(values, 1), wide_asked = cropped(asked, -2);
+                         d_output = test::random_images(size.large, 3, 2);
+        const ImageBatch wide = ringed(values, 1), wide_asked = cropped(d_output, -2);
         const memory::desc of_from = images_like(wide), of_to = images_like(wide_asked);
         const auto forward = onednn::describe<dnnl::resampling_forward>(
             engine_, prop_kind::forward_training, algorithm::resampling_linear, of_from, of_to);
@@ -301,13 +302,13 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         execute(dnnl::resampling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_DIFF_SRC, d_in}});
         refine::Resample resample(device());
         Stream stream(device());
-        const OnDevice from(device(), values), d_to(device(), asked),
+        const OnDevice from(device(), values), d_to(device(), d_output),
             to = OnDevice::unwritten(device(), size.large, 3),
             d_from = OnDevice::unwritten(device(), size.small, 3);
         resample.upsample(stream, from.slice(), to.slice());
         resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
         stream.finish();
-        // single precision places a pixel of 1030 to some 3e-5 of one
+        // Single precision positions a pixel of 1030 with an error of about 3e-5.
         EXPECT_LT(worst_error(to.read(), cropped(images_of(out, wide_asked), 2)), 5e-5);
         EXPECT_LT(worst_error(d_from.read(), folded(images_of(d_in, wide), 1)), 5e-5);
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/network/pool, diff/network/pool_vjp, diff/network/upsample and
-// diff/network/upsample_vjp against the double reference: odd sizes, ties, the ring,
-// slices.
+// Compares diff/network/pool, diff/network/pool_vjp, diff/network/upsample and
+// diff/network/upsample_vjp with the double reference. Covers odd sizes, ties, the ring
+// and slices.
 #include "diff/network/resample.hpp"
 
 #include "../../support/device.hpp"
@@ -50,27 +50,27 @@ INSTANTIATE_TEST_SUITE_P(
 TEST_P(PoolSizes, PoolAndItsDerivative) {
     const PoolCase& c = GetParam();
     test::ImageBatch values = test::random_images(c.grid, c.channels, 1);
-    // many are equal
+    // makes many values equal
     for (std::size_t i = 0; i < values.values.size(); i += 2) values.values[i] = std::round(values.values[i]);
     const Grid small = refine::pooled(c.grid);
     EXPECT_EQ(small, (Grid{c.grid.n, c.grid.rows / 2, c.grid.columns / 2}));
-    const test::ImageBatch asked = test::random_images(small, c.channels, 2),
+    const test::ImageBatch upstream = test::random_images(small, c.channels, 2),
                            before = test::random_images(c.grid, c.channels, 3);
     Resample resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::unwritten(device(), small, c.channels),
-                                           d_to(device(), asked), d_from(device(), before);
+                                           d_to(device(), upstream), d_from(device(), before);
     resample.pool(stream, from.slice(), to.slice());
     resample.pool_vjp(stream, from.slice(), d_to.slice(), d_from.slice());
     stream.finish();
     EXPECT_EQ(to.read().values, reference::pool(values).values);
-    test::ImageBatch expected = reference::pool_vjp(values, asked);
-    // it is added
+    test::ImageBatch expected = reference::pool_vjp(values, upstream);
+    // pool_vjp adds to the existing gradient
     for (std::size_t i = 0; i < expected.values.size(); ++i) expected.values[i] += before.values[i];
     EXPECT_LT(worst_error(d_from.read(), expected), 1e-6);
 }
 
-/// Four pixels of which some are equal: the first one gets all of it.
+/// If pixels of a block are equal, the first maximum gets the full gradient.
 TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
     const std::vector<std::vector<double>> quads{
         {1, 1, 1, 1}, {0, 2, 2, 1}, {0, 1, 3, 3}, {-1, -2, -1, -1}, {0, 0, 0, 5}};
@@ -97,25 +97,27 @@ TEST_F(ResampleTest, OfEqualPixelsTheFirstWins) {
 TEST_P(UpsampleSizes, UpsampleAndItsDerivative) {
     const UpsampleCase& c = GetParam();
     const test::ImageBatch values = test::random_images(c.small, c.channels, 1),
-                           asked = test::random_images(c.large, c.channels, 2);
+                           upstream = test::random_images(c.large, c.channels, 2);
     Resample resample(device());
     Stream stream(device());
     const OnDevice from(device(), values), to = OnDevice::unwritten(device(), c.large, c.channels),
-                                           d_to(device(), asked),
+                                           d_to(device(), upstream),
                                            d_from = OnDevice::unwritten(device(), c.small, c.channels);
     resample.upsample(stream, from.slice(), to.slice());
     resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
     stream.finish();
     const test::ImageBatch actual = to.read(), back = d_from.read();
     EXPECT_LT(worst_error(actual, reference::upsample(values, actual.rows, actual.columns)), 2e-6);
-    EXPECT_LT(worst_error(back, reference::upsample_vjp(asked, back.rows, back.columns)), 2e-6);
-    // both kernels place pixels alike, so that they are transposes to rounding
-    const double forth = test::dot(asked.values, actual.values);
+    EXPECT_LT(worst_error(back, reference::upsample_vjp(upstream, back.rows, back.columns)), 2e-6);
+    // Both kernels compute pixel positions in the same way, so they are transposes up to
+    // rounding.
+    const double forth = test::dot(upstream.values, actual.values);
     EXPECT_NEAR(test::dot(back.values, values.values), forth,
-                1e-6 * std::sqrt(double(asked.values.size())) * 4.0);
+                1e-6 * std::sqrt(double(upstream.values.size())) * 4.0);
 }
 
-/// Constants stay, rows end with the last one, and the first and last column are mixed.
+/// Constants must stay constant, rows must be clamped at the border, and the first and
+/// last column must be interpolated.
 TEST_F(ResampleTest, ColumnsAreARingAndRowsEnd) {
     test::ImageBatch first(1, 1, 2, 4), ones(1, 1, 3, 5);
     first.at(0, 0, 0, 0) = 1.0;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The whole network against the same network put together from the double reference's
-// layers: its logits in training and in evaluation, and its gradient against central
-// differences of the reference, a few parameters of every group.
+// Compares the complete network with the same network built from the layers of the double
+// reference: logits in training and evaluation, and gradients against central differences
+// of the reference for a few parameters of every group.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -19,7 +19,7 @@ using refine::Block;
 using refine::ConvLayer;
 using refine::UnetPlan;
 
-/// The network in double. Training mode: each batch is normalised by its own moments.
+/// The network in double. In training mode each batch is normalised by its own moments.
 class ReferenceUnet {
 public:
     ReferenceUnet(const DropNetwork& network, std::vector<double> parameters, bool training)
@@ -109,7 +109,7 @@ protected:
         network_.taps = GetParam().taps;
         const UnetPlan plan(network_);
         refine::initialise(network_, plan, 5);
-        // nothing at its start: zeros would hide gradients
+        // random values instead of the initial zeros, which would hide gradients
         parameters_ = test::random_floats(plan.n_parameters, 6, 0.4, 0.1);
         network_.parameters.assign(parameters_.begin(), parameters_.end());
         const std::vector<double> running = test::random_floats(plan.n_running, 7, 0.3);
@@ -127,12 +127,12 @@ INSTANTIATE_TEST_SUITE_P(Networks, UnetTest,
                                          Shape{"three_levels", {2, 4, 4, 6}, 3, 9, {1, 17, 26}}),
                          [](const auto& tested) { return std::string(tested.param.name); });
 
-void expect_near(const std::vector<double>& found, const std::vector<double>& expected, double tolerance,
-                 const char* what) {
-    ASSERT_EQ(found.size(), expected.size());
+void expect_near(const std::vector<double>& device_result, const std::vector<double>& expected,
+                 double tolerance, const char* what) {
+    ASSERT_EQ(device_result.size(), expected.size());
     double error = 0.0, size = 0.0;
-    for (std::size_t i = 0; i < found.size(); ++i) {
-        error += (found[i] - expected[i]) * (found[i] - expected[i]);
+    for (std::size_t i = 0; i < device_result.size(); ++i) {
+        error += (device_result[i] - expected[i]) * (device_result[i] - expected[i]);
         size += expected[i] * expected[i];
     }
     EXPECT_GT(size, 0.0) << what;
@@ -160,8 +160,8 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     refine::Unet unet(device(), network_);
     unet.reserve(device(), GetParam().grid, true);
     fill_inputs(unet);
-    const std::vector<double> asked = test::random_floats(GetParam().grid.all_pixels(), 9);
-    test::upload(unet.d_logit(), asked);
+    const std::vector<double> upstream = test::random_floats(GetParam().grid.all_pixels(), 9);
+    test::upload(unet.d_logit(), upstream);
     Stream stream(device());
     unet.forward(stream, 1, 0.0f);
     unet.backward(stream);
@@ -172,10 +172,10 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
         std::vector<double> moved = parameters_;
         moved[parameter] += step;
         const ImageBatch logits = ReferenceUnet(network_, std::move(moved), true).logits(inputs_);
-        return std::inner_product(asked.begin(), asked.end(), logits.values.begin(), 0.0);
+        return std::inner_product(upstream.begin(), upstream.end(), logits.values.begin(), 0.0);
     };
     const UnetPlan plan(network_);
-    std::vector<std::pair<std::size_t, std::size_t>> groups;  // first and number of parameters
+    std::vector<std::pair<std::size_t, std::size_t>> groups;  // first index and number of parameters
     const auto add_conv = [&](const ConvLayer& layer) {
         groups.emplace_back(layer.weights, std::size_t(layer.n_in) * layer.n_out * layer.taps);
         if (layer.bias) groups.emplace_back(*layer.bias, layer.n_out);
@@ -190,18 +190,18 @@ TEST_P(UnetTest, GradientAgreesWithDifferencesOfTheReference) {
     for (const Block& block : plan.up) add_block(block);
     add_conv(plan.tail);
     for (const auto& [first, n] : groups) {
-        std::vector<double> found, expected;
+        std::vector<double> device_result, expected;
         for (std::size_t k = 0; k < std::min<std::size_t>(n, 6); ++k) {
             const std::size_t parameter = first + k * n / std::min<std::size_t>(n, 6);
-            found.push_back(gradients[parameter]);
+            device_result.push_back(gradients[parameter]);
             expected.push_back((loss(parameter, 1e-6) - loss(parameter, -1e-6)) / 2e-6);
         }
-        // a bias before a normalisation by the batch has no effect but by way of the next
-        // convolution's zeros
+        // A bias before a batch normalisation has an effect only through the zero padding
+        // of the next convolution, so its gradient is small.
         const double largest = std::abs(*std::max_element(
             expected.begin(), expected.end(), [](double a, double b) { return std::abs(a) < std::abs(b); }));
-        for (std::size_t k = 0; k < found.size(); ++k)
-            EXPECT_NEAR(found[k], expected[k], 2e-3 * largest + 1e-3)
+        for (std::size_t k = 0; k < device_result.size(); ++k)
+            EXPECT_NEAR(device_result[k], expected[k], 2e-3 * largest + 1e-3)
                 << "parameter " << k << " of the group at " << first;
     }
 }

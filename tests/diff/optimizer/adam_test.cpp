@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/optimizer/adam against Adam written out in double, every parameter group,
-// untouched rows, inactive SH coefficients, and the schedule.
+// Compares diff/optimizer/adam with Adam in double for every parameter group. Also covers
+// untouched rows, inactive SH coefficients, and the learning-rate schedule.
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -37,7 +37,7 @@ Surfels random_surfels(std::uint32_t n, std::uint64_t seed, ParameterSet of) {
     return s;
 }
 
-/// One scalar's history.
+/// State of Adam for one number.
 struct Scalar {
     double value, m = 0.0, v = 0.0, ceiling = std::numeric_limits<double>::infinity();
     void step(double g, double rate, int t) {
@@ -48,8 +48,8 @@ struct Scalar {
     }
 };
 
-/// Three models, the second without surfels: each has a rate of its own for its means,
-/// and the others' for all else.
+/// Three models, the second without surfels. Means have a learning rate per model; other
+/// parameters have common rates.
 TEST_P(AdamThreads, MeansLearnAtTheRateOfTheirModel) {
     const std::uint32_t n = 90, n_fixed = 11;
     std::vector<shared::ModelEntry> entries(3);
@@ -95,7 +95,7 @@ const LearningRates kRates{.mean = 1e-3,
                            .gait = 7e-4,
                            .intensity_factor = 0.4};
 
-/// A third of the scales begin above what they may grow to.
+/// Returns upper bounds of scales; a third of the scales start above their bound.
 std::vector<float> some_bounds(std::uint32_t n) {
     std::vector<float> bounds(n);
     for (std::uint32_t i = 0; i < n; ++i) bounds[i] = 0.4f + 0.2f * float(i) / float(n);
@@ -134,9 +134,9 @@ void for_each_parameter(const Surfels& start, const Surfels& actual, std::uint32
     }
 }
 
-/// With one thread a row and one a float; where all rows have gradients, where those that
-/// are not touched (in some steps or in all) decay, and where these stay; in the latter
-/// two the first rows are fixed.
+/// Tests one thread per row and one per float. Rows without gradients either do not
+/// exist, decay (in some or all steps), or stay; in the last two cases the first rows are
+/// fixed.
 TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     const std::uint32_t n = 133;
     const std::vector<float> bounds = some_bounds(n);
@@ -159,7 +159,7 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
         };
         std::vector<Surfels> g;
         for (int t = 1; t <= 3; ++t) {
-            // that of the others must not be read
+            // gradients of untouched rows must not be read
             g.push_back(random_surfels(n, 10 + std::uint64_t(t), parameter_set));
             gradients.upload(g.back());
             std::vector<std::uint32_t> touched(n);
@@ -185,8 +185,8 @@ TEST_P(AdamThreads, AgreeWithAdamInDouble) {
     }
 }
 
-/// 65535 workgroups is all a device need take in one dimension; a launch of more must
-/// reach the last row all the same.
+/// Vulkan guarantees only 65535 workgroups in one dimension. A larger launch must still
+/// reach the last row.
 TEST_F(AdamTest, MoreRowsThanOneDimensionOfWorkgroups) {
     const std::uint32_t n = 2200000;
     const Kernel<shared::AdamParams> kernel(device(), "diff/optimizer/adam");

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The chain as one object, by its host arrays: gradients against the double reference,
-// batches that grow, instances that move, and what is refused. (Every way gradients are
-// found and summed: tests/diff/backward.)
+// Tests the differentiable renderer through its host arrays: gradients against the double
+// reference, growing batches, moving instances, and rejected inputs. tests/diff/backward
+// tests all ways to find hits and sum gradients.
 #include <relidar/base/error.hpp>
 #include <relidar/diff/differentiable_renderer.hpp>
 #include <relidar/diff/optimizer.hpp>
@@ -38,7 +38,7 @@ RenderedGradients to_arrays(const std::vector<reference::PixelGradient>& d) {
     return result;
 }
 
-/// The reference's gradients of a scene's rays.
+/// Computes the gradients of a scene's rays with the reference.
 reference::Gradients expected_gradients(const test::RandomScene& scene, reference::Settings settings,
                                         const std::vector<reference::PixelGradient>& d_rendered,
                                         std::vector<reference::RayGradient>& d_rays) {
@@ -58,21 +58,24 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image, {},
                                     {.wanted = {.rays = true, .poses = true}});
     place(renderer);
-    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // then a larger batch
+    renderer.forward({{rays.origin[0]}, {rays.direction[0]}});  // a small batch before a larger one
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
-    const HostGradients found = renderer.backward(to_arrays(d_rendered));
+    const HostGradients device_result = renderer.backward(to_arrays(d_rendered));
     test::GradientTable table;
     for (std::size_t i = 0; i < expected.surfels.size(); ++i) {
-        table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(found.surfels.mean[i], 3));
-        table.add_row("opacity_logit", {expected.surfels[i].opacity_logit}, {found.surfels.opacity_logit[i]});
-        EXPECT_EQ(found.touched[i] != 0, glm::length(found.surfels.mean[i]) > 0.0f) << "surfel " << i;
+        table.add_row("mean", lanes(expected.surfels[i].mean, 3), lanes(device_result.surfels.mean[i], 3));
+        table.add_row("opacity_logit", {expected.surfels[i].opacity_logit},
+                      {device_result.surfels.opacity_logit[i]});
+        EXPECT_EQ(device_result.touched[i] != 0, glm::length(device_result.surfels.mean[i]) > 0.0f)
+            << "surfel " << i;
     }
-    ASSERT_EQ(found.rays.size(), 6 * rays.size());
+    ASSERT_EQ(device_result.rays.size(), 6 * rays.size());
     for (std::size_t i = 0; i < d_rays.size(); ++i)
-        table.add_row("ray direction", lanes(d_rays[i].direction, 3), lanes(&found.rays[6 * i + 3], 3));
-    ASSERT_EQ(found.poses.size(), 12u);
-    table.add_row("pose", lanes(expected.instances[1].translation, 3), lanes(&found.poses[6], 3));
-    EXPECT_EQ(found.sensor.size(), 6u);
+        table.add_row("ray direction", lanes(d_rays[i].direction, 3),
+                      lanes(&device_result.rays[6 * i + 3], 3));
+    ASSERT_EQ(device_result.poses.size(), 12u);
+    table.add_row("pose", lanes(expected.instances[1].translation, 3), lanes(&device_result.poses[6], 3));
+    EXPECT_EQ(device_result.sensor.size(), 6u);
     for (const auto& [name, group] : table.groups()) {
         EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
         EXPECT_EQ(group.missing_rows(), 0u) << name;
@@ -108,7 +111,7 @@ TEST_F(Differentiable, MovedIsAsPlaced) {
     }
 }
 
-/// A loss of one's own on the host: the mean squared error of intensity falls.
+/// A user-defined loss on the host: the mean squared intensity error must decrease.
 TEST_F(Differentiable, ALossOfOnesOwnLearns) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image);
     Adam adam(device(), renderer.scene().size(), {});

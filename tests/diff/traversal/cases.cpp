@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builders of the traversal conformance cases. Everything random comes from a given seed
+// Builds the conformance cases of traversal. All random numbers come from a given seed
 // and std::mt19937_64.
 #include "cases.hpp"
 
@@ -32,7 +32,7 @@ glm::dvec3 unit_vector(Random& random) {
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-/// At (x, 0, 0), facing the x axis: a_u = y, a_v = z.
+/// Returns a surfel at (x, 0, 0) that faces the x axis: a_u = y, a_v = z.
 Surfel facing_surfel(double x, double scale_m, double opacity) {
     Surfel s;
     s.mean = {x, 0, 0};
@@ -42,8 +42,8 @@ Surfel facing_surfel(double x, double scale_m, double opacity) {
     return s;
 }
 
-/// Any orientation, an unnormalised quaternion, standard deviations 0.03 to 0.5 m,
-/// opacity from just over the cut to 0.99.
+/// Returns a surfel with random orientation (quaternion not normalised), standard
+/// deviations of 0.03 to 0.5 m, and an opacity from just above the cut to 0.99.
 Surfel random_surfel(Random& random, double half_m) {
     std::normal_distribution<double> normal;
     Surfel s;
@@ -82,12 +82,12 @@ TraversalCase single_case() {
     add_ray(c, {0, 0, 0}, {1, 0, 0});
     add_ray(c, {0, 0.3, -0.4}, {1, 0, 0});
     add_ray(c, {10, 0.3, -0.4}, {-1, 0, 0});  // from the back
-    add_ray(c, {0, 0, 0}, {-1, 0, 0});        // behind
+    add_ray(c, {0, 0, 0}, {-1, 0, 0});        // behind the sensor
     add_ray(c, {5, -3, 0}, {0, 1, 0});        // in the plane
     add_ray(c, {4, -3, 0}, {0, 1, 0});        // parallel to it
     add_ray(c, {4.79, 0, 0}, {1, 0, 0});      // just beyond the near limit of 0.2 m
     add_ray(c, {4.81, 0, 0}, {1, 0, 0});      // just within
-    add_ray(c, {0, 3, 0}, {1, 0, 0});         // beside
+    add_ray(c, {0, 3, 0}, {1, 0, 0});         // misses the surfel
     return c;
 }
 
@@ -99,7 +99,7 @@ TraversalCase equal_depth_case() {
     Random random(7);
     for (int i = 0; i < 50; ++i)
         add_ray(c, {0, 0, 0}, glm::dvec3(5, uniform(random, -1, 1), uniform(random, -1, 1)));
-    add_ray(c, {0, 0, 0}, {1, 0, 0});  // through the corner both triangles of each proxy share
+    add_ray(c, {0, 0, 0}, {1, 0, 0});  // through the corner that both triangles of each proxy share
     return c;
 }
 
@@ -117,7 +117,7 @@ TraversalCase tied_list_case(int n) {
     std::vector<Surfel> surfels;
     for (int i = 0; i < n; ++i) {
         surfels.push_back(facing_surfel(1 + (i * 37) % (n / 3 + 1) * 0.01, 1.0, 0.01));
-        // so that those at one distance are not found in the order of their numbers
+        // surfels at equal distance are not in the order of their ids
         surfels.back().mean.y = (3 - i % 7) * 0.05;
     }
     TraversalCase c{"list of " + std::to_string(n), to_surfels(surfels), one_instance(surfels.size()), {}};
@@ -188,7 +188,7 @@ TraversalCase degenerate_case() {
     surfels[11].opacity_logit = logit(0.99 / 255.0);
     surfels[12].opacity_logit = -inf;
     surfels[13].opacity_logit = -1e4;
-    // instances 1 and 2: nothing valid
+    // instances 1 and 2 have no valid surfel
     TraversalCase c{"degenerate", to_surfels(surfels), {{0, 16, {}}, {0, 2, {}}, {4, 5, {}}}, {}};
     Random random(9);
     for (int i = 0; i < 40; ++i) add_ray(c, {0, 0, 0}, {5, uniform(random, -1, 1), uniform(random, -1, 1)});
@@ -201,7 +201,7 @@ TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays) {
     std::vector<Surfel> surfels;
     for (int i = 0; i < n_surfels; ++i)
         surfels.push_back(random_surfel(random, i < n_surfels * 3 / 4 ? 4.0 : 1.5));
-    // exact copies: ties
+    // exact copies, which have equal t
     for (int i = 0; i < n_surfels / 20; ++i)
         surfels[std::size_t(i)] = surfels[std::size_t(n_surfels / 2 + i)];
     TraversalCase c{"random", to_surfels(surfels), {}, {}};
@@ -236,7 +236,7 @@ TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed) {
     Random random(seed);
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
                     kInfinity = std::numeric_limits<float>::infinity();
-    const float unusable[] = {kNan, -kInfinity, -800.0f};  // the last: 1 / s overflows
+    const float unusable[] = {kNan, -kInfinity, -800.0f};  // for the last value 1 / s overflows
     for (std::size_t i = 0; i < c.surfels.mean.size(); ++i) {
         const auto thickness = static_cast<float>(uniform(random, std::log(0.03), std::log(0.5)));
         c.surfels.log_scale_w.push_back(i % 20 == 19 ? unusable[i / 20 % 3] : thickness);
@@ -291,7 +291,7 @@ TraversalCase that_moves(TraversalCase c, std::uint64_t seed) {
 }
 
 std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays) {
-    TraversalCase many = random_case(seed + 1, 200, n_rays);  // more than there are bits of a mask
+    TraversalCase many = random_case(seed + 1, 200, n_rays);  // more surfels than a mask has bits
     Random random(seed);
     for (int i = 0; i < 12; ++i)
         many.instances.push_back(

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The conformance cases every hit provider must pass (docs/architecture.md section 9):
-// one list of scenes and rays, in the library's float arrays, so that host and device
-// providers are given the very same bits. No expected hits are stored: brute force with
-// the float canonical function is the judge.
+// Conformance cases that every hit provider must pass (docs/architecture.md section 9):
+// scenes and rays in the library's float arrays, so that host and device providers
+// receive the same bits. The expected hits come from brute force with the canonical
+// intersection in float.
 #pragma once
 
 #include <string>
@@ -20,56 +20,56 @@ struct TraversalCase {
     Surfels surfels;
     std::vector<reference::Placement> instances;
     WorldRays rays;
-    /// |n.d| down to 1e-3: the outline of a hit is blurred by rounding, so a few may flip
-    /// there
+    /// |n.d| down to 1e-3: rounding blurs the outline of a hit, so a few hits may differ.
     bool grazing = false;
 };
 
-/// The case's surfels and placements for the oracle.
+/// Converts the surfels and placements of the case for the reference.
 reference::World to_world(const TraversalCase& c);
 
 TraversalCase empty_case();
-/// One surfel: head on, off centre, in its plane, behind, at the near limit, parallel
-/// above the plane.
+/// One surfel, with rays head on, off centre, in its plane, behind, at the near limit,
+/// and parallel to the plane.
 TraversalCase single_case();
-/// Exact copies at one place, within a model and across instances of it.
+/// Exact copies at one position, within a model and in several instances.
 TraversalCase equal_depth_case();
-/// 100 surfels along each ray: more than any chunk.
+/// 100 surfels along each ray, which is more than any chunk.
 TraversalCase long_list_case();
-/// n surfels along each ray, that end none, three at each distance.
+/// n surfels along each ray, three at each distance; no ray stops early.
 TraversalCase tied_list_case(int n);
-/// Through the diagonals, edges and corners of the proxies, and through the rim where
+/// Rays through the diagonals, edges and corners of the proxies, and through the rim
 /// alpha = alpha_min, 1 % inside and outside.
 TraversalCase outline_case(std::uint64_t seed, int n_rays);
 /// |n . d| between 1e-3 and 1e-2.
 TraversalCase grazing_case(std::uint64_t seed, int n_rays);
-/// Surfels that must never be reported (not finite, zero or overflowing scale, zero
-/// quaternion, opacity at or under the cut) among good ones.
+/// Surfels that must never be hit (not finite, zero or overflowing scale, zero
+/// quaternion, opacity at or below the cut) among valid surfels.
 TraversalCase degenerate_case();
-/// Random surfels of many sizes, all orientations; a second model placed three times,
-/// rotated and overlapping.
+/// Random surfels of many sizes and all orientations, and a second model with three
+/// rotated, overlapping instances.
 TraversalCase random_case(std::uint64_t seed, int n_surfels, int n_rays);
-/// Surfels of the benchmark street within `radius_m` of the sensor, and every `stride`-th
-/// of its rays.
+/// Surfels of the benchmark street within `radius_m` of the sensor, with every
+/// `stride`-th ray.
 TraversalCase street_case(const Surfels& street, const RayTable& rays, double radius_m, int stride);
 
-/// The same surfels as 3D Gaussians, 0.03 to 0.5 m thick; in one of twenty the thickness
-/// is not usable.
+/// The same surfels as 3D Gaussians, 0.03 to 0.5 m thick; one in twenty has an invalid
+/// thickness.
 TraversalCase as_gaussians(TraversalCase c, std::uint64_t seed);
-/// 3D Gaussians larger than the distances between them: rays begin inside of many, and
-/// proxies begin before one chunk and end behind the next. With them needles and discs, 1
-/// to 1000 and more between their axes.
+/// 3D Gaussians larger than the distances between them. Rays start inside many of them,
+/// and proxies extend over several chunks. Also contains needles and discs with axis
+/// ratios of 1000 and more.
 TraversalCase crowded_case(std::uint64_t seed, int n_gaussians, int n_rays);
-/// 3D Gaussians, at sizes that take seconds on a slow device.
+/// All cases of 3D Gaussians, with sizes that take seconds on a slow device.
 std::vector<TraversalCase> gaussian_cases(std::uint64_t seed, int n_rays);
 
-/// The case with instances that move and turn during a sweep of 0.1 s, some for a part of
-/// it and one not at all, and rays that are fired at times during and beyond it.
+/// The case with instances that move and turn during a sweep of 0.1 s, some only for a
+/// part of it and one not at all. Rays are fired during the sweep and outside it.
 TraversalCase that_moves(TraversalCase c, std::uint64_t seed);
-/// Both primitives, at sizes that take seconds on a slow device.
+/// Cases with moving instances for both primitives, with sizes that take seconds on a
+/// slow device.
 std::vector<TraversalCase> moving_cases(std::uint64_t seed, int n_rays);
 
-/// All surfels but street_case, at sizes that take seconds on a slow device.
+/// All surfel cases except street_case, with sizes that take seconds on a slow device.
 std::vector<TraversalCase> conformance_cases(std::uint64_t seed, int n_rays);
 
 }  // namespace relidar::test

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs one build of diff/traversal/collect_hits on a scene that is on the device already:
-// what relidar::collect_hits does with a scene of its own, for tests that refit, rebuild
-// or bring a tree themselves.
+// Runs a variant of diff/traversal/collect_hits on a scene that is already on the device.
+// relidar::collect_hits uploads its scene itself, which tests that refit, rebuild or
+// provide a tree cannot use.
 #pragma once
 
 #include <relidar/diff/traversal.hpp>
@@ -12,10 +12,10 @@
 
 namespace relidar::test {
 
-/// @param scene  of trace_scene(); its rays, and where passes at the cap are counted, are
-/// filled in
-/// @param variant  of diff/traversal/collect_hits @param constants  of
-/// traversal/trace_scene.hpp
+/// Collects the hits of rays.
+/// @param scene from trace_scene(); this function fills in the rays and the counter
+/// @param variant variant of diff/traversal/collect_hits
+/// @param constants constants of traversal/trace_scene.hpp
 CollectedHits collect(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants,
                       shared::TraceScene scene, const WorldRays& rays, std::uint32_t max_hits);
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fixture of the device's half of the traversal conformance suite: collected hits against
-// a host provider. All decide by the same float function, so ordered ids must be equal;
-// what single precision cannot decide (a hit within rounding of its outline, two t within
-// rounding of each other) is counted and bounded.
+// Fixture for the traversal conformance tests of the device. Compares collected hits with
+// a host provider. Both use the same float intersection, so the ordered ids must be
+// equal. Differences within rounding (a hit on its outline, two almost equal t) are
+// counted and limited.
 #pragma once
 
 #include <algorithm>
@@ -28,7 +28,7 @@ inline std::vector<reference::Hit> hits_of(const CollectedHits& c, std::size_t r
     return hits;
 }
 
-/// Hits of a scene that to_scene() made, by the world's numbers of its surfels.
+/// Converts hits of a scene made by to_scene() to the surfel ids of the reference world.
 inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
     for (std::size_t ray = 0; ray < hits.counts.size(); ++ray)
         for (std::uint32_t i = 0; i < std::min(hits.counts[ray], hits.max_hits); ++i) {
@@ -40,7 +40,7 @@ inline CollectedHits in_world(CollectedHits hits, const SceneAndPoses& placed) {
 
 class DeviceHits : public DeviceTest {
 protected:
-    /// Compares every ray of a case with a host provider (float canonical).
+    /// Compares every ray of a case with a host provider that intersects in float.
     HitDifferences compare(const TraversalCase& c, const reference::HitProvider& expected,
                            const CollectedHits& actual) {
         const reference::World world = to_world(c);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract on the device (diff/traversal/collect_hits): ray query over
-// triangles and over boxes, the software tree walked by lanes and by subgroups, and brute
-// force, against the host's brute force and Embree.
+// Checks the traversal contract on the device (diff/traversal/collect_hits): ray query
+// over triangles and boxes, the software tree with one thread or one subgroup per ray,
+// and brute force. Compares with brute force and Embree on the host.
 #include "device_hits.hpp"
 #include "diff/traversal/collect_hits.hpp"
 #include "gpu/forced.hpp"
@@ -35,7 +35,7 @@ struct Setting {
     bool brute_force = false;
 };
 
-/// What the test device's traversal can be told to do, brute force last.
+/// Returns the traversal settings that the test device supports, brute force last.
 std::vector<Setting> providers(const Device& device, int chunk) {
     const Setting brute{"brute force", {}, {.chunk = chunk}, true};
     if (device.traversal() == Traversal::software)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Classification of differences between hit providers (docs/architecture.md sections 6
-// and 9; boundaries of M1 and M2).
+// Classifies the differences between hit providers (docs/architecture.md sections 6 and
+// 9; boundaries of M1 and M2).
 #include "hit_comparison.hpp"
 
 #include <algorithm>
@@ -39,15 +39,16 @@ bool on_boundary(const reference::World& world, const ImageModel& model, const r
               glm::dot(r.normal, local.direction));
     const double t = met.t, size_m = glm::length(ray.origin) + glm::length(r.mean) +
                                      glm::length(r.mean - local.origin) + std::abs(t);
-    // of a point, in standard deviations
+    // position error in standard deviations
     const double of_axes =
         4e-7 * size_m * (glm::length(r.axis_u) + glm::length(r.axis_v) + glm::length(r.normal));
     const bool is_flat = r.primitive == Primitive::surfel;
     const double t_error = is_flat ? 4e-7 * size_m / std::abs(along.z) : of_axes / glm::length(along);
     const double log_alpha = std::log(r.sigma) - 0.5 * glm::dot(uvw, uvw);
-    // density does not change along a ray where it is largest
+    // The density of a Gaussian does not change to first order along the ray at its
+    // maximum.
     const double uvw_error = of_axes + (is_flat ? glm::length(glm::dvec2(along)) * t_error : 0.0);
-    // NaN: yes
+    // true for NaN
     const bool at_cut = !(std::abs(log_alpha - std::log(double(model.alpha_min))) >
                           1e-5 + (glm::length(uvw) + (is_flat ? 0.0 : uvw_error)) * uvw_error);
     const bool at_near = !(std::abs(t - double(model.near_m)) > t_error);
@@ -70,17 +71,17 @@ void compare_hits(const reference::World& world, const ImageModel& model, const 
     double last_t = -HUGE_VAL;
     for (const reference::Hit& hit : actual) {
         if (++seen[id_of(hit)] > 1) add_error(d, describe(ray_index, "reported twice:", hit));
-        const auto found = expected_t.find(id_of(hit));
-        if (found == expected_t.end()) {
+        const auto match = expected_t.find(id_of(hit));
+        if (match == expected_t.end()) {
             if (on_boundary(world, model, ray, hit)) d.n_flips += 1;
             else add_error(d, describe(ray_index, "not a hit:", hit));
             continue;
         }
-        if (found->second < last_t) {
-            if (last_t - found->second <= 1e-5 * (1.0 + std::abs(last_t))) d.n_swaps += 1;
+        if (match->second < last_t) {
+            if (last_t - match->second <= 1e-5 * (1.0 + std::abs(last_t))) d.n_swaps += 1;
             else add_error(d, describe(ray_index, "out of order:", hit));
         }
-        last_t = std::max(last_t, found->second);
+        last_t = std::max(last_t, match->second);
     }
     for (const reference::Hit& hit : expected) {
         if (seen.contains(id_of(hit))) continue;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the ordered hits of two providers. Equal ids in equal order is the rule; what
-// differs is sorted into flips (the hit lies on a boundary: cut of M2, near plane, within
-// what single precision can resolve), swaps (two t that rounding cannot tell apart) and
-// errors. Tests demand zero errors, and zero or few of the others.
+// Compares the ordered hits of two providers. Ids and order should be equal. Differences
+// are classified as flips (a hit on the cut of M2 or on the near plane, within single
+// precision), swaps (two t that rounding cannot distinguish) and errors. Tests require no
+// errors, and no or few flips and swaps.
 #pragma once
 
 #include <string>
@@ -14,7 +14,7 @@ namespace relidar::test {
 
 struct HitDifferences {
     std::size_t n_rays = 0;
-    std::size_t n_hits = 0;  ///< of the expected provider
+    std::size_t n_hits = 0;  ///< hits of the expected provider
     std::size_t n_different_rays = 0;
     std::size_t n_flips = 0;
     std::size_t n_swaps = 0;
@@ -24,14 +24,15 @@ struct HitDifferences {
     std::string summary(const std::string& title) const;
 };
 
-/// Adds one ray to `differences`. @param ray_index  for messages
+/// Compares the hits of one ray and adds the result to `differences`.
+/// @param ray_index index of the ray for messages
 void compare_hits(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                   std::size_t ray_index, const std::vector<reference::Hit>& expected,
                   const std::vector<reference::Hit>& actual, HitDifferences& differences);
 
-/// Whether single precision can decide either way about a surfel: |ln(alpha / alpha_min)|
-/// or |t - near| within the rounding of the plane hit, which grows as 1 / |n . d|; of a
-/// 3D Gaussian, within that of a point in standard deviations.
+/// Returns true if single precision can decide either way: |ln(alpha / alpha_min)| or |t
+/// - near| is within the rounding error. For a surfel the error of the intersection grows
+/// as 1 / |n . d|; for a 3D Gaussian it is the error of a point in standard deviations.
 bool on_boundary(const reference::World& world, const ImageModel& model, const reference::Ray& ray,
                  const reference::Hit& hit);
 

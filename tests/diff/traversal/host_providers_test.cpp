@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The host half of the traversal conformance suite: Embree over proxies (M3) must give
-// the ordered ids that brute force over the same float records gives, for chunk sizes 1
-// to 32; float and double canonical functions differ only on boundaries; the contract of
-// next_hits holds (all_hits throws where it does not).
+// Traversal conformance tests of the host. Embree over proxies (M3) must return the same
+// ordered ids as brute force over the same float records, for chunk sizes 1 to 32. Float
+// and double intersections may differ only on boundaries. next_hits must fulfil its
+// contract (all_hits throws otherwise).
 #include <gtest/gtest.h>
 
 #include <cstdio>
@@ -22,7 +22,7 @@ using test::TraversalCase;
 constexpr std::uint64_t kSeed = 20261121;
 constexpr int kAll = 1 << 30;
 
-/// Every ray of a case, with chunk sizes 1, 2, ... 32 in turn.
+/// Compares every ray of a case with chunk sizes 1, 2, ... 32 in turn.
 HitDifferences compare(const TraversalCase& c, const HitProvider& expected, const HitProvider& actual,
                        const ImageModel& model = {}) {
     const World world = to_world(c);
@@ -55,7 +55,7 @@ TEST(HostProviders, EmbreeAgreesOnAllCases) {
     }
 }
 
-/// The double reference takes each pose by its own formula, sine and cosine.
+/// The double reference computes each pose with a separate formula (sine and cosine).
 TEST(HostProviders, AgreeOnModelsThatMove) {
     for (const TraversalCase& c : test::moving_cases(kSeed, 3000)) {
         const World world = to_world(c);

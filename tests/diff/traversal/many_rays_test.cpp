@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Many random rays over instances, ties and surfels that must never be hit, through a
-// build, refits and a rebuild: the device's providers give the very hits of its brute
-// force, and the host's (Embree's for surfels). 10^4 rays a state;
-// RELIDAR_MANY_RAYS=1000000 asks for more.
+// Traces many random rays through instances, ties and surfels that must never be hit,
+// after a build, refits and a rebuild. Device providers must return the same hits as
+// brute force on the device and as the host (Embree for surfels). Uses 10^4 rays per
+// state; RELIDAR_MANY_RAYS=1000000 uses more.
 #include <cstdio>
 #include <cstdlib>
 #include <limits>
@@ -26,7 +26,7 @@ int many() {
     return text ? std::atoi(text) : 10000;
 }
 
-/// Every fortieth surfel becomes one that cannot be hit, each for another reason.
+/// Makes every fortieth surfel invalid, each in a different way.
 void spoil(Surfels& s) {
     constexpr float kNan = std::numeric_limits<float>::quiet_NaN(),
                     kInf = std::numeric_limits<float>::infinity();
@@ -52,7 +52,7 @@ void spoil(Surfels& s) {
         }
 }
 
-/// As after steps of an optimiser, large ones.
+/// Changes surfels like large steps of an optimiser.
 void disturb(Surfels& s, std::mt19937& random) {
     std::normal_distribution<float> normal;
     for (std::size_t i = 0; i < s.size(); ++i) {
@@ -91,14 +91,14 @@ protected:
         }();
         for (const Walk walk : {Walk::lane, Walk::subgroup}) {
             if (walk == Walk::lane && device().traversal() == Traversal::ray_query) continue;
-            const CollectedHits found = collect(scene, accel, {.walk = walk});
+            const CollectedHits result = collect(scene, accel, {.walk = walk});
             std::size_t n_different = 0;
             for (std::size_t i = 0; i < case_.rays.size(); ++i)
-                n_different += test::hits_of(found, i) != test::hits_of(brute, i);
+                n_different += test::hits_of(result, i) != test::hits_of(brute, i);
             EXPECT_EQ(n_different, 0u) << state << (walk == Walk::lane ? ", lane" : ", subgroup")
                                        << ": rays whose hits differ from brute force";
         }
-        std::unique_ptr<reference::HitProvider> host;  // Embree knows rectangles alone
+        std::unique_ptr<reference::HitProvider> host;  // Embree supports only the rectangles of surfels
         if (GetParam() == Primitive::gaussian)
             host = std::make_unique<reference::BruteForce>(test::to_world(case_), model_,
                                                            reference::Precision::float_record);
@@ -118,7 +118,7 @@ TEST_P(ManyRays, AgreeAfterBuildRefitAndRebuild) {
     Accel accel(device(), scene, {});
     std::mt19937 random(5);
     const auto update = [&](bool rebuild) {
-        // the ranges of this case follow each other: numbers are the same
+        // The surfel ranges of this case are consecutive, so the indices are the same.
         scene.parameters().upload(case_.surfels);
         scene.activate(stream, model_, glm::vec3(0.0f));
         accel.update(stream, scene, rebuild);

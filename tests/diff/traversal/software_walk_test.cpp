@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The walk of software_bvh.glsl alone, over trees built on the host: what fails here is
-// the traversal, not the device's builder.
+// Tests the tree walk of software_bvh.glsl on trees built on the host, independently of
+// the device's tree builder.
 #include "../../support/host_bvh.hpp"
 #include "collect.hpp"
 #include "device_hits.hpp"

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scan that cannot be read ends the reading of a log, or is left out of it as if it had
-// never been there.
+// Checks unreadable scans: reading the log fails, or, on request, the scan is left out.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -34,7 +33,7 @@ DatasetOptions skipping(const std::string& part = {}) {
     return options;
 }
 
-/// Half of a file is gone.
+/// Truncates a file to half its size.
 void cut(const fs::path& file) { fs::resize_file(file, fs::file_size(file) / 2 + 1); }
 
 std::vector<int> numbers(const Sequence& sequence) {
@@ -44,9 +43,10 @@ std::vector<int> numbers(const Sequence& sequence) {
     return numbers;
 }
 
-/// Cuts a scan in the middle of the log: an error, or the others alone, with a note.
-/// @param part  of a dataset with several
-/// @return what is left of the log
+/// Truncates a scan in the middle of the log. Reading must fail, or return the other
+/// scans with a note.
+/// @param part part of a dataset with several parts
+/// @return log without the scan
 Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
                          const std::string& part = {}) {
     SCOPED_TRACE(scan.string());
@@ -58,11 +58,11 @@ Sequence expect_left_out(const fs::path& log, const fs::path& scan, int number,
     EXPECT_THROW(load_sequence(log.string(), strict), DataError);
     Sequence left = load_sequence(log.string(), skipping(part));
     EXPECT_EQ(numbers(left), expected);
-    const auto told = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
+    const auto n_notes = std::count_if(left.notes.begin(), left.notes.end(), [&](const std::string& note) {
         return note.starts_with("a broken scan is left out: ") &&
                note.find(scan.filename().string()) != std::string::npos;
     });
-    EXPECT_EQ(told, 1) << testing::PrintToString(left.notes);
+    EXPECT_EQ(n_notes, 1) << testing::PrintToString(left.notes);
     for (const Frame& frame : left.frames) EXPECT_GT(frame.scan.count_returns(), 0u) << frame.index;
     return left;
 }
@@ -84,7 +84,7 @@ TEST(BrokenScans, OfKittiAreAsMissingOnes) {
     EXPECT_NO_THROW(check_sequence(left));
 }
 
-/// What reading a drive says. @return "" if it is read
+/// Returns the error message of reading a drive, or "" if reading succeeds.
 std::string complaint(const test::KittiDrive& drive) {
     try {
         load_sequence(drive.folder.string(), {});
@@ -96,35 +96,38 @@ std::string complaint(const test::KittiDrive& drive) {
 
 TEST(BrokenScans, OfKittiThatHoldWholePointsAreNoDroppedRays) {
     const test::KittiDrive drive("cut_scans");
-    const std::string whole = test::read_text(drive.scan(1));
-    const std::size_t n = whole.size() / 16;
+    const std::string original = test::read_text(drive.scan(1));
+    const std::size_t n = original.size() / 16;
     const auto put = [&](const std::string& bytes) { test::write_text(drive.scan(1), bytes); };
-    put(whole.substr(0, 16 * (n / 3)));
+    put(original.substr(0, 16 * (n / 3)));
     EXPECT_THAT(complaint(drive),
                 HasSubstr(fmt::format("0000000001.bin: {} points where the scans beside it have", n / 3)));
     EXPECT_THAT(complaint(drive), HasSubstr("dataset.skip_broken=true leaves such scans out"));
-    put(whole.substr(0, 16 * (n - n / 8)));  // about eight rings of 64: not all have as many returns
+    // about eight of 64 rings, because rings have different numbers of returns
+    put(original.substr(0, 16 * (n - n / 8)));
     EXPECT_THAT(complaint(drive), HasSubstr("0000000001.bin: its points end in ring 5"));
     EXPECT_THAT(complaint(drive), HasSubstr("those of the scans beside it in ring 64"));
-    put(std::string(whole.size(), '\0'));
+    put(std::string(original.size(), '\0'));
     EXPECT_THAT(complaint(drive),
                 HasSubstr(fmt::format("0000000001.bin: all {} points are at the sensor", n)));
     const Sequence left = load_sequence(drive.folder.string(), skipping());
     EXPECT_EQ(numbers(left), (std::vector<int>{0, 2}));
     EXPECT_THAT(left.notes, testing::Contains(HasSubstr("a broken scan is left out: ")));
     const auto early = testing::Contains(HasSubstr("0000000001.bin: its last ring ends at azimuth "));
-    // in the last ring, and in the one before: one point in ten is missing anyway
+    // The cut is in the last ring or in the one before. One point in ten is missing in
+    // any case.
     for (const int kept_deg : {120, 270}) {
         const auto n_missing = std::size_t(0.9 * 701 * (kept_deg == 120 ? 240 : 360 + 90) / 360.0);
-        put(whole.substr(0, 16 * (n - n_missing)));
+        put(original.substr(0, 16 * (n - n_missing)));
         EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, early) << kept_deg;
     }
-    put(whole);
+    put(original);
     EXPECT_EQ(complaint(drive), "");
     EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes, testing::Not(early));
 }
 
-/// Writes all intensities of a drive anew. @param of  what stands in place of 0.25
+/// Replaces all intensities of a drive.
+/// @param of value instead of 0.25
 void set_intensities(const test::KittiDrive& drive, float of) {
     for (int frame = 0; frame < 3; ++frame) {
         std::string bytes = test::read_text(drive.scan(frame));
@@ -155,14 +158,14 @@ TEST(BrokenScans, OfNuscenesAndArgoverse) {
     const test::NuscenesFolder scene("broken_sweeps");
     expect_left_out(scene.folder, scene.sweep(4), 4, "scene-0103");
     const test::Argoverse2Log log("broken_sweeps");
-    for (const int sweep : {0, 1}) {  // the first one tells which lasers are whose
+    for (const int sweep : {0, 1}) {  // the first sweep determines which lasers belong to which LiDAR
         const fs::path file = log.folder / "sensors/lidar" /
                               (std::to_string(test::Argoverse2Log::sweep_ns(sweep)) + ".feather");
         expect_left_out(log.folder, file, sweep);
     }
 }
 
-/// Five scans of a cylinder as PCD, without any head.
+/// Five scans of a cylinder as PCD, without sequence.json.
 class BareFolder : public testing::Test {
 protected:
     void SetUp() override {
@@ -194,7 +197,7 @@ TEST_F(BareFolder, SaysTheLineThatItLacksAndThatLineDoes) {
     test::write_text(folder / "sequence.json", said.substr(begin, end - begin + 1));
     DatasetOptions options;
     options.poses_file = kNoPoses;
-    // intensities of the scans are 51 of 255
+    // The intensities of the scans are 51 of 255.
     const std::string head = test::read_text(folder / "sequence.json");
     test::write_text(folder / "sequence.json", head.substr(0, head.size() - 1) +
                                                    R"(, "intensity_max": 255, "point_times": "absolute"})");
@@ -209,7 +212,7 @@ TEST_F(BareFolder, LeavesBrokenScansOut) {
     for (int i = 0; i < 5; ++i) poses += "1 0 0 0 0 1 0 0 0 0 1 0\n";
     test::write_text(folder / "poses.txt", poses);
     expect_left_out(folder, folder / scan(2), 2);
-    cut(folder / scan(0));  // its beams are fitted to the first ones
+    cut(folder / scan(0));  // the first scans determine the beams
     EXPECT_EQ(numbers(load_sequence(folder.string(), skipping())), (std::vector<int>{1, 3, 4}));
     for (const int i : {1, 3, 4}) cut(folder / scan(i));
     try {

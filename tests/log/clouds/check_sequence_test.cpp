@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A good log passes; each thing that can be wrong with one is named with its frame or box
-// and its field.
+// Checks the validation of logs. A valid log is accepted; every error names the frame or
+// box and the field.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>
@@ -33,7 +33,7 @@ std::string error_after(const std::function<void(Sequence&)>& damage) {
     return "none";
 }
 
-/// First ray that returned.
+/// Returns the index of the first ray with a return.
 std::size_t returned(const Scan& scan) {
     std::size_t i = 0;
     while (!(scan.range_m[i] > 0.0f)) ++i;
@@ -50,13 +50,15 @@ TEST(CheckSequence, GoodLogsPass) {
               "none");
 }
 
-/// Expects that each damage to a sequence is reported in one line with its expected text.
+/// Checks that each modification of a sequence causes a one-line error with the expected
+/// text.
 void expect_errors(const std::vector<std::pair<std::function<void(Sequence&)>, std::string>>& cases) {
     for (const auto& [damage, expected] : cases) {
-        const std::string found = error_after(damage);
-        EXPECT_NE(found.find(expected), std::string::npos) << "found " << found << "\nexpected " << expected;
-        EXPECT_EQ(found.find('\n'), std::string::npos);
-        EXPECT_NE(found.find(", expected "), std::string::npos) << found;
+        const std::string message = error_after(damage);
+        EXPECT_NE(message.find(expected), std::string::npos)
+            << "found " << message << "\nexpected " << expected;
+        EXPECT_EQ(message.find('\n'), std::string::npos);
+        EXPECT_NE(message.find(", expected "), std::string::npos) << message;
     }
 }
 
@@ -130,7 +132,7 @@ TEST(CheckSequence, NamesFrameRayAndField) {
     });
 }
 
-/// Ten frames, one of which begins later than it should by some seconds.
+/// Makes ten frames, one of which starts some seconds late.
 Sequence with_gap(double gap_s) {
     Sequence log;
     log.name = "log";

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors found from their points: the sensor whose rays the points lie on is the oracle.
+// Fits sensors to points and compares them with the sensor whose rays made the points.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>
@@ -14,7 +14,8 @@ namespace {
 
 constexpr int kBeams = 32, kColumns = 900;
 
-/// Beams 0.4 to 1.2 degrees apart, staggered by less than half a column.
+/// Returns a sensor with beams 0.4 to 1.2 degrees apart, staggered by less than half a
+/// column.
 SpinningSensor true_sensor(bool clockwise = true) {
     SpinningSensor s;
     double elevation_deg = 15.0;
@@ -30,8 +31,8 @@ SpinningSensor true_sensor(bool clockwise = true) {
     return s;
 }
 
-/// Points on four of five rays, at 3 to 70 m, of the beams that look down at 3 to 8 m;
-/// rings counted from below.
+/// Returns points on four of five rays, at 3 to 70 m (3 to 8 m for beams that look down).
+/// Rings are counted from below.
 ScanPoints points_on(const SpinningSensor& s, std::uint64_t seed) {
     Random random(seed);
     const RayTable rays = make_rays(s);
@@ -68,14 +69,15 @@ TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     EXPECT_TRUE(find_beams({points}).empty());
     EXPECT_TRUE(find_beams({}).empty());
     SpinningSensor wide = true_sensor();
-    // seen from the centre its bands are wider than the distance between beams
+    // Seen from the centre, the elevation range of each beam is wider than the beam
+    // spacing.
     for (Beam& beam : wide.beams) beam.origin_up_m = 1.0;
     EXPECT_TRUE(find_beams({points_on(wide, 1)}).empty());
 }
 
 TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     SpinningSensor s = true_sensor();
-    // 2 degrees at 3 m: as much as three beams
+    // 2 degrees at 3 m, which is three beam spacings
     for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;
     ScanPoints points = points_on(s, 4);
     std::vector<std::uint16_t> truth;
@@ -96,7 +98,8 @@ TEST(FitSensor, BeamsColumnsAndTurning) {
         ASSERT_EQ(fit.beam_of_ring.size(), std::size_t(kBeams));
         for (int ring = 0; ring < kBeams; ++ring)
             EXPECT_EQ(fit.beam_of_ring[std::size_t(ring)], kBeams - 1 - ring);
-        for (std::size_t b = 1; b < truth.beams.size(); ++b)  // where the head stands itself is not known
+        // the absolute azimuth of the sensor head is unknown
+        for (std::size_t b = 1; b < truth.beams.size(); ++b)
             EXPECT_NEAR(fit.sensor.beams[b].azimuth_offset_rad - fit.sensor.beams[0].azimuth_offset_rad,
                         truth.beams[b].azimuth_offset_rad - truth.beams[0].azimuth_offset_rad, 1e-5);
     }

@@ -114,7 +114,7 @@ std::string npy(const FilePoints& points) {
 
 std::string lzf(const std::string& bytes) {
     std::string out, plain;
-    std::map<std::string, std::size_t> last;  // where three bytes stood last
+    std::map<std::string, std::size_t> last;  // last position of each sequence of three bytes
     const auto flush = [&] {
         for (std::size_t at = 0; at < plain.size(); at += 32) {
             const std::string run = plain.substr(at, 32);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points as files of other programs hold them, written byte by byte: PCD (text, packed,
-// compressed), PLY (text, packed), .bin, .npy.
+// Writes points as files of other programs, byte by byte: PCD (text, packed, compressed),
+// PLY (text, packed), .bin, .npy.
 #pragma once
 
 #include <cstdint>
@@ -15,12 +15,12 @@ struct FilePoint {
     glm::vec3 point_m;
     float intensity;
     std::uint16_t ring;
-    double time_s;  ///< of the log
+    double time_s;  ///< time in the log
 };
 using FilePoints = std::vector<FilePoint>;
 
-/// Fields x y z float32, intensity uint8 (of 255), ring uint16, timestamp float64; a
-/// field "_" of 3 bytes between.
+/// Fields x y z float32, intensity uint8 (of 255), ring uint16, timestamp float64, with a
+/// padding field "_" of 3 bytes.
 std::string pcd_text(const FilePoints& points);
 std::string pcd_binary(const FilePoints& points);
 std::string pcd_compressed(const FilePoints& points);
@@ -32,8 +32,8 @@ std::string bin(const FilePoints& points);
 /// [n, 6] float64: x y z intensity ring timestamp.
 std::string npy(const FilePoints& points);
 
-/// LZF by its rules: matches of 3 bytes and more at any distance it can say, the rest as
-/// it is.
+/// Compresses with LZF: matches of at least 3 bytes at any encodable distance, other
+/// bytes as literals.
 std::string lzf(const std::string& bytes);
 
 }  // namespace relidar::test

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points to scans: the rays that a sensor fired are the oracle; points of some of them,
-// shuffled, have to find their rays again.
+// Converts points to scans. The points come from known rays of a sensor and are shuffled;
+// each point must be assigned to its original ray.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -26,12 +26,12 @@ SpinningSensor sensor() {
                            .origin_left_m = 0.02 * (b % 2)});
     s.columns = 360;
     s.period_s = 0.1;
-    s.first_azimuth_rad = kPi - 0.3 * 2.0 * kPi / 360;  // a phase of its own
+    s.first_azimuth_rad = kPi - 0.3 * 2.0 * kPi / 360;  // an arbitrary phase
     return s;
 }
 
-/// What came back along the sensor's rays: one in five nothing; a second return now and
-/// then.
+/// Returns along the sensor's rays: one ray in five has none, and some have a second
+/// return.
 struct Truth {
     Scan scan;
     ScanPoints points;  ///< shuffled
@@ -67,22 +67,22 @@ private:
         points.intensity.push_back(intensity);
         points.ring.push_back(scan.rays.channel[ray]);
         points.return_number.push_back(number);
-        // a head that faces forward 4 ms late
+        // the sensor faces forward 4 ms late
         points.time_offset_s.push_back(scan.rays.time_offset_s[ray] + 0.004f);
     }
 };
 
-void expect_same_rays(const Scan& found, const Scan& truth, float late_s) {
-    ASSERT_EQ(found.rays.rows, truth.rays.rows);
-    ASSERT_EQ(found.rays.columns, truth.rays.columns);
+void expect_same_rays(const Scan& actual, const Scan& truth, float late_s) {
+    ASSERT_EQ(actual.rays.rows, truth.rays.rows);
+    ASSERT_EQ(actual.rays.columns, truth.rays.columns);
     for (std::size_t i = 0; i < truth.rays.size(); ++i) {
-        ASSERT_EQ(found.range_m[i] > 0.0f, truth.range_m[i] > 0.0f) << "ray " << i;
-        EXPECT_NEAR(found.range_m[i], truth.range_m[i], 1e-4f);
-        EXPECT_EQ(found.intensity[i], truth.intensity[i]);
-        EXPECT_LT(glm::distance(found.rays.direction[i], truth.rays.direction[i]), 1e-4f) << "ray " << i;
-        EXPECT_LT(glm::distance(found.rays.origin[i], truth.rays.origin[i]), 1e-4f);
-        EXPECT_EQ(found.rays.channel[i], truth.rays.channel[i]);
-        EXPECT_NEAR(found.rays.time_offset_s[i], truth.rays.time_offset_s[i] + late_s, 1e-5f) << "ray " << i;
+        ASSERT_EQ(actual.range_m[i] > 0.0f, truth.range_m[i] > 0.0f) << "ray " << i;
+        EXPECT_NEAR(actual.range_m[i], truth.range_m[i], 1e-4f);
+        EXPECT_EQ(actual.intensity[i], truth.intensity[i]);
+        EXPECT_LT(glm::distance(actual.rays.direction[i], truth.rays.direction[i]), 1e-4f) << "ray " << i;
+        EXPECT_LT(glm::distance(actual.rays.origin[i], truth.rays.origin[i]), 1e-4f);
+        EXPECT_EQ(actual.rays.channel[i], truth.rays.channel[i]);
+        EXPECT_NEAR(actual.rays.time_offset_s[i], truth.rays.time_offset_s[i] + late_s, 1e-5f) << "ray " << i;
     }
 }
 
@@ -109,14 +109,14 @@ TEST(SpinningScan, CounterClockwiseHeadsRunTheOtherWay) {
 
 TEST(SpinningScan, KeepsSecondReturns) {
     const Truth truth(sensor(), true);
-    const Scan found = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
-    ASSERT_EQ(found.second_returns.size(), 1u);
+    const Scan actual = spinning_scan(truth.points, sensor(), even_sweep(truth.points, sensor()));
+    ASSERT_EQ(actual.second_returns.size(), 1u);
     for (std::size_t i = 0; i < truth.scan.rays.size(); ++i) {
-        EXPECT_NEAR(found.range_m[i], truth.scan.range_m[i], 1e-4f);
-        EXPECT_NEAR(found.second_returns[0].range_m[i], truth.scan.second_returns[0].range_m[i], 1e-4f);
-        EXPECT_EQ(found.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
+        EXPECT_NEAR(actual.range_m[i], truth.scan.range_m[i], 1e-4f);
+        EXPECT_NEAR(actual.second_returns[0].range_m[i], truth.scan.second_returns[0].range_m[i], 1e-4f);
+        EXPECT_EQ(actual.second_returns[0].intensity[i], truth.scan.second_returns[0].intensity[i]);
     }
-    Scan cut = found;
+    Scan cut = actual;
     drop_outside(cut, {0.0, 30.0});
     for (std::size_t i = 0; i < cut.range_m.size(); ++i)
         EXPECT_TRUE(cut.second_returns[0].range_m[i] == 0.0f ||
@@ -139,8 +139,8 @@ TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     EXPECT_NEAR(nearest, 9.0f, 1e-3f) << "the nearer is kept";
 }
 
-/// A sweep of more than a turn: both firings at azimuth 3 keep their points and times,
-/// though their azimuths are the same.
+/// In a sweep of more than a turn, two firings have the azimuth 3. Both must keep their
+/// points and times.
 TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     SpinningSensor one = sensor();
     one.beams = {{.elevation_rad = 0.0}};

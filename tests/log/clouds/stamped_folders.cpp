@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// After the documents of the datasets: Boreas' data reference, the tables and mounting of
-// MulRan, ONCE's description of its formats.
+// Follows the documentation of the datasets: Boreas' data reference, MulRan's tables and
+// mounting, and ONCE's description of its formats.
 #include "log/clouds/stamped_folders.hpp"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ void append_floats(std::string& bytes, std::initializer_list<float> values) {
     for (const float v : values) bytes.append(reinterpret_cast<const char*>(&v), sizeof v);
 }
 
-/// 3x4, row-major.
+/// Writes a 3x4 matrix, row by row.
 std::string matrix_text(const Pose& pose, const char* between) {
     const glm::dmat4 m = to_matrix(pose);
     std::string text;
@@ -36,14 +36,15 @@ std::string matrix_text(const Pose& pose, const char* between) {
     return text;
 }
 
-/// roll, pitch, yaw of a rotation R_z(yaw) R_y(pitch) R_x(roll).
+/// Returns roll, pitch, yaw of a rotation R_z(yaw) R_y(pitch) R_x(roll).
 glm::dvec3 angles_of(const glm::dquat& rotation) {
     const glm::dmat3 m = glm::mat3_cast(rotation);
     return {std::atan2(m[1][2], m[2][2]), -std::asin(m[0][2]), std::atan2(m[0][1], m[0][0])};
 }
 
-/// The same of R_x(-roll) R_y(-pitch) R_z(-yaw), R_z(yaw) R_y(pitch) R_x(roll), R_z(-yaw)
-/// R_y(-pitch) R_x(-roll), R_x(roll) R_y(pitch) R_z(yaw), by number.
+/// Returns the angles for a rotation order by number: R_x(-roll) R_y(-pitch) R_z(-yaw),
+/// R_z(yaw) R_y(pitch) R_x(roll), R_z(-yaw) R_y(-pitch) R_x(-roll), R_x(roll) R_y(pitch)
+/// R_z(yaw).
 glm::dvec3 angles_of(const glm::dquat& rotation, int order) {
     const glm::dvec3 angles = angles_of(order == 0 || order == 3 ? glm::conjugate(rotation) : rotation);
     return order == 2 || order == 3 ? -angles : angles;
@@ -153,7 +154,7 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
         drive.beams.push_back({.elevation_rad = (16.6 - b * 33.2 / 63.0) * kDegree,
                                .azimuth_offset_rad = (3.164 - b % 4 * 2.109) * kDegree});
     drive.columns = 1024, drive.n_scans = kScans;
-    drive.first_azimuth_rad = 0.0;  // of its own, which looks backward
+    drive.first_azimuth_rad = 0.0;  // first azimuth of the sensor, which looks backward
     drive.cast();
     for (int s = 0; s < kScans; ++s) {
         std::string bytes;
@@ -165,7 +166,7 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
         write_text(scan(s), bytes);
     }
     std::string lines;
-    for (int k = 0; k < 32; ++k)  // 100 a second, from 46 ms after the first scan on
+    for (int k = 0; k < 32; ++k)  // 100 per second, starting 46 ms after the first scan
         lines += fmt::format("{},{}\n", stamp(0) + 46000000 + k * std::int64_t(10000000),
                              matrix_text(drive.vehicle_at(0.046 + 0.01 * k), ","));
     write_text(poses(), lines);
@@ -173,11 +174,12 @@ MulranFolder::MulranFolder(const std::string& name, bool by_column) : StampedFol
 
 OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : StampedFolder("once", name) {
     drive.rate_rad_s = 0.1, drive.start_m = {-12.0, -6.0, 1.45};
-    // its x to the left, its y backward
+    // x axis to the left, y axis backward
     drive.vehicle_from_lidar.rotation = rotation_of(kPi / 2.0, 0.0, 0.0);
     drive.beams = std::get<SpinningSensor>(known_sensor("Pandar40P")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans, drive.step_s = 0.5;
-    // half a step after backward: either end of a turn may take what is just there
+    // Half a step after backward, because a point exactly there may belong to either end
+    // of the turn.
     drive.first_azimuth_rad = kPi / 2.0 - kPi / columns;
     drive.cast();
     const Pose world = drive.lidar_at(0.0);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Small sequences of Boreas, MulRan and ONCE written by the tests: a vehicle drives along
-// a bend through the walled yard, and its LiDAR, in the axes and with the names, times
-// and poses of each dataset, measures every point from where it is at that moment.
+// Writes small sequences of Boreas, MulRan and ONCE. A vehicle drives a bend through the
+// walled yard. Its LiDAR, in the axes, names, times and poses of each dataset, measures
+// every point from its pose at that time.
 #pragma once
 
 #include <cstdint>
@@ -17,22 +17,22 @@ namespace relidar::test {
 
 /// One firing of one laser.
 struct StampedRay {
-    double time_s = 0.0;       ///< after the first scan
-    glm::dvec3 origin_m{0.0};  ///< of the world, as the next
+    double time_s = 0.0;       ///< relative to the first scan
+    glm::dvec3 origin_m{0.0};  ///< in the world, like point_m
     glm::dvec3 point_m{0.0};
-    glm::vec3 local_m{0.0f};  ///< in the LiDAR's frame, the dataset's axes
+    glm::vec3 local_m{0.0f};  ///< in the LiDAR's frame, with the dataset's axes
     bool returned = false;
 };
 
-/// A drive with a level road and a vehicle that leans, and the LiDAR on it.
+/// A drive on a level road with a tilted vehicle and its LiDAR.
 struct StampedDrive {
     double speed_mps = 8.0, rate_rad_s = 0.3, heading_rad = 0.4, pitch_rad = 0.0, roll_rad = 0.0;
-    glm::dvec3 start_m{0.0};  ///< in the yard
-    glm::dvec3 world_m{0.0};  ///< of the yard
-    Pose vehicle_from_lidar;  ///< the dataset's axes
-    std::vector<Beam> beams;  ///< the highest first
+    glm::dvec3 start_m{0.0};  ///< start in the yard
+    glm::dvec3 world_m{0.0};  ///< position of the yard
+    Pose vehicle_from_lidar;  ///< with the dataset's axes
+    std::vector<Beam> beams;  ///< highest beam first
     int columns = 0, n_scans = 0;
-    double step_s = 0.1;             ///< from scan to scan; a turn takes 0.1 s, its middle at the stamp
+    double step_s = 0.1;             ///< between scans; a turn takes 0.1 s, with its middle at the time stamp
     double first_azimuth_rad = kPi;  ///< in the LiDAR's frame
     std::vector<std::vector<StampedRay>> rays = {};  ///< [scan] column by column
 
@@ -42,31 +42,31 @@ struct StampedDrive {
     std::size_t count_returns(int scan) const;
 };
 
-/// A folder of its own under the tests' temporary one, which ends with it.
+/// A temporary folder that is deleted with this object.
 struct StampedFolder {
     std::filesystem::path folder;
-    /// "mulran:" where it shall be read as such whatever is missing; empty: as it is
-    /// recognised
+    /// Prefix such as "mulran:" that selects the reader even if files are missing; empty:
+    /// automatic detection.
     std::string kind = "";
     StampedDrive drive;
 
     StampedFolder(const std::string& dataset, const std::string& name);
-    /// Expects that reading it fails with a message that has `part` in it.
+    /// Checks that reading fails with a message that contains `part`.
     void expect_error(const std::string& part, const DatasetOptions& options = {}) const;
     ~StampedFolder();
     StampedFolder(const StampedFolder&) = delete;
     StampedFolder& operator=(const StampedFolder&) = delete;
 };
 
-/// 128 beams, of which laser numbers are in disorder; the LiDAR looks 42.6 degrees to the
-/// right, its frame begins there. Poses go on for 40 s after the scans, twice around the
+/// 128 beams with unordered laser numbers. The LiDAR is turned 42.6 degrees to the right,
+/// where its frame starts. Poses continue for 40 s after the scans, twice around the
 /// yard.
 struct BoreasFolder : StampedFolder {
     static constexpr std::int64_t kFirst_us = 1606417097528152;
     static constexpr int kScans = 6;
 
-    /// @param angles  0: as Boreas describes them, 1: as most others do, 2 and 3: both
-    /// with roll and yaw turned by in the other order
+    /// @param angles rotation order; 0: as Boreas documents it, 1: the common order, 2
+    /// and 3: the same two with roll and yaw in the other order
     explicit BoreasFolder(const std::string& name, int angles = 0, int columns = 360);
     static std::int64_t stamp(int scan) { return kFirst_us + scan * 100000; }
     std::filesystem::path scan(int number) const {
@@ -77,12 +77,12 @@ struct BoreasFolder : StampedFolder {
     static int laser_of(std::size_t beam) { return int(beam * 37 + 11) % 128; }
 };
 
-/// 64 x 1024 points, backward first. The first scan has no poses around it.
+/// 64 x 1024 points, starting backward. The first scan has no surrounding poses.
 struct MulranFolder : StampedFolder {
     static constexpr std::int64_t kFirst_ns = 1561000444390857630;
     static constexpr int kScans = 4;
 
-    /// @param by_column  the order of points in files, else ring by ring
+    /// @param by_column true: points in files are ordered by column; false: by ring
     explicit MulranFolder(const std::string& name, bool by_column = true);
     static std::int64_t stamp(int scan) { return kFirst_ns + scan * std::int64_t(100000000); }
     std::filesystem::path scan(int number) const {
@@ -91,12 +91,12 @@ struct MulranFolder : StampedFolder {
     std::filesystem::path poses() const { return folder / "global_pose.csv"; }
 };
 
-/// 40 beams, twice a second, without times.
+/// 40 beams, two scans per second, without point times.
 struct OnceFolder : StampedFolder {
     static constexpr std::int64_t kFirst_ms = 1616535966200;
     static constexpr int kScans = 4;
 
-    /// @param w_first  of quaternions
+    /// @param w_first true if w is the first component of quaternions
     explicit OnceFolder(const std::string& name, bool w_first = false, int columns = 900);
     static std::int64_t stamp(int scan) { return kFirst_ms + scan * 500; }
     std::filesystem::path scan(int number) const {
@@ -105,7 +105,7 @@ struct OnceFolder : StampedFolder {
     std::filesystem::path json() const { return folder / (folder.filename().string() + ".json"); }
 };
 
-/// How far a point is from the nearest surface of the yard.
+/// Returns the distance of a point to the nearest surface of the yard.
 double off_yard_m(const glm::dvec3& point_m);
 
 }  // namespace relidar::test

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log of two LiDARs: where their returns lie in the world, which frames are held out
-// together, and what is found of their beams.
+// Checks a log of two LiDARs: the world positions of their returns, the frames that are
+// held out together, and the estimated beams.
 #include <cmath>
 #include <map>
 #include <tuple>
@@ -30,19 +30,19 @@ TEST(TwoLidars, WorldReturnsAreVehicleTimesMounting) {
                              to_matrix(rear.vehicle_from_sensor) *
                              glm::dvec4(glm::dvec3(frame.scan.point(i)), 1.0);
         EXPECT_LT(glm::distance(world_return(street, frame, i).point_m, glm::dvec3(p)),
-                  1e-3);  // between poses the mounting turns on an arc, its track on a chord
+                  1e-3);  // between poses the mounting moves on an arc, but its track on a chord
     }
 }
 
-/// Heights of the road where both LiDARs have seen the same half metre of it: mean
-/// difference.
+/// Returns the mean difference of the road height in cells of half a metre that both
+/// LiDARs have seen.
 double height_difference_m(const Sequence& street) {
     std::map<std::tuple<int, int>, double> sum[2], count[2];
     for (const Frame& frame : street.frames)
         for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
             if (!(frame.scan.range_m[i] > 0.0f) || frame.scan.range_m[i] > 25.0f) continue;
             const glm::dvec3 p = world_return(street, frame, i).point_m;
-            // the road is at height 0 of the street
+            // The road is at height 0 of the street.
             if (std::abs(p.z + street.world_offset_m.z) > 0.5) continue;
             const std::tuple cell(int(std::floor(2.0 * p.x)), int(std::floor(2.0 * p.y)));
             sum[frame.lidar][cell] += p.z, count[frame.lidar][cell] += 1.0;
@@ -78,14 +78,14 @@ TEST(TwoLidars, LasersAreCountedThrough) {
     EXPECT_FALSE(street.beam_number(1, 12).has_value());
     for (Frame& frame : street.frames)
         for (float& range : frame.scan.range_m)
-            if (frame.lidar == 1 && range > 0.0f) range += 0.06f;  // all beams of the second
+            if (frame.lidar == 1 && range > 0.0f) range += 0.06f;  // all beams of the second LiDAR
     std::vector<int> all;
     for (int i = 0; i < int(street.frames.size()); ++i) all.push_back(i);
     ASSERT_TRUE(calibrate_ranges(street, all).adopted);
     double mean[2] = {0.0, 0.0};
     for (int l = 0; l < 2; ++l)
         for (std::size_t b = 4; b < 12; ++b)
-            // the upper ones see no plane
+            // the upper beams see no plane
             mean[l] += street.lidars[std::size_t(l)].sensor.beams[b].range_offset_m / 8.0;
     EXPECT_NEAR(mean[1] - mean[0], 0.06, 0.02);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cells that segments cross, against a box test of each cell; what a scan has looked at,
-// in a room and under the sky.
+// Compares the cells that segments cross with a box test of each cell. Checks the space
+// seen by a scan in a room and under the open sky.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -22,7 +22,8 @@ struct Segment {
     glm::dvec3 from_m, to_m;
 };
 
-/// Length of a segment within a cell, by clipping it to the cell's six planes.
+/// Returns the length of a segment within a cell, by clipping it to the six planes of the
+/// cell.
 double length_within(const Segment& segment, const Cell& cell) {
     const glm::dvec3 low(std::get<0>(cell), std::get<1>(cell), std::get<2>(cell)),
         d = segment.to_m - segment.from_m;
@@ -90,8 +91,8 @@ TEST(Coverage, AlongAnAxisAndAtRestCellsAreFoundToo) {
     EXPECT_EQ(coverage.share({0.0, 0.0, nan}, {1.0, 0.0, 0.0}), 0.0);
 }
 
-/// A LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees, that turns in
-/// 360 columns.
+/// Makes a LiDAR 2 m above the origin with beams at 20, 0, -20 and -40 degrees and 360
+/// columns.
 Sequence one_sweep() {
     Sequence sequence;
     SpinningSensor& sensor = sequence.lidars[0].sensor;
@@ -112,7 +113,7 @@ void set_ranges(Sequence& sequence, const std::array<float, 4>& range_m) {
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) scan.range_m[i] = range_m[scan.rays.channel[i]];
 }
 
-/// Share seen of a segment ahead of the sensor, at an elevation.
+/// Returns the seen share of a segment ahead of the sensor at an elevation.
 double seen(const Coverage& coverage, double elevation_deg, double from_m, double to_m) {
     const double e = elevation_deg * kPi / 180.0;
     const glm::dvec3 sensor(0.0, 0.0, 2.0),
@@ -122,7 +123,7 @@ double seen(const Coverage& coverage, double elevation_deg, double from_m, doubl
 
 TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
     Sequence sequence = one_sweep();
-    set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});  // a wall, and flat ground
+    set_ranges(sequence, {30.0f, 20.0f, 5.8f, 3.1f});  // a wall and flat ground
     const Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 29.5), 0.99);
     EXPECT_LT(seen(coverage, 20.0, 32.0, 60.0), 0.01) << "behind the wall";
@@ -134,7 +135,7 @@ TEST(Coverage, AScanHasLookedAsFarAsItsReturns) {
 
 TEST(Coverage, ADroppedRayTellsWhatItsNeighboursTell) {
     Sequence sequence = one_sweep();
-    set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});  // nothing above the ground
+    set_ranges(sequence, {0.0f, 0.0f, 5.8f, 3.1f});  // no surface above the ground
     Coverage coverage = find_coverage(sequence, sequence.world_from_vehicle, {0}, 80.0);
     EXPECT_GT(seen(coverage, 20.0, 0.5, 79.0), 0.99) << "the sky";
     EXPECT_LT(seen(coverage, 20.0, 82.0, 120.0), 0.01) << "beyond its range";

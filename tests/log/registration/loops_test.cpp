@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Roads driven again: a drive around a block whose odometry has drifted by metres, one
-// that crosses itself only because its poses are wrong, and a street that is driven once.
+// Detects roads that are driven again: a drive around a block whose odometry has drifted
+// by metres, a drive that crosses itself only because its poses are wrong, and a street
+// that is driven once.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -23,7 +24,7 @@ std::vector<std::vector<ThinPoint>> thin(const Sequence& log) {
     return thin_scans(log, sweeps_of(log), std::vector<bool>(log.frames.size(), true), movers, 0.5);
 }
 
-/// As odometry drifts: every step turned a little more, and down.
+/// Simulates the drift of odometry: turns every step slightly sideways and down.
 PoseTrack bent(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_per_m) {
     PoseTrack track = exact;
     for (std::size_t k = 1; k < track.pose.size(); ++k) {
@@ -36,7 +37,7 @@ PoseTrack bent(const PoseTrack& exact, double yaw_rad_per_m, double pitch_rad_pe
     return track;
 }
 
-/// How far the last pose is from where it belongs as seen from the first.
+/// Returns the error of the last pose relative to the first.
 double gap_m(const PoseTrack& track, const PoseTrack& exact) {
     return glm::distance((inverse(track.pose.front()) * track.pose.back()).translation,
                          (inverse(exact.pose.front()) * exact.pose.back()).translation);
@@ -51,7 +52,7 @@ TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
     EXPECT_GE(closed.places, 2u);
     EXPECT_GT(closed.largest_m, 2.0);
     EXPECT_LT(gap_m(closed.track, exact), 0.1);
-    for (std::size_t k = 1; k < exact.pose.size(); ++k) {  // nothing is torn
+    for (std::size_t k = 1; k < exact.pose.size(); ++k) {  // no jumps between neighbouring poses
         const Pose step = inverse(closed.track.pose[k - 1]) * closed.track.pose[k],
                    was = inverse(exact.pose[k - 1]) * exact.pose[k];
         EXPECT_LT(glm::distance(step.translation, was.translation), 0.03) << "at " << k;
@@ -65,8 +66,8 @@ TEST(CloseLoops, WhereNothingIsSeenAgainAllStays) {
     const auto scans = thin(log);
     const PoseTrack& exact = log.world_from_vehicle;
     EXPECT_EQ(close_loops(exact, scans, loop_options()).places, 0u);
-    // turned to a circle by wrong poses: the end comes near the beginning, and looks
-    // different
+    // Wrong poses bend the street to a circle: its end is close to its start but looks
+    // different.
     const PoseTrack circle = bent(exact, 2.0 * kPi / 120.0, 0.0);
     const ClosedLoops closed = close_loops(circle, scans, loop_options());
     EXPECT_EQ(closed.places, 0u) << "up to " << closed.largest_m << " m";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One scan placed on a scene: a hall whose walls are known exactly, a sensor that drives
-// through it while it turns, and poses that are off.
+// Registers one scan to a scene: a hall with exactly known walls, a sensor that drives
+// and turns, and wrong poses.
 #include <cmath>
 #include <limits>
 #include <random>
@@ -12,10 +12,10 @@
 namespace relidar {
 namespace {
 
-// of the hall, along x, y and z
+// walls of the hall along x, y and z
 constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};
 
-/// The wall that a ray from inside meets.
+/// Returns the wall that a ray from inside hits.
 SeenSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double nearest = std::numeric_limits<double>::infinity();
     SeenSurface wall;
@@ -31,7 +31,8 @@ SeenSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     return wall;
 }
 
-/// Three sweeps of 24 x 360 rays through the hall, each ray at its own time; noise-free.
+/// Makes three sweeps of 24 x 360 rays through the hall, without noise; each ray has its
+/// own firing time.
 Sequence drive() {
     Sequence log;
     for (int k = 0; k < 3; ++k) {
@@ -87,7 +88,7 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
     const Sequence exact = drive();
     std::mt19937_64 random(3);
     std::normal_distribution<double> metres(0.0, 0.02), radians(0.0, 2e-3);
-    // the first and the last carry rays beyond the end of the track
+    // The first and the last sweep have rays beyond the end of the track.
     for (const std::size_t position : {0u, 1u, 2u}) {
         Sequence log = exact;
         Pose& pose = log.world_from_vehicle.pose[position];
@@ -106,7 +107,7 @@ TEST(PlaceScan, FindsThePoseOfOneSweepAmongOthersThatStay) {
 TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
     const Sequence exact = drive();
     Sequence log = exact;
-    // a quarter
+    // a quarter of the returns
     for (std::size_t i = 0; i < log.frames[1].scan.range_m.size(); i += 4)
         log.frames[1].scan.range_m[i] *= 0.6f;
     log.world_from_vehicle.pose[1].translation += glm::dvec3(0.01, -0.02, 0.01);
@@ -118,8 +119,8 @@ TEST(PlaceScan, ReturnsThatAreNoWallsHardlyPull) {
     EXPECT_LT(found.on_surfaces, 0.9);
 }
 
-/// The same drive by two LiDARs, each of which sees what the other does not: `first`
-/// keeps returns of the two side walls alone.
+/// Makes the same drive with two LiDARs that see different surfaces: `first` keeps only
+/// returns of the two side walls.
 Sequence drive_of_two() {
     Sequence log = drive();
     const Pose mounted{rotation_of(0.4, 0.1, -0.05), {0.8, -0.3, 0.2}};
@@ -170,7 +171,7 @@ TEST(PlaceScan, LeavesAScanThatIsNotFoundWhereItWas) {
     const ScanPlacement far = placed(log, 1, strict);
     EXPECT_FALSE(far.found);
     EXPECT_EQ(far.world_from_vehicle.translation.y, log.world_from_vehicle.pose[1].translation.y);
-    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.5f;  // garbage
+    for (float& range_m : log.frames[1].scan.range_m) range_m = 0.5f;  // invalid ranges
     EXPECT_FALSE(placed(log, 1).found);
     for (float& range_m : log.frames[1].scan.range_m) range_m = 0.0f;  // no return
     EXPECT_FALSE(placed(log, 1).found);

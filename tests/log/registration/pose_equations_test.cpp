@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The step of all poses against the same least squares problem written down densely:
-// poses and the planes' own unknowns, one row a point.
+// Compares the step of all poses with the same least-squares problem in dense form:
+// unknowns of poses and planes, one row per point.
 #include <cmath>
 #include <numeric>
 #include <random>
@@ -19,7 +19,7 @@ struct Problem {
     PoseTrack track;
     std::vector<ThinPoint> points;
     std::vector<PlacedPoint> placed;
-    std::vector<Plane> planes;  ///< fitted with weights of their own, not those of the equations
+    std::vector<Plane> planes;  ///< fitted with weights other than those of the equations
     std::vector<std::vector<std::uint32_t>> members;  ///< [planes]
     double scale_m = 0.1;
 };
@@ -29,8 +29,8 @@ Plane plane_through(const glm::dvec3& at_m, const glm::dvec3& normal) {
     return {at_m, n, u, glm::cross(n, u)};
 }
 
-/// Planes seen from poses a metre apart; a third of the points lies a kernel's width and
-/// more beside them.
+/// Makes planes seen from poses a metre apart. A third of the points deviates by a kernel
+/// width or more.
 Problem random_problem(unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> uniform(-1.0, 1.0);
@@ -62,8 +62,8 @@ Problem random_problem(unsigned seed) {
     return p;
 }
 
-/// The poses' part of min sum w (r + row of poses . x - row of plane . y)^2 + prior over
-/// x and y: H x = -g, the planes eliminated densely.
+/// The pose part of min sum w (r + row of poses . x - row of plane . y)^2 + prior over x
+/// and y: H x = -g, after dense elimination of the planes.
 struct DenseEquations {
     Eigen::MatrixXd h;
     Eigen::VectorXd g;
@@ -97,8 +97,8 @@ DenseEquations dense_equations(const Problem& p, double prior) {
             g.head(n) - coupling * planes.solve(g.tail(m - n))};
 }
 
-/// Judged by what the step leaves of the cost: along what no point decides, the step is
-/// hardly determined.
+/// Compares the remaining cost, because points hardly determine some directions of the
+/// step.
 TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
     for (const unsigned seed : {1u, 2u, 3u, 4u, 5u}) {
         const Problem p = random_problem(seed);
@@ -106,10 +106,10 @@ TEST(PoseEquations, StepIsThatOfTheWholeProblem) {
         for (std::size_t c = 0; c < p.planes.size(); ++c)
             equations.add_cell(p.points, p.placed, p.members[c], p.planes[c], p.scale_m);
         constexpr double kPrior = 1e-4;
-        const Eigen::VectorXd found =
+        const Eigen::VectorXd actual =
             equations.solve(p.track, Eigen::VectorXd::Zero(6 * (kPoses + 1)), kPrior);
         const DenseEquations dense = dense_equations(p, kPrior);
-        const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = found - expected;
+        const Eigen::VectorXd expected = -dense.h.ldlt().solve(dense.g), off = actual - expected;
         EXPECT_LT(off.dot(dense.h * off), 1e-4 * expected.dot(dense.h * expected)) << "seed " << seed;
     }
 }

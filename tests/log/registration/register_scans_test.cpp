@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration on the synthetic street, whose poses are known exactly: wrong by white
-// noise and by drift, held-out scans, a scan of garbage, a correction that is not
-// allowed.
+// Registers scans of the synthetic street, whose exact poses are known: poses with white
+// noise and with drift, held-out scans, an invalid scan, and a correction beyond the
+// limit.
 #include <algorithm>
 #include <cmath>
 #include <random>
@@ -37,36 +37,36 @@ Registration registered(const Sequence& street, int test_every = 0) {
     return register_scans(street, split_frames(street, test_every), leaving_out(street.boxes));
 }
 
-/// Everything a registration is asked for: 1 cm and 0.05 degrees, in the poses of scans
-/// of training and of testing.
-void expect_found(const Registration& found, const PoseTrack& exact, const Split& split, const char* what) {
-    const PoseError train = error_of(found.world_from_vehicle, exact, split.train);
+/// Checks the required accuracy of poses, 1 cm and 0.05 degrees, for training and test
+/// scans.
+void expect_found(const Registration& registration, const PoseTrack& exact, const Split& split,
+                  const char* what) {
+    const PoseError train = error_of(registration.world_from_vehicle, exact, split.train);
     EXPECT_LT(train.median_m, 0.005) << what;
     EXPECT_LT(train.median_deg, 0.02) << what;
     if (split.test.empty()) return;
     std::vector<int> all = split.train;
     all.insert(all.end(), split.test.begin(), split.test.end());
-    const PoseError both = error_of(found.world_from_vehicle, exact, all);
+    const PoseError both = error_of(registration.world_from_vehicle, exact, all);
     EXPECT_LT(both.median_m, 0.005) << what;
-    for (const int k : split.test) {  // relative to the training pose before
+    for (const int k : split.test) {  // relative to the previous training pose
         const Pose exact_step = inverse(exact.pose[std::size_t(k - 1)]) * exact.pose[std::size_t(k)],
-                   step = inverse(found.world_from_vehicle.pose[std::size_t(k - 1)]) *
-                          found.world_from_vehicle.pose[std::size_t(k)];
+                   step = inverse(registration.world_from_vehicle.pose[std::size_t(k - 1)]) *
+                          registration.world_from_vehicle.pose[std::size_t(k)];
         EXPECT_LT(glm::length(step.translation - exact_step.translation), 0.02)
             << what << ", held-out frame " << k;
     }
 }
 
-/// A street of which a sweep sees a fifth: what is known of one end by the other is all
-/// in the equations.
+/// Each sweep sees a fifth of the street, so only the equations connect its two ends.
 TEST(RegisterScans, LongStreetStaysWhereItIs) {
     SyntheticOptions options;
     options.seed = 7, options.n_frames = 400, options.rows = 32, options.columns = 256;
     const Sequence street = make_synthetic_street(options);
-    const Registration found = registered(street, 10);
-    EXPECT_TRUE(found.lost.empty()) << found.lost.size() << " scans are lost";
+    const Registration registration = registered(street, 10);
+    EXPECT_TRUE(registration.lost.empty()) << registration.lost.size() << " scans are lost";
     const PoseError error =
-        error_of(found.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
+        error_of(registration.world_from_vehicle, street.world_from_vehicle, split_frames(street, 10).train);
     EXPECT_LT(error.rms_m, 0.03);
     EXPECT_LT(error.worst_m, 0.06);
 }
@@ -82,16 +82,16 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
                  exact, split, "drift of 20 cm");
 }
 
-/// Three sweeps, one of them held out: planes of two are made of more points of each.
+/// Three sweeps, one held out: the planes of two scans need more points of each scan.
 TEST(RegisterScans, TwoScansAreEnough) {
     const Sequence street = street_of(3);
     const PoseTrack& exact = street.world_from_vehicle;
     PoseTrack wrong = test::perturbed(exact, 0.1, 0.3 * test::kDegree, 6);
-    const Registration found =
+    const Registration registration =
         register_scans(test::with_poses(street, wrong), {{0, 2}, {1}}, leaving_out(street.boxes));
-    ASSERT_TRUE(found.done);
-    EXPECT_TRUE(found.lost.empty());
-    const PoseError error = error_of(found.world_from_vehicle, exact, {0, 1, 2});
+    ASSERT_TRUE(registration.done);
+    EXPECT_TRUE(registration.lost.empty());
+    const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2});
     EXPECT_LT(error.worst_m, 0.01);
     EXPECT_LT(error.worst_deg, 0.05);
 }
@@ -100,7 +100,7 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     SyntheticOptions options;
     options.n_frames = 11, options.rows = 32, options.columns = 256, options.speed_mps = 1.0;
     Sequence street = make_synthetic_street(options);
-    for (Frame& frame : street.frames) {  // what such a sensor would have seen: all rays fired at once
+    for (Frame& frame : street.frames) {  // simulates a sensor that fires all rays at the same time
         RayTable rays = frame.scan.rays;
         std::fill(rays.time_offset_s.begin(), rays.time_offset_s.end(), 0.0f);
         frame.scan = cast_synthetic_street(options, rays, street.world_from_vehicle, frame.time_s);
@@ -116,10 +116,11 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     const Sequence street = street_of(11);
     const Sequence wrong =
         test::with_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 3));
-    const Registration found = registered(wrong);
+    const Registration registration = registered(wrong);
     glm::dvec3 v(0.0), w(0.0);
-    for (std::size_t k = 0; k < found.world_from_vehicle.pose.size(); ++k) {
-        const Twist c = twist_between(wrong.world_from_vehicle.pose[k], found.world_from_vehicle.pose[k]);
+    for (std::size_t k = 0; k < registration.world_from_vehicle.pose.size(); ++k) {
+        const Twist c =
+            twist_between(wrong.world_from_vehicle.pose[k], registration.world_from_vehicle.pose[k]);
         v += glm::dvec3(c[0], c[1], c[2]);
         w += glm::dvec3(c[3], c[4], c[5]);
     }
@@ -134,24 +135,24 @@ TEST(RegisterScans, MeanCorrectionIsZeroAndExactPosesStay) {
     EXPECT_TRUE(kept.lost.empty());
 }
 
-/// However a held-out scan looks, the training poses are the same, bit for bit.
+/// The content of a held-out scan must not change the training poses in any bit.
 TEST(RegisterScans, HeldOutScansMoveNoOtherPose) {
     Sequence street = street_of(11);
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.3 * test::kDegree, 4));
     const Split split = split_frames(street, 5);
-    const Registration found = register_scans(street, split, leaving_out(street.boxes));
+    const Registration registration = register_scans(street, split, leaving_out(street.boxes));
     Sequence other = street;
     for (const int k : split.test)
         for (float& range : other.frames[std::size_t(k)].scan.range_m) range *= 1.01f;
     const Registration again = register_scans(other, split, leaving_out(street.boxes));
     for (const int k : split.train) {
-        EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].translation,
+        EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(k)].translation,
                   again.world_from_vehicle.pose[std::size_t(k)].translation);
-        EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(k)].rotation,
+        EXPECT_EQ(registration.world_from_vehicle.pose[std::size_t(k)].rotation,
                   again.world_from_vehicle.pose[std::size_t(k)].rotation);
     }
     for (const int k : split.test)
-        EXPECT_NE(found.world_from_vehicle.pose[std::size_t(k)].translation,
+        EXPECT_NE(registration.world_from_vehicle.pose[std::size_t(k)].translation,
                   again.world_from_vehicle.pose[std::size_t(k)].translation)
             << "its own pose follows its scan";
 }
@@ -163,12 +164,13 @@ TEST(RegisterScans, AScanOfGarbageIsPlacedAsItsNeighbours) {
     std::mt19937_64 random(5);
     std::uniform_real_distribution<float> range(2.0f, 70.0f);
     for (float& r : street.frames[5].scan.range_m) r = range(random);
-    const Registration found = registered(street);
-    EXPECT_EQ(found.lost, std::vector<std::size_t>{5});
-    const PoseError error = error_of(found.world_from_vehicle, exact, {0, 1, 2, 3, 4, 6, 7, 8, 9, 10});
+    const Registration registration = registered(street);
+    EXPECT_EQ(registration.lost, std::vector<std::size_t>{5});
+    const PoseError error = error_of(registration.world_from_vehicle, exact, {0, 1, 2, 3, 4, 6, 7, 8, 9, 10});
     EXPECT_LT(error.median_m, 0.01);
     EXPECT_LT(error.median_deg, 0.03);
-    EXPECT_LT(error_of(found.world_from_vehicle, exact, {4, 5, 6}).median_m, 0.05) << "drift is smooth";
+    EXPECT_LT(error_of(registration.world_from_vehicle, exact, {4, 5, 6}).median_m, 0.05)
+        << "drift is smooth";
 }
 
 TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
@@ -177,8 +179,8 @@ TEST(RegisterScans, CorrectionsBeyondWhatIsAllowedAreNotBelieved) {
     track.pose[4].translation += glm::dvec3(0.3, 0.4, 0.0);
     set_vehicle_poses(street, track);
     RegisterOptions options = leaving_out(street.boxes);
-    const Registration found = register_scans(street, split_frames(street, 0), options);
-    EXPECT_TRUE(found.lost.empty()) << "half a metre is found";
+    const Registration registration = register_scans(street, split_frames(street, 0), options);
+    EXPECT_TRUE(registration.lost.empty()) << "half a metre is found";
     options.largest_m = 0.25;
     EXPECT_EQ(register_scans(street, split_frames(street, 0), options).lost, std::vector<std::size_t>{4});
 }
@@ -187,9 +189,9 @@ TEST(RegisterScans, SaysWhatIsMissing) {
     Sequence street = street_of(4);
     const Registration one = register_scans(street, {{0}, {}}, {});
     EXPECT_TRUE(one.rounds.empty()) << "one scan is where it is";
-    int asked = 0;
+    int n_polls = 0;
     RegisterOptions options;
-    options.stop = [&] { return ++asked == 3; };
+    options.stop = [&] { return ++n_polls == 3; };
     set_vehicle_poses(street, test::perturbed(street.world_from_vehicle, 0.05, 0.0, 1));
     const Registration stopped = register_scans(street, split_frames(street, 0), options);
     EXPECT_TRUE(stopped.stopped);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Logs of two LiDARs registered: what both see at one time is one scan of the vehicle;
-// one that sweeps at other times rides along.
+// Registers logs of two LiDARs. Sweeps at the same time form one scan of the vehicle. A
+// LiDAR that sweeps at other times uses the interpolated poses.
 #include <gtest/gtest.h>
 
 #include <relidar/log/clouds.hpp>
@@ -16,7 +16,7 @@ SyntheticOptions two_lidar_options() {
     return {.n_frames = 12, .rows = 32, .columns = 256, .moving_cars = false};
 }
 
-/// Twice the same poses: of each sweep, and off_s later, when the second LiDAR sweeps.
+/// Doubles the poses: at each sweep, and off_s later when the second LiDAR sweeps.
 Sequence one_after_the_other(double off_s) {
     const Sequence together = test::two_lidar_street(two_lidar_options());
     Sequence street = together;
@@ -46,10 +46,11 @@ TEST(SeveralLidars, AreRegisteredAsOneScanOfTheVehicle) {
     const Split split = split_frames(street, 5);
     for (const PoseTrack& wrong : {test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1),
                                    test::drifting(exact, 0.2, 0.3 * test::kDegree)}) {
-        const Registration found = register_scans(test::with_poses(street, wrong), split, {});
-        ASSERT_TRUE(found.done);
-        EXPECT_TRUE(found.lost.empty());
-        const test::PoseError error = test::error_of(found.world_from_vehicle, exact, all_poses(street));
+        const Registration registration = register_scans(test::with_poses(street, wrong), split, {});
+        ASSERT_TRUE(registration.done);
+        EXPECT_TRUE(registration.lost.empty());
+        const test::PoseError error =
+            test::error_of(registration.world_from_vehicle, exact, all_poses(street));
         EXPECT_LT(error.median_m, 0.005);
         EXPECT_LT(error.worst_m, 0.02);
         EXPECT_LT(error.median_deg, 0.02);
@@ -63,12 +64,13 @@ TEST(SeveralLidars, OneFindsWhatTheOtherMissed) {
     std::fill(missed.range_m.begin(), missed.range_m.end(), 0.0f);
     PoseTrack wrong = exact;
     wrong.pose[4].translation += glm::dvec3(0.2, -0.3, 0.1);
-    const Registration found = register_scans(test::with_poses(street, wrong), split_frames(street, 0), {});
-    EXPECT_TRUE(found.lost.empty());
-    EXPECT_LT(test::error_of(found.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
+    const Registration registration =
+        register_scans(test::with_poses(street, wrong), split_frames(street, 0), {});
+    EXPECT_TRUE(registration.lost.empty());
+    EXPECT_LT(test::error_of(registration.world_from_vehicle, exact, all_poses(street)).worst_m, 0.02);
 }
 
-/// Rays of one sweep lie between poses of both, in whichever order they come.
+/// The rays of one sweep lie between poses of both LiDARs, in any order.
 TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
     for (const double off_s : {0.05, 0.01, 0.09}) {
         const Sequence street = one_after_the_other(off_s);
@@ -79,11 +81,12 @@ TEST(SeveralLidars, OneThatSweepsAtOtherTimesRidesAlong) {
         PoseTrack wrong = exact;
         for (std::size_t k = 0; k < wrong.pose.size(); ++k)
             wrong.pose[k] = drift.at(wrong.time_s[k]) * (inverse(sweeps.at(wrong.time_s[k])) * wrong.pose[k]);
-        const Registration found =
+        const Registration registration =
             register_scans(test::with_poses(street, wrong), split_frames(street, 5), {});
-        ASSERT_TRUE(found.done);
-        EXPECT_TRUE(found.lost.empty());
-        const test::PoseError error = test::error_of(found.world_from_vehicle, exact, all_poses(street));
+        ASSERT_TRUE(registration.done);
+        EXPECT_TRUE(registration.lost.empty());
+        const test::PoseError error =
+            test::error_of(registration.world_from_vehicle, exact, all_poses(street));
         EXPECT_LT(error.median_m, 0.01) << off_s;
         EXPECT_LT(error.worst_m, 0.03) << off_s;
     }
@@ -95,10 +98,11 @@ TEST(SeveralLidars, AreFollowedWithoutPoses) {
     for (Pose& pose : none.pose) pose = {};
     RegisterOptions blind;
     blind.given_motion = false;
-    const Registration found = register_scans(test::with_poses(street, none), split_frames(street, 5), blind);
-    ASSERT_TRUE(found.done);
+    const Registration registration =
+        register_scans(test::with_poses(street, none), split_frames(street, 5), blind);
+    ASSERT_TRUE(registration.done);
     const test::PoseError error =
-        test::error_of(found.world_from_vehicle, street.world_from_vehicle, all_poses(street));
+        test::error_of(registration.world_from_vehicle, street.world_from_vehicle, all_poses(street));
     EXPECT_LT(error.median_m, 0.01);
     EXPECT_LT(error.worst_m, 0.03);
 }

@@ -61,8 +61,8 @@ PoseTrack with_drift_and_jumps(const PoseTrack& exact) {
 
 namespace {
 
-/// Takes the mean motion from one track to another out of the latter, about the centre of
-/// some of its poses.
+/// Removes the mean motion between two tracks from `track`, about the centre of some of
+/// its poses.
 PoseTrack aligned(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
     glm::dvec3 centre(0.0), v(0.0), w(0.0);
     for (const int k : positions) {
@@ -82,7 +82,7 @@ PoseTrack aligned(PoseTrack track, const PoseTrack& exact, const std::vector<int
 PoseError error_of(PoseTrack track, const PoseTrack& exact, const std::vector<int>& positions) {
     const Pose start =
         exact.pose[std::size_t(positions.front())] * inverse(track.pose[std::size_t(positions.front())]);
-    for (Pose& pose : track.pose) pose = start * pose;  // near enough for mean rotations
+    for (Pose& pose : track.pose) pose = start * pose;  // close enough to average rotations
     for (int i = 0; i < 5; ++i) track = aligned(std::move(track), exact, positions);
     std::vector<double> metres, degrees;
     double squares = 0.0;

@@ -25,7 +25,7 @@ struct Place {
     bool in_curve = false;
 };
 
-/// Where the middle of the lane is after so many metres.
+/// Returns the centre of the lane after a driven distance.
 Place lane(double s_m) {
     s_m = std::fmod(s_m + length_of_loop(), length_of_loop());
     Place p;
@@ -43,7 +43,7 @@ Place lane(double s_m) {
     return p;
 }
 
-/// A shape beside the lane, its x along the lane.
+/// Places a shape next to the lane, with its x along the lane.
 Shape beside(Shape shape, double s_m, double left_m) {
     const Place p = lane(s_m);
     shape.centre = {p.at_m.x - left_m * std::sin(p.yaw_rad), p.at_m.y + left_m * std::cos(p.yaw_rad),
@@ -82,13 +82,13 @@ street::Street make_town() {
     return town;
 }
 
-/// Metres driven at a time: steady but for the stop half-way, softened so that no
-/// acceleration is absurd.
+/// Returns the distance driven at a time: constant speed with a stop half-way, smoothed
+/// to limit the acceleration.
 double driven_m(double t_s, double duration_s) {
     const double speed = (length_of_loop() + kBeyond_m) / (duration_s - kStop_s),
                  middle = 0.5 * (duration_s - kStop_s);
     const double after = std::clamp((t_s - middle) / kStop_s, 0.0, 1.0);
-    // its slope is 1.5 at most: a car that rolls back a little
+    // The slope is at most 1.5, so the car rolls back slightly.
     const double lost_s = kStop_s * after * after * (3.0 - 2.0 * after);
     return speed * (t_s - std::min(lost_s, std::max(0.0, t_s - middle)));
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Whole drives with known truth: around a block with a stop, from poses that drift and
-// jump, and from none. 300 sweeps are followed in one piece, 400 in two stretches.
+// Registers complete drives with exact poses: around a block with a stop, from poses with
+// drift and jumps, and without poses. 300 sweeps are processed in one segment, 400 in
+// two.
 #include <map>
 
 #include <gtest/gtest.h>
@@ -22,40 +23,41 @@ protected:
         return drive;
     }
 
-    static Registration registered(const PoseTrack& given, bool given_motion, const Split& split) {
+    static Registration registered(const PoseTrack& initial_poses, bool given_motion, const Split& split) {
         Sequence wrong = drive();
-        set_vehicle_poses(wrong, given);
+        set_vehicle_poses(wrong, initial_poses);
         RegisterOptions options;
         options.given_motion = given_motion;
         return register_scans(wrong, split, options);
     }
 
-    /// 2 cm and 0.05 degrees over the whole drive, the held-out scans too, and nothing
-    /// lost.
-    static void expect_found(const Registration& found, const char* what) {
+    /// Requires 2 cm and 0.05 degrees over the complete drive, including held-out scans,
+    /// without lost scans.
+    static void expect_found(const Registration& registration, const char* what) {
         std::vector<int> all;
         for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
         const test::PoseError error =
-            test::error_of(found.world_from_vehicle, drive().world_from_vehicle, all);
+            test::error_of(registration.world_from_vehicle, drive().world_from_vehicle, all);
         EXPECT_LT(error.rms_m, 0.02) << what;
         EXPECT_LT(error.worst_m, 0.05) << what;
         EXPECT_LT(error.median_deg, 0.02) << what;
         EXPECT_LT(error.worst_deg, 0.05) << what;
-        EXPECT_TRUE(found.lost.empty()) << what;
-        EXPECT_GT(found.on_planes, 0.3) << what;
+        EXPECT_TRUE(registration.lost.empty()) << what;
+        EXPECT_GT(registration.on_planes, 0.3) << what;
     }
 };
 
 TEST_P(WholeDrive, FindsPosesBackFromDriftAndJumps) {
-    const PoseTrack given = test::with_drift_and_jumps(drive().world_from_vehicle);
+    const PoseTrack initial_poses = test::with_drift_and_jumps(drive().world_from_vehicle);
     const int last = GetParam() - 1;
-    EXPECT_GT(test::error_of(given, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
-              1.0)
+    EXPECT_GT(
+        test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
+        1.0)
         << "the start is far off";
-    expect_found(registered(given, true, split_frames(drive(), 10)), "drift and jumps");
+    expect_found(registered(initial_poses, true, split_frames(drive(), 10)), "drift and jumps");
 }
 
-// RegisterScans.LongStreetStaysWhereItIs has several stretches
+// RegisterScans.LongStreetStaysWhereItIs covers several segments.
 class WholeDriveExact : public WholeDrive {};
 
 TEST_P(WholeDriveExact, Stays) {
@@ -65,11 +67,12 @@ TEST_P(WholeDriveExact, Stays) {
 TEST_P(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
-    const Registration found = registered(none, false, split_frames(drive(), 10));
-    expect_found(found, "no poses");
+    const Registration registration = registered(none, false, split_frames(drive(), 10));
+    expect_found(registration, "no poses");
     const Split split = split_frames(drive(), 10);
-    EXPECT_EQ(found.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation,
-              glm::dvec3(0.0))
+    EXPECT_EQ(
+        registration.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation,
+        glm::dvec3(0.0))
         << "the middle pose stays";
 }
 

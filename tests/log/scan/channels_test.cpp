@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The list of channels: names, what is wrong with a caller's own, and that the guide says
-// what the list says.
+// Checks the list of channels: names, errors for user-defined channels, and that the
+// guide documents the same channels.
 #include <relidar/log/channels.hpp>
 
 #include <cstring>
@@ -27,10 +27,10 @@ std::string refusal(const std::string& names) {
 }
 
 TEST(ChannelList, IsAskedForByNames) {
-    const std::vector<ChannelInfo> wanted = wanted_channels("seen, normal,seen");
-    ASSERT_EQ(wanted.size(), 2u) << "each once";
-    EXPECT_EQ(wanted[0].name, "seen");
-    EXPECT_EQ(wanted[1].name, "normal");
+    const std::vector<ChannelInfo> channel_infos = wanted_channels("seen, normal,seen");
+    ASSERT_EQ(channel_infos.size(), 2u) << "each once";
+    EXPECT_EQ(channel_infos[0].name, "seen");
+    EXPECT_EQ(channel_infos[1].name, "normal");
     EXPECT_TRUE(wanted_channels("").empty());
     EXPECT_THAT(
         refusal("normal,sean"),
@@ -71,7 +71,7 @@ TEST(ChannelList, WhatACallerAddsIsChecked) {
         EXPECT_THROW(check(name, 3), DataError) << name;
 }
 
-/// A row of a table in Markdown: | `name` | unit | meaning |
+/// Returns a row of a Markdown table: | `name` | unit | meaning |
 std::string row_of(const ChannelInfo& channel) {
     return "\n| `" + channel.name + "` | " + channel.unit + (channel.unit.empty() ? "" : " ") + "| " +
            channel.meaning + " |";

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors whose scatter is known in closed form: what is drawn from their tree has the
-// same distribution, beside the same things.
+// Fits scatter trees to sensors with known scatter. Values drawn from the tree must have
+// the same distribution, including the correlation with neighbouring rays.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -22,8 +22,7 @@ namespace {
 constexpr int kRows = 16, kColumns = 256;
 constexpr std::size_t kRays = std::size_t(kRows) * kColumns;
 
-/// A street of panels, 16 columns each, of which a scene knows the brightness: 0.2, 0.4,
-/// 0.6 or 0.8.
+/// Makes panels of 16 columns each, whose rendered brightness is 0.2, 0.4, 0.6 or 0.8.
 RenderedIntensities panels() {
     RenderedIntensities image{kRows,
                               kColumns,
@@ -40,7 +39,8 @@ RenderedIntensities panels() {
     return image;
 }
 
-/// measure(intensity, the residual left of it, random): one ray.
+/// Measures all rays; measure(intensity, residual of the left neighbour, random) returns
+/// one value.
 template <class Measure>
 MeasuredIntensities measured(std::uint64_t seed, const Measure& measure) {
     MeasuredIntensities result{panels(), {}};
@@ -64,8 +64,8 @@ std::vector<MeasuredIntensities> scans_of(int n, const Measure& measure) {
 
 const std::vector<std::uint8_t> kAll(kRays, 1);
 
-/// Of a hundred steps: four fair coins about what is rendered, shifted by two; the bright
-/// panels have sixteen.
+/// Returns the rendered value, rounded to 0.01, plus (heads - n / 2) / 100, where heads
+/// is the number of heads of n fair coins: 4, or 16 on bright panels.
 double coins(double rendered, double, Random& random) {
     const int n = rendered > 0.7 ? 16 : 4;
     int heads = 0;
@@ -109,8 +109,8 @@ TEST(Scatter, DrawsTheDistributionOfEachBrightness) {
     }
 }
 
-/// e(i) = 0.8 e(i-1) + 0.03 n: of variance 0.0025, and correlation 0.8^k between rays k
-/// columns apart.
+/// Autoregressive noise e(i) = 0.8 e(i-1) + 0.03 n: variance 0.0025, correlation 0.8^k
+/// between rays k columns apart.
 double grain(double rendered, double before, Random& random) {
     return rendered + 0.8 * before + 0.03 * random.normal();
 }
@@ -125,7 +125,7 @@ TEST(Scatter, IsCorrelatedAlongABeam) {
     for (std::uint64_t seed = 1; seed <= 8; ++seed) {
         const std::vector<float> drawn = draw_intensities(scatter, image, kAll, seed);
         for (std::size_t i = 0; i < kRays; ++i) {
-            if (i % kColumns < 32) continue;  // the process begins at 0
+            if (i % kColumns < 32) continue;  // the process starts at 0
             for (std::size_t lag = 0; lag < products.size(); ++lag)
                 products[lag] +=
                     double(drawn[i] - image.intensity[i]) * double(drawn[i - lag] - image.intensity[i - lag]);
@@ -138,7 +138,7 @@ TEST(Scatter, IsCorrelatedAlongABeam) {
     EXPECT_NEAR(products[3] / products[0], 0.512, 0.1);
 }
 
-/// Between half and one and a half times what is rendered: evenly.
+/// Returns a value uniformly distributed between 0.5 and 1.5 times the rendered value.
 double even(double rendered, double, Random& random) { return rendered * random.uniform(0.5, 1.5); }
 
 TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
@@ -146,7 +146,7 @@ TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
     const RenderedIntensities image = panels();
     const std::vector<float> drawn = draw_intensities(scatter, image, kAll, 5);
     for (const int panel : {1, 2, 3, 4}) {
-        std::vector<double> shares;  // of the way from half to one and a half
+        std::vector<double> shares;  // position between 0.5 and 1.5
         for (std::size_t i = 0; i < kRays; ++i)
             if (std::abs(image.intensity[i] - 0.2f * float(panel)) < 0.01f)
                 shares.push_back(double(drawn[i] / image.intensity[i]) - 0.5);
@@ -154,7 +154,7 @@ TEST(Scatter, ContinuousDrawsFollowTheirDistributionFunction) {
         double farthest = 0.0;
         for (std::size_t k = 0; k < shares.size(); ++k)
             farthest = std::max(farthest, std::abs(shares[k] - (double(k) + 0.5) / double(shares.size())));
-        // one in 1000
+        // exceeded by chance once in 1000 times
         EXPECT_LT(farthest, 1.95 / std::sqrt(double(shares.size())))
             << "Kolmogorov and Smirnov, panel " << panel;
     }
@@ -228,7 +228,7 @@ TEST(Scatter, FewReturnsTellNothingAndSizesAreChecked) {
 TEST(Scatter, FindsTheStepOfALog) {
     const auto multiples = [](double step, int n) {
         std::vector<float> values;
-        // in no order
+        // not sorted
         for (int k = 0; k < n; ++k) values.push_back(static_cast<float>(step * double(7 * k % n)));
         return values;
     };

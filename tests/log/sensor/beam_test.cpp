@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a beam measures, and what it makes of that: each direction undoes the other, and a
-// head found from a point is the one that fired.
+// Checks the measurement model of a beam: both directions must be inverse to each other,
+// and the firing azimuth computed from a point must be the original one.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors by name and from CSV tables, and the messages for names and tables that are
-// wrong.
+// Checks sensors by name and from CSV tables, and the error messages for wrong names and
+// tables.
 #include <relidar/log/sensor_files.hpp>
 
 #include <filesystem>
@@ -53,13 +53,13 @@ TEST(KnownSensors, EveryNameMakesRaysHighestBeamFirst) {
     EXPECT_EQ(make_rays(find_sensor("kitti360")).direction, make_rays(kitti360_grid()).direction);
 }
 
-/// What the data sheets say of the field of view and the resolution.
+/// Compares field of view and resolution with the data sheets.
 TEST(KnownSensors, Pandar128LooksAsItsDataSheetSays) {
     const SpinningSensor sensor = spinning("Pandar128");
     ASSERT_EQ(sensor.beams.size(), 128u);
     EXPECT_NEAR((sensor.beams.front().elevation_rad - sensor.beams.back().elevation_rad) * 180 / kPi, 40.0,
                 0.6);
-    int fine = 0;  // beams 26 to 90 lie an eighth of a degree apart
+    int fine = 0;  // beams 26 to 90 are an eighth of a degree apart
     for (std::size_t b = 1; b < 128; ++b)
         fine += std::abs((sensor.beams[b - 1].elevation_rad - sensor.beams[b].elevation_rad) * 180 / kPi -
                          0.125) < 0.015;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rays of sensors that do not spin, against what defines them.
+// Compares the rays of sensors that do not spin with the definition of their patterns.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>
@@ -19,8 +19,8 @@ const Rosette kRosette{.name = "r",
                        .n_rays = 5000,
                        .period_s = 0.1};
 
-/// The sum of two turning deflections of one size is 2 |cos| of half their angle, turned
-/// by the mean of the two.
+/// Two rotating deflections of equal size sum to 2 |cos| of half the angle between them,
+/// in the direction of their mean.
 TEST(Patterns, RosetteIsTheSumOfTwoTurningDeflections) {
     const double time_s = 12.34;
     const RayTable rays = make_rays(kRosette, time_s);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Spinning ray tables against closed forms: directions, beam origins, firing times,
-// whole-column moves of offset beams.
+// Compares ray tables of spinning sensors with closed forms: directions, beam origins,
+// firing times, and shifts of offset beams by full columns.
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>
@@ -63,7 +63,7 @@ TEST(Rays, LiftedBeamsCrossTheAxisAtUpOverCosine) {
         EXPECT_NEAR(glm::length(ray.origin_m), up, 1e-12);
     }
     const BeamRay left = beam_ray({.azimuth_offset_rad = kPi / 2, .origin_left_m = 0.03}, 0.0);
-    EXPECT_NEAR(left.origin_m.x, -0.03, 1e-12);  // the beam looks along +y: its left is -x
+    EXPECT_NEAR(left.origin_m.x, -0.03, 1e-12);  // the beam looks along +y, so its left is -x
 }
 
 TEST(Rays, OffsetBeamsAreMovedByWholeColumns) {

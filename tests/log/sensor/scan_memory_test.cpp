@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of scans that lie in memory and in a file: what is written is read back, room
-// that is given back is given out again, and a folder that cannot take them is named. The
-// file ends with the process, so that each test is a process of its own.
+// Checks arrays of scans in memory and in a file: data must be read back unchanged, freed
+// space must be reused, and errors must name a folder that is not writable. Each test
+// runs in a separate process, because the file exists as long as its process.
 #include <relidar/log/sensor.hpp>
 
 #include <csignal>
@@ -26,8 +26,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Runs checks in a process of its own: the limit, and the folder of the file, are the
-/// process's.
+/// Runs checks in a separate process, because memory limit and file folder are per
+/// process.
 template <class Checks>
 void in_own_process(const Checks& checks) {
     EXPECT_EXIT(
@@ -38,7 +38,7 @@ void in_own_process(const Checks& checks) {
         testing::ExitedWithCode(0), "");
 }
 
-/// Memory of the process that is no file's, bytes.
+/// Returns the anonymous memory of the process in bytes.
 std::uint64_t anonymous_bytes() {
     std::ifstream status("/proc/self/status");
     for (std::string line; std::getline(status, line);)
@@ -59,7 +59,7 @@ TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
         EXPECT_EQ(scan_memory_use().in_file, 0u);
-        share_scan_memory(10'000'000);  // each may take some kilobytes
+        share_scan_memory(10'000'000);  // each may use some kilobytes
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> one_of_many(1 << 18, 1.0f);
         EXPECT_EQ(scan_memory_use().in_file, 1u << 20);
@@ -75,7 +75,8 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
         std::mt19937 random(1);
         std::vector<ScanArray<std::uint32_t>> arrays;
         std::vector<std::uint32_t> first;
-        for (int turn = 0; turn < 2000; ++turn) {  // arrays come and go, of all sizes: 40 MB at the end
+        // allocates and frees arrays of all sizes; 40 MB at the end
+        for (int turn = 0; turn < 2000; ++turn) {
             if (arrays.size() > 20 && random() % 2) {
                 const std::size_t which = random() % arrays.size();
                 for (std::size_t i = 0; i < arrays[which].size(); ++i)
@@ -119,8 +120,8 @@ TEST(ScanMemory, ServesSeveralThreads) {
     });
 }
 
-/// The whole point: a log that does not fit leaves the process's own memory as it is, and
-/// is the same log.
+/// A log larger than the memory limit must not increase the anonymous memory of the
+/// process and must be read back equal.
 TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
     in_own_process([] {
         const SyntheticOptions street{.n_frames = 40, .rows = 32, .columns = 512};

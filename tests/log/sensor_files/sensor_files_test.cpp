@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors from files: ray tables in three formats against the rays they were written
-// from, Ouster's metadata against Ouster's own equation for its points, and the messages
-// for files that are wrong.
+// Reads sensors from files: ray tables in three formats against their original rays,
+// Ouster metadata against Ouster's equation for points, and error messages for invalid
+// files.
 #include <relidar/log/sensor_files.hpp>
 #include <relidar/log/sensor_pattern.hpp>
 
@@ -126,7 +126,8 @@ TEST(SensorFiles, BeamsMayDivergeEachByItself) {
         "found both");
 }
 
-/// A point as Ouster's manual computes it, in the sensor's frame but for its height.
+/// Computes a point with the equation of Ouster's manual, in the sensor's frame without
+/// its height.
 /// @param m column of w, range from the axis
 glm::dvec3 ouster_point(double range_m, double offset_m, double altitude_deg, double azimuth_deg, int m,
                         int w) {
@@ -190,8 +191,8 @@ TEST(SensorFiles, SpinningSensorsByNameTakeColumnsAndRate) {
                fast = std::get<SpinningSensor>(find_sensor("vlp-16:904x20").pattern);
     EXPECT_EQ(fast.columns, 904);
     EXPECT_DOUBLE_EQ(fast.period_s, 0.05);
-    // The top beam fires 34.56 us after the head was at its azimuth: twice as far at 20
-    // Hz.
+    // The top beam fires 34.56 us after the sensor was at its azimuth, which is twice the
+    // angle at 20 Hz.
     EXPECT_NEAR(usual.beams[0].azimuth_offset_rad, -2.0 * kPi * 10.0 * 34.56e-6, 1e-9);
     EXPECT_NEAR(fast.beams[0].azimuth_offset_rad, -2.0 * kPi * 20.0 * 34.56e-6, 1e-9);
     EXPECT_THAT(message("rosette:100x10"), HasSubstr("does not spin"));
@@ -289,7 +290,7 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     EXPECT_EQ(std::pair(rig[0].returns, rig[1].returns), std::pair(1, 2));
     EXPECT_EQ(make_rays(rig[0].sensor).columns, 900);
     EXPECT_EQ(make_rays(rig[1].sensor).size(), 720u) << "a file beside the rig's";
-    // Rolled about x first, then turned left: up comes down, forward goes left.
+    // First rolled about x, then turned left: up becomes down, forward becomes left.
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(1, 0, 0) - glm::dvec3(1, 3, 3)), 1e-12);
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(0, 0, 1) - glm::dvec3(1, 2, 2)), 1e-12);
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the head pointed at each firing of a sweep: found from the rays of a scan made
-// with a known unevenness, and put back on.
+// Estimates the azimuth of the sensor at each firing of a sweep from the rays of a scan
+// with known uneven rotation, and applies it to nominal rays.
 #include <gtest/gtest.h>
 
 #include <algorithm>
@@ -15,7 +15,8 @@ namespace {
 constexpr int kColumns = 1024;
 constexpr double kColumn_rad = 2.0 * kPi / kColumns;
 
-/// 16 beams with azimuths of their own, up to nine columns, and a second optical centre.
+/// Makes a sensor with 16 beams with azimuth offsets of up to nine columns, and a second
+/// optical centre.
 SpinningSensor sensor() {
     SpinningSensor result;
     result.name = "16 beams";
@@ -27,8 +28,8 @@ SpinningSensor sensor() {
     return result;
 }
 
-/// Head off by 3 mrad at the first firing, -5 mrad at the last, along a parabola; firings
-/// in packets of seven.
+/// Returns the azimuth error: a parabola from 3 mrad at the first firing to -5 mrad at
+/// the last, plus an error within packets of seven firings.
 double unevenness(int firing) {
     const double x = double(firing) / kColumns;
     return 3e-3 - 4e-3 * x - 4e-3 * x * x + 4e-4 * (firing % 7 - 3);
@@ -44,8 +45,8 @@ int firing_of(const SpinningSensor& sensor, std::size_t ray) {
     return (column + column_shift(sensor.beams[std::size_t(row)], kColumns) + kColumns) % kColumns;
 }
 
-/// A sweep whose head turns unevenly, each ray up to 0.02 mrad beside it, of which a
-/// share returns.
+/// Makes a sweep with uneven rotation, in which each ray has an error of up to 0.02 mrad
+/// and a share of the rays returns.
 Scan uneven_scan(double share, unsigned seed) {
     std::mt19937 random(seed);
     std::uniform_real_distribution<double> unit(0.0, 1.0);
@@ -64,7 +65,7 @@ std::vector<float> shift_of(const Scan& scan) {
     return find_azimuth_shift(scan, sensor(), make_rays(sensor()));
 }
 
-/// Largest angle between the rays of two tables.
+/// Returns the largest angle between the rays of two tables.
 double worst_angle(const RayTable& a, const RayTable& b) {
     double worst = 0.0;
     for (std::size_t i = 0; i < a.size(); ++i)
@@ -94,8 +95,8 @@ TEST(AzimuthShift, TurnsOriginsAlong) {
     }
 }
 
-/// A pane of glass swallows half of the beams in some columns: what the others say of
-/// where the head was does not tell.
+/// A pane of glass removes half of the beams in some columns. The azimuths estimated from
+/// the other beams must not reveal which rays were dropped.
 TEST(AzimuthShift, SaysNothingOfWhichRaysWereDropped) {
     Scan scan = uneven_scan(1.0, 5);
     const std::vector<float> before = shift_of(scan);

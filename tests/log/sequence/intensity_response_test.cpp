@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Beam responses against sensors whose responses are known.
+// Estimates beam responses and compares them with sensors whose responses are known.
 #include <cmath>
 
 #include <gtest/gtest.h>
@@ -10,16 +10,16 @@
 namespace relidar {
 namespace {
 
-/// Deterministic noise in -1..1.
+/// Returns deterministic noise in -1..1.
 double noise(std::uint64_t k) { return std::fmod(std::sin(double(k) * 12.9898) * 43758.5453, 1.0); }
 
-/// Brightness of the ground: a checkerboard of 0.5 m tiles.
+/// Returns the brightness of the ground: a checkerboard of 0.5 m tiles.
 double brightness(const glm::dvec3& p) {
     return (int(std::floor(p.x * 2.0)) + int(std::floor(p.y * 2.0))) % 2 == 0 ? 0.3 : 0.6;
 }
 
-/// A sensor of n beams 2 m above a plane that it looks down on while it drives forward,
-/// so that every beam comes to see the same tiles.
+/// Makes a sensor of n beams 2 m above a plane. It looks down while it drives forward, so
+/// that every beam sees the same tiles.
 Sequence drive(const std::vector<Beam>& beams, double noise_size) {
     Sequence sequence;
     sequence.lidars[0].sensor.beams = beams;
@@ -58,7 +58,7 @@ std::vector<Beam> unequal_beams() {
         gain += beams[b].intensity_gain / 8.0;
         offset += beams[b].intensity_offset / 8.0;
     }
-    for (Beam& beam : beams) {  // as the mean beam is defined
+    for (Beam& beam : beams) {  // normalised to a mean beam of 1
         beam.intensity_gain /= gain;
         beam.intensity_offset -= beam.intensity_gain * offset;
     }
@@ -68,11 +68,11 @@ std::vector<Beam> unequal_beams() {
 TEST(IntensityResponse, ComesBackFromSharedPlaces) {
     const std::vector<Beam> truth = unequal_beams();
     Sequence sequence = drive(truth, 0.01);
-    const IntensityCalibration found = calibrate_intensity(sequence, kAll);
-    ASSERT_GT(found.returns, 2000u);
-    EXPECT_GT(found.rms_before, 3.0 * found.rms_after);
-    // Up to the common scale and shift, which no data tell: what two beams report of the
-    // same surface is compared.
+    const IntensityCalibration calibration = calibrate_intensity(sequence, kAll);
+    ASSERT_GT(calibration.returns, 2000u);
+    EXPECT_GT(calibration.rms_before, 3.0 * calibration.rms_after);
+    // Compares the values that two beams report for the same surface, because the data do
+    // not determine the common scale and offset.
     for (const double surface : {0.3, 0.6}) {
         const Beam &a = truth[0], &b = sequence.lidars[0].sensor.beams[0];
         const double common =
@@ -101,26 +101,26 @@ TEST(IntensityResponse, EqualLasersStayEqual) {
             EXPECT_NEAR(beam.intensity_gain * surface + beam.intensity_offset, surface, 0.015);
 }
 
-/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), its
-/// beams equal (src/dataset/synthetic.cpp).
+/// The street's intensities are reflectance * (0.3 + 0.7 cos) * (1 - range / 160 m), with
+/// equal beams (src/log/readers/street/synthetic.cpp).
 Sequence street() {
     SyntheticOptions options;
-    options.n_frames = 40;  // 32 m: near and far views of the same places
+    options.n_frames = 40;  // 32 m: near and far views of the same surfaces
     return make_synthetic_street(options);
 }
 
-void expect_the_streets_fall(const IntensityResponse& found, double tolerance) {
+void expect_the_streets_fall(const IntensityResponse& calibration, double tolerance) {
     const auto exact = [](double range_m) { return (1.0 - range_m / 160.0) / (1.0 - 10.0 / 160.0); };
     for (const double range_m : {4.0, 7.0, 15.0, 25.0, 40.0})
-        EXPECT_NEAR(found.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
-    EXPECT_NEAR(found.incidence, 0.7, 0.05);
+        EXPECT_NEAR(calibration.at_range(range_m) / exact(range_m), 1.0, tolerance) << range_m;
+    EXPECT_NEAR(calibration.incidence, 0.7, 0.05);
 }
 
 TEST(IntensityResponse, FallWithRangeAndIncidenceIsNotTheLasers) {
     Sequence sequence = street();
-    const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
-    EXPECT_TRUE(found.shared);
-    EXPECT_FALSE(found.beams);
+    const IntensityCalibration calibration = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    EXPECT_TRUE(calibration.shared);
+    EXPECT_FALSE(calibration.beams);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
     expect_the_streets_fall(sequence.intensity_response, 0.04);
 }
@@ -135,35 +135,36 @@ TEST(IntensityResponse, FallAndLasersAreToldApart) {
     for (Frame& frame : sequence.frames)
         for (std::size_t i = 0; i < frame.scan.intensity.size(); ++i)
             frame.scan.intensity[i] *= float(gains[frame.scan.rays.channel[i]]);
-    const IntensityCalibration found = calibrate_intensity(sequence, split_frames(sequence, 0).train);
-    EXPECT_TRUE(found.shared && found.beams);
-    // what a beam sees on the ground, it sees at one range
+    const IntensityCalibration calibration = calibrate_intensity(sequence, split_frames(sequence, 0).train);
+    EXPECT_TRUE(calibration.shared && calibration.beams);
+    // A beam sees the ground at a single range.
     expect_the_streets_fall(sequence.intensity_response, 0.06);
-    double ratio = 0.0;  // the mean beam is one by returns
+    double ratio = 0.0;  // the mean beam is weighted by returns
     for (std::size_t b = 0; b < gains.size(); ++b)
         ratio += sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / double(gains.size());
-    for (std::size_t b = 4; b < gains.size(); ++b)  // the first beams look into the sky and see little
+    // the first beams look into the sky and have few returns
+    for (std::size_t b = 4; b < gains.size(); ++b)
         EXPECT_NEAR(sequence.lidars[0].sensor.beams[b].intensity_gain / gains[b] / ratio, 1.0, 0.08) << b;
 }
 
 TEST(IntensityResponse, OnlyTheGivenFramesAreLookedAt) {
-    Sequence whole = drive(unequal_beams(), 0.01), changed = whole;
+    Sequence original = drive(unequal_beams(), 0.01), changed = original;
     for (float& value : changed.frames[5].scan.intensity) value = 0.9f;
     const std::vector<int> without{0, 1, 2, 3, 4, 6, 7, 8, 9, 10, 11};
-    calibrate_intensity(whole, without);
+    calibrate_intensity(original, without);
     calibrate_intensity(changed, without);
     for (std::size_t b = 0; b < 8; ++b) {
-        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_gain,
+        EXPECT_EQ(original.lidars[0].sensor.beams[b].intensity_gain,
                   changed.lidars[0].sensor.beams[b].intensity_gain);
-        EXPECT_EQ(whole.lidars[0].sensor.beams[b].intensity_offset,
+        EXPECT_EQ(original.lidars[0].sensor.beams[b].intensity_offset,
                   changed.lidars[0].sensor.beams[b].intensity_offset);
     }
 }
 
 TEST(IntensityResponse, NothingSharedLeavesTheSensorAlone) {
     Sequence sequence = drive(unequal_beams(), 0.0);
-    const IntensityCalibration found = calibrate_intensity(sequence, {});
-    EXPECT_EQ(found.returns, 0u);
+    const IntensityCalibration calibration = calibrate_intensity(sequence, {});
+    EXPECT_EQ(calibration.returns, 0u);
     for (const Beam& beam : sequence.lidars[0].sensor.beams) EXPECT_EQ(beam.intensity_gain, 1.0);
 }
 

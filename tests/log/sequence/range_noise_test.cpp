@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range noise of the synthetic street against what was put in.
+// Estimates the range noise of the synthetic street and compares it with the added noise.
 #include <gtest/gtest.h>
 
 #include <relidar/log/dataset.hpp>
@@ -41,7 +41,7 @@ TEST(RangeNoise, EachLidarHasItsOwn) {
     };
     Sequence both = street_of(0.005);
     both.lidars.push_back(both.lidars[0]);
-    both.lidars.push_back(both.lidars[0]);  // which never swept
+    both.lidars.push_back(both.lidars[0]);  // a LiDAR without sweeps
     for (Frame& frame : street_of(0.03).frames) {
         frame.lidar = 1;
         both.frames.push_back(std::move(frame));

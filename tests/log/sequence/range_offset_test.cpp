@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range offsets of beams against sensors whose offsets are known.
+// Estimates range offsets of beams and compares them with sensors whose offsets are
+// known.
 #include <cmath>
 #include <numeric>
 
@@ -10,10 +11,10 @@
 namespace relidar {
 namespace {
 
-const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05, 0.02};  // sum 0
+const std::vector<double> kOffsets_m{0.05, -0.03, 0.02, -0.06, 0.01, 0.04, -0.05, 0.02};  // the sum is 0
 
-/// Distance along a ray to a street: ground, a wall on each side, and posts of a square
-/// section that give it cross walls.
+/// Returns the range of a ray in a street: ground, a wall on each side, and square posts,
+/// which act as cross walls.
 double cast(const glm::dvec3& o, const glm::dvec3& d) {
     double nearest = 1e9;
     const auto plane = [&](int axis, double at, auto&& on) {
@@ -27,7 +28,7 @@ double cast(const glm::dvec3& o, const glm::dvec3& d) {
     return nearest;
 }
 
-/// A drive along the street; each beam adds its offset, and 5 mm of a deterministic
+/// Makes a drive along the street. Each beam adds its offset and 5 mm of deterministic
 /// noise.
 Sequence drive(bool held_out_is_garbage = false) {
     Sequence sequence;
@@ -59,10 +60,10 @@ const std::vector<int> kTrain{0, 1, 2, 3, 4, 6, 7, 8, 9};
 
 TEST(RangeOffset, ComesBackFromSharedPlanes) {
     Sequence sequence = drive();
-    const LaserCalibration found = calibrate_ranges(sequence, kTrain);
-    ASSERT_GT(found.returns, 20000u);
-    EXPECT_GT(found.rms_before, 2.0 * found.rms_after);
-    double mean = 0.0;  // all longer by the same is hardly seen: differences are compared
+    const LaserCalibration calibration = calibrate_ranges(sequence, kTrain);
+    ASSERT_GT(calibration.returns, 20000u);
+    EXPECT_GT(calibration.rms_before, 2.0 * calibration.rms_after);
+    double mean = 0.0;  // compares differences, because a common offset of all beams is hardly observable
     for (std::size_t b = 0; b < kOffsets_m.size(); ++b)
         mean +=
             (sequence.lidars[0].sensor.beams[b].range_offset_m - kOffsets_m[b]) / double(kOffsets_m.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses between observations, rays in the world, moving boxes and the split, against
-// hand-computed numbers.
+// Checks poses between observations, rays in the world, moving boxes and the split,
+// against numbers computed by hand.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -105,8 +105,8 @@ TEST(Scan, PointsAndReturns) {
     EXPECT_EQ(scan.point(0), glm::vec3(3, 0, 1));
 }
 
-/// A car observed n times, step_s apart, at a speed, its labels jittering by 9 cm from
-/// one to the next, as KITTI's do.
+/// Makes a car observed n times at intervals of step_s. Its labels vary by 9 cm, as in
+/// KITTI.
 BoxTrack driven(int n, double speed_mps, double step_s = 0.1) {
     BoxTrack box;
     box.size_m = {4.4, 1.8, 1.6};
@@ -124,7 +124,7 @@ TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
     EXPECT_TRUE(driven(95, 0.3).moves()) << "2.5 m are more than drift";
     EXPECT_TRUE(driven(30, 8.0).moves());
     EXPECT_TRUE(driven(2, 8.0).moves()) << "seen twice";
-    BoxTrack starts = driven(95, 0.0);  // a car that waits, then goes 1.6 m in the last second
+    BoxTrack starts = driven(95, 0.0);  // a car that waits, then moves 1.6 m in the last second
     for (std::size_t i = 85; i < 95; ++i)
         starts.world_from_box.pose[i].translation.x += 0.02 * double((i - 85) * (i - 85));
     EXPECT_TRUE(starts.moves());
@@ -134,8 +134,8 @@ TEST(MovingBox, IsNoneThatDriftsNoFasterThanPosesDo) {
     EXPECT_TRUE(hurried.moves()) << "for half a second";
 }
 
-/// Labels of two a second that are off by up to a decimetre each, interpolated to sweeps
-/// of twenty a second, as those of nuScenes.
+/// Labels twice a second with errors of up to 10 cm, interpolated to twenty sweeps a
+/// second, as in nuScenes.
 TEST(MovingBox, IsNoneThatJittersHoweverOftenItIsLabelled) {
     std::mt19937 random(3);
     std::uniform_real_distribution<double> off(-0.1, 0.1);
@@ -165,7 +165,7 @@ TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     car.world_from_box = {
         {0.0, 0.1, 0.2},
         {turned(kPi / 2, {0, 0, 0}), turned(kPi / 2, {0, 1, 0}), turned(kPi / 2, {0, 2, 0})}};
-    // length lies along y: centre 0.5, half 2
+    // The length is along y: centre 0.5, half size 2.
     EXPECT_TRUE(in_moving_box({car}, {0.9, 2.4, 0.0}, 0.05, 0.0));
     EXPECT_FALSE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.0));
     EXPECT_TRUE(in_moving_box({car}, {1.1, 2.4, 0.0}, 0.05, 0.2));
@@ -176,7 +176,8 @@ TEST(MovingBox, OnlyMovingBoxesAtTheirTimes) {
     EXPECT_FALSE(in_moving_box({car}, {0.0, 0.0, 0.0}, -0.06, 0.0));
 }
 
-/// Rays of a head that turns evenly, from an azimuth and a time on, half a turn or more.
+/// Makes rays of a uniformly rotating sensor that start at an azimuth and a time, for
+/// half a turn or more.
 RayTable turning_rays(const SpinningSensor& sensor, double from_rad, double from_s, int n) {
     RayTable rays;
     rays.rows = 1;
@@ -199,7 +200,7 @@ TEST(SweepStart, AHeadFacesAThingWhenItsRayIsFired) {
                 const RayTable rays = turning_rays(sensor, from_rad, from_s, 500);
                 const auto start = find_start(rays, sensor);
                 ASSERT_TRUE(start.has_value());
-                // the first is as near to the end of the turn as to its beginning
+                // The first ray is as close to the end of the turn as to its start.
                 for (std::size_t i = 1; i < 500; i += 7) {
                     const double facing_s =
                         facing_time(sequence, 9.0 * glm::dvec3(rays.direction[i]), {100.0, 0, start});
@@ -223,7 +224,7 @@ TEST(SweepStart, AWindowFacesAThingWhenItsColumnIsFired) {
     Sequence sequence;
     sequence.lidars[0].sensor.period_s = 0.0;
     sequence.lidars[0].pattern = window;
-    // the frame's time in the middle of the scan, at its beginning, after its end
+    // The frame's time is in the middle of the scan, at its start, or after its end.
     for (const float later_s : {0.0f, 0.04f, -0.1f}) {
         RayTable rays = make_rays(window);
         for (float& t : rays.time_offset_s) t += later_s;
@@ -268,7 +269,8 @@ TEST(Split, EveryTenthOfFiftyButTheFirst) {
 TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
     Sequence sequence;
     for (int i = 2351; i <= 2400; ++i)
-        if (i != 2355) sequence.frames.emplace_back().index = i;  // one without a pose shifts nothing
+        // a frame without a pose shifts no index
+        if (i != 2355) sequence.frames.emplace_back().index = i;
     sequence.test_frames = {2360, 2370, 2380, 2390};
     const auto indices = [&](const Split& split) {
         std::vector<int> all;
@@ -282,7 +284,7 @@ TEST(Split, APublishedPartHoldsOutWhatIsPublished) {
     EXPECT_EQ(split_frames(sequence, 25).test.size(), 1u) << "another number is another split";
 }
 
-/// Frames 100, 103, 106 ... of two LiDARs, the second of which missed sweep 106.
+/// Makes frames 100, 103, 106 ... of two LiDARs; the second has no sweep 106.
 Sequence numbered_in_threes() {
     Sequence sequence;
     for (int i = 0; i < 8; ++i) {

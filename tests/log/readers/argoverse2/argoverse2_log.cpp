@@ -14,8 +14,9 @@ namespace relidar::test {
 namespace fs = std::filesystem;
 namespace {
 
-// By Argoverse's laser number, modulo 32 (../shared/data/sensors/VLP-32C_Argoverse2.csv;
-// pairs as measured in a published sweep).
+// Elevations by Argoverse's laser number, modulo 32
+// (../shared/data/sensors/VLP-32C_Argoverse2.csv; pairs as measured in a published
+// sweep).
 constexpr double kElevation_deg[32] = {7,      -1.667,  1.667,  -0.667, 15,     -0.333, 3.333,  0.667,
                                        1.333,  0,       1,      2.333,  0.333,  -1,     4.667,  10.333,
                                        -6.148, -15.639, -3,     -2,     -4,     -8.843, -4.667, -3.333,
@@ -29,15 +30,15 @@ constexpr int kPair[32] = {12, 1, 8,  3,  14, 5, 10, 7,  6,  2, 9,  11, 4, 0, 13
 constexpr glm::dvec3 kCity_m(5223.8, 2385.4, 69.1);
 constexpr std::int64_t kCycle_ns = 55296, kPair_ns = 2304;
 
-/// Points of a sweep as the file lists them.
+/// Points of a sweep in file order.
 struct Points {
     std::vector<float> x, y, z;
     std::vector<std::uint8_t> intensity, laser;
     std::vector<std::int32_t> offset_ns;
 };
 
-/// What a LiDAR fires in a sweep, and what of it is in the file. @param lidar 0 up, 1
-/// down
+/// Fires the rays of a LiDAR in a sweep and adds the stored points.
+/// @param lidar 0 up, 1 down
 std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options,
                                 double sweep_s, Points& points) {
     const int half = lidar ^ int(options.lower_half_up);
@@ -49,8 +50,8 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             Argoverse2Ray ray;
             ray.time_s = 1e-9 * double(offset_ns);
             ray.elevation_rad = kElevation_deg[k] * kPi / 180.0;
-            // Clockwise seen from above: that is counter-clockwise for a LiDAR that hangs
-            // upside down.
+            // The sensor turns clockwise seen from above, so a LiDAR mounted upside down
+            // turns counter-clockwise.
             const double head =
                 (lidar == 0 ? -1.0 : 1.0) * (2.0 * kPi * 10.0 * ray.time_s - 2.5 + 3.0 * lidar);
             const double azimuth = head + kAzimuth_deg[k] * kPi / 180.0;
@@ -60,7 +61,7 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
             ray.origin_m = city_from_lidar.translation;
             ray.point_m =
                 kCity_m + yard_hit(ray.origin_m - kCity_m, city_from_lidar.rotation * ray.direction);
-            const bool hidden = lidar == 1 && n >= 700 && n < 741;  // by the vehicle, from all beams
+            const bool hidden = lidar == 1 && n >= 700 && n < 741;  // the vehicle blocks all beams
             ray.returned = !hidden && hash64(std::uint64_t(n * 32 + k),
                                              std::uint64_t(1000.0 * sweep_s) + std::uint64_t(lidar)) %
                                               10 !=
@@ -92,7 +93,7 @@ std::string annotation_bytes(int sweeps, FeatherCodec codec) {
     std::vector<std::int64_t> time_ns, n_points;
     std::vector<double> length, width, height;
     std::vector<Pose> poses;
-    for (int i = sweeps - 1; i >= 0; --i) {  // not in order of time
+    for (int i = sweeps - 1; i >= 0; --i) {  // not ordered by time
         const double time_s = 1e-9 * double(Argoverse2Log::sweep_ns(i) - Argoverse2Log::kFirstSweep_ns);
         time_ns.push_back(Argoverse2Log::sweep_ns(i));
         n_points.push_back(7);
@@ -153,7 +154,7 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
         with_poses({text_column("sensor_name", {"ring_front_center", "up_lidar", "down_lidar"})},
                    {camera, vehicle_from_lidar[0], vehicle_from_lidar[1]});
     write_text(file("calibration/egovehicle_SE3_sensor.feather"), feather_bytes(sensors, options.codec));
-    // poses between the sweeps too, as the dataset has them
+    // The dataset also has poses between the sweeps.
     std::vector<std::int64_t> time_ns;
     std::vector<Pose> poses;
     for (int i = 0; i < 4 * options.sweeps; ++i) {

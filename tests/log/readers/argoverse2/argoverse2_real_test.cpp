@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Two consecutive sweeps of a published Argoverse 2 log (../shared/data/argoverse2;
-// skipped where RELIDAR_SHARED does not hold them, or Python with numpy is missing),
-// written as a log and read back. The data has no calibration: where the LiDARs are
-// mounted was fitted to the same sweeps, five numbers each, so that elevations of 64
-// lasers still tell whether halves, order and compensation are right.
+// Writes two consecutive sweeps of a published Argoverse 2 log as a log and reads it. The
+// sweeps are in ../shared/data/argoverse2; the test is skipped if RELIDAR_SHARED does not
+// contain them or if Python has no numpy. The data have no calibration. The mounting of
+// the LiDARs was fitted to the same sweeps with five numbers each. The elevations of 64
+// lasers therefore still show whether halves, order and compensation are right.
 #include <relidar/log/dataset.hpp>
 #include <relidar/log/sensor_files.hpp>
 
@@ -64,7 +64,7 @@ struct RealSweep {
     std::vector<std::string> category, track;
 };
 
-/// @return nothing where the data or numpy is not there
+/// @return the sweeps, or an empty list if the data or numpy are missing
 std::vector<RealSweep> read_real(const fs::path& scratch) {
     std::vector<RealSweep> sweeps;
     for (const std::int64_t time_ns : kTimes_ns) {
@@ -85,7 +85,7 @@ std::vector<RealSweep> read_real(const fs::path& scratch) {
         std::map<std::string, NamedArray> arrays;
         for (NamedArray& array : read_npz(bytes)) arrays[array.name] = std::move(array);
         const std::vector<double> m = values_of<double>(arrays.at("city_T_ego"));
-        // GLM: column by column
+        // GLM matrices are column-major.
         const glm::dmat3 rotation(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]);
         sweeps.push_back({values_of<float>(arrays.at("xyz")),
                           values_of<std::uint8_t>(arrays.at("intensity")),
@@ -169,8 +169,8 @@ protected:
                          << " or python3 with numpy is not there";
     }
 
-    /// A stored point in a LiDAR's frame when it was measured: the vehicle moves evenly
-    /// from sweep to sweep.
+    /// Returns a stored point in the LiDAR's frame at its measurement time. The vehicle
+    /// moves uniformly between sweeps.
     static glm::dvec3 measured(std::size_t s, std::size_t i, int lidar) {
         const double at =
             double(kTimes_ns[s] + real_[s].offset_ns[i] - kTimes_ns[0]) / double(kTimes_ns[1] - kTimes_ns[0]);
@@ -182,7 +182,7 @@ protected:
     inline static fs::path folder_;
     inline static std::vector<RealSweep> real_;
     inline static Sequence log_;
-    inline static std::vector<Beam> beams_;  ///< of the table, highest first
+    inline static std::vector<Beam> beams_;  ///< beams of the table, highest first
 };
 
 TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
@@ -209,7 +209,7 @@ TEST_F(Argoverse2Real, ElevationsAreThoseOfTheTable) {
 }
 
 TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
-    double error[2] = {0.0, 0.0};  // straight, swapped
+    double error[2] = {0.0, 0.0};  // correct order, swapped order
     std::map<int, double> elevation;
     const std::string table = test::read_text(shared_folder() / "data/sensors/VLP-32C_Argoverse2.csv");
     for (std::size_t at = table.find('\n') + 1; at < table.size(); at = table.find('\n', at) + 1) {
@@ -232,7 +232,7 @@ TEST_F(Argoverse2Real, SwappedHalvesAreClearlyWorse) {
 }
 
 TEST_F(Argoverse2Real, BoxesHoldPoints) {
-    std::vector<glm::dvec3> points;  // of the first sweep, in the world at its time: as published
+    std::vector<glm::dvec3> points;  // points of the first sweep in the world at its time, as published
     for (std::size_t i = 0; i < real_[0].laser.size(); ++i)
         points.push_back(real_[0].city_from_vehicle *
                          glm::dvec3(real_[0].xyz[3 * i], real_[0].xyz[3 * i + 1], real_[0].xyz[3 * i + 2]));
@@ -266,8 +266,8 @@ TEST_F(Argoverse2Real, BoxesHoldPoints) {
     EXPECT_LE(empty, 1u) << "a bollard 30 m away has none as published";
 }
 
-/// Each published point projected: the beam nearest in elevation, and of its rays fired
-/// within a millisecond of it the nearest in azimuth.
+/// Projects each published point and selects the beam nearest in elevation. Of the rays
+/// of this beam fired within a millisecond of the point, selects the nearest in azimuth.
 TEST_F(Argoverse2Real, PointsAreFoundInTheirCells) {
     for (std::size_t s = 0; s < 2; ++s) {
         std::size_t in_another_cell = 0;

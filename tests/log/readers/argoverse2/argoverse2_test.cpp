@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Argoverse 2: a log written here, whose every ray is known, and damage of each of its
-// files.
+// Reads an Argoverse 2 log with known rays, and logs with damage in each file.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -28,8 +27,8 @@ DatasetOptions far_options() {
     return options;
 }
 
-/// Rays of a frame with the true ones by beam and time: beams by elevation, firings
-/// within half of the time between two pairs.
+/// Finds the true ray by beam and time: beams by elevation, firings within half the
+/// interval between two pairs.
 class TrueRays {
 public:
     TrueRays(const std::vector<Argoverse2Ray>& rays, const SpinningSensor& sensor) {
@@ -55,10 +54,10 @@ private:
     std::array<std::vector<const Argoverse2Ray*>, 32> of_channel_;
 };
 
-// A LiDAR's place is interpolated along chords, r = 1.3754 m from the axle at 0.035088
-// rad a sweep. At s sweeps after the first end of a chord it is r angle^2 |s (s - 1)| / 2
-// off the arc: an eighth in the middle; the last sweep goes on along the last chord until
-// s = 2.027.
+// The position of a LiDAR is interpolated along chords, with r = 1.3754 m from the axle
+// and 0.035088 rad per sweep. At s sweeps after the start of a chord, the distance to the
+// arc is r angle^2 |s (s - 1)| / 2, at most an eighth in the middle. The last sweep
+// extrapolates the last chord up to s = 2.027.
 constexpr double kArc_m = 1.3754 * 0.035088 * 0.035088, kBetween_m = kArc_m / 8 + 1e-6,
                  kBeyond_m = kArc_m * 2.027 * 1.027 / 2 + 1e-6;
 constexpr double kNearest_m = 4.7;
@@ -66,104 +65,104 @@ constexpr double kNearest_m = 4.7;
 TEST(Argoverse2, EveryRayIsWhereItWasFired) {
     const Argoverse2Log log("rays");
     EXPECT_EQ(recognise_dataset(log.folder), "argoverse2");
-    const Sequence found = load_sequence(log.folder.string(), far_options());
-    ASSERT_EQ(found.frames.size(), 6u);
-    ASSERT_EQ(found.lidars.size(), 2u);
-    EXPECT_EQ(found.lidars[0].name, "up_lidar");
-    EXPECT_TRUE(found.lidars[0].sensor.clockwise);
-    EXPECT_FALSE(found.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
-    EXPECT_TRUE(found.rolling_shutter);
-    for (const Frame& frame : found.frames) {
+    const Sequence sequence = load_sequence(log.folder.string(), far_options());
+    ASSERT_EQ(sequence.frames.size(), 6u);
+    ASSERT_EQ(sequence.lidars.size(), 2u);
+    EXPECT_EQ(sequence.lidars[0].name, "up_lidar");
+    EXPECT_TRUE(sequence.lidars[0].sensor.clockwise);
+    EXPECT_FALSE(sequence.lidars[1].sensor.clockwise) << "it hangs upside down and turns the same way";
+    EXPECT_TRUE(sequence.rolling_shutter);
+    for (const Frame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
-        const Lidar& lidar = found.lidar_of(frame);
+        const Lidar& lidar = sequence.lidar_of(frame);
         ASSERT_EQ(frame.scan.rays.columns, Argoverse2Options().firings);
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         const TrueRays truth(rays, lidar.sensor);
-        const PoseTrack track = found.world_from_sensor(frame.lidar);
+        const PoseTrack track = sequence.world_from_sensor(frame.lidar);
         const double off_m = frame.index == 2 ? kBeyond_m : kBetween_m;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const float range_m = frame.scan.range_m[i];
             const Argoverse2Ray& ray =
                 truth.at(frame.scan.rays.channel[i], double(frame.scan.rays.time_offset_s[i]));
-            // a ray without a return has the time of its whole firing, up to 35 us beside
-            // its own
+            // A ray without a return has the time of its firing sequence, which differs
+            // by up to 35 us from its own time.
             ASSERT_NEAR(frame.scan.rays.time_offset_s[i], ray.time_s, range_m > 0.0f ? 1e-8 : 2.9e-5);
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             ASSERT_EQ(range_m > 0.0f, ray.returned) << i;
-            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m),
+            ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m),
                       range_m > 0.0f ? off_m : 2e-3);
             ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
                       range_m > 0.0f ? off_m / kNearest_m : 5e-4)
                 << i;
             if (range_m > 0.0f) {
-                ASSERT_LT(
-                    glm::distance(placed.origin_m + double(range_m) * placed.direction + found.world_offset_m,
-                                  ray.point_m),
-                    1e-4);
+                ASSERT_LT(glm::distance(
+                              placed.origin_m + double(range_m) * placed.direction + sequence.world_offset_m,
+                              ray.point_m),
+                          1e-4);
                 ASSERT_EQ(frame.scan.intensity[i], 0.2f);
             }
         }
     }
 }
 
-/// The heads face forward at times of their own: what moves is placed at the time of its
-/// rays all the same.
+/// The sensors face forward at times other than the sweep's time. Moving objects must
+/// still be placed at the times of their rays.
 TEST(Argoverse2, HeadsFaceThingsWhenTheirRaysWereFired) {
     const Argoverse2Log log("facing");
-    const Sequence found = load_sequence(log.folder.string(), far_options());
-    for (const Frame& frame : found.frames) {
+    const Sequence sequence = load_sequence(log.folder.string(), far_options());
+    for (const Frame& frame : sequence.frames) {
         ASSERT_TRUE(frame.start.has_value());
         std::size_t late = 0;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::dvec3 point_m(frame.scan.rays.origin[i] + 10.0f * frame.scan.rays.direction[i]);
-            const double facing_s = facing_time(found, point_m, moment_of(frame));
+            const double facing_s = facing_time(sequence, point_m, moment_of(frame));
             late += std::abs(facing_s - frame.time_s - double(frame.scan.rays.time_offset_s[i])) > 3e-3;
         }
-        // Beams up to 4.2 degrees beside the head, so 1.2 ms; the sweep is more than a
-        // turn, so its ends are seen twice.
+        // Beams deviate by up to 4.2 degrees from the sensor's azimuth (1.2 ms). The
+        // sweep is longer than a turn, so its ends overlap.
         EXPECT_LT(double(late), 0.03 * double(frame.scan.rays.size())) << frame.index << " " << frame.lidar;
     }
 }
 
 TEST(Argoverse2, TimesPosesAndBoxes) {
     const Argoverse2Log log("boxes");
-    const Sequence found = load_sequence(log.folder.string(), {});
-    ASSERT_EQ(found.world_from_vehicle.time_s.size(), 3u);
+    const Sequence sequence = load_sequence(log.folder.string(), {});
+    ASSERT_EQ(sequence.world_from_vehicle.time_s.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i) {
         const double time_s = double(i) * 0.100252;
-        EXPECT_NEAR(found.world_from_vehicle.time_s[i], time_s, 1e-9);
-        const Pose& pose = found.world_from_vehicle.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m,
+        EXPECT_NEAR(sequence.world_from_vehicle.time_s[i], time_s, 1e-9);
+        const Pose& pose = sequence.world_from_vehicle.pose[i];
+        EXPECT_LT(glm::distance(pose.translation + sequence.world_offset_m,
                                 Argoverse2Log::vehicle_at(time_s).translation),
                   1e-8);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, Argoverse2Log::vehicle_at(time_s).rotation)), 1.0,
                     1e-12);
     }
-    ASSERT_EQ(found.boxes.size(), 1u);
-    const BoxTrack& box = found.boxes[0];
+    ASSERT_EQ(sequence.boxes.size(), 1u);
+    const BoxTrack& box = sequence.boxes[0];
     EXPECT_EQ(box.id, "1046f12a");
     EXPECT_EQ(box.category, "REGULAR_VEHICLE");
     EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6));
     ASSERT_EQ(box.world_from_box.pose.size(), 3u);
     for (std::size_t i = 0; i < 3; ++i) {
         const Pose truth = Argoverse2Log::box_at(box.world_from_box.time_s[i]);
-        EXPECT_LT(
-            glm::distance(box.world_from_box.pose[i].translation + found.world_offset_m, truth.translation),
-            1e-8);
+        EXPECT_LT(glm::distance(box.world_from_box.pose[i].translation + sequence.world_offset_m,
+                                truth.translation),
+                  1e-8);
         EXPECT_NEAR(std::abs(glm::dot(box.world_from_box.pose[i].rotation, truth.rotation)), 1.0, 1e-12);
     }
 }
 
-/// Half precision rounds a coordinate by up to 2^-11 of it.
+/// Half precision rounds a coordinate by up to 2^-11 of its value.
 TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
     const Argoverse2Log log("half", {.half_precision = true, .sweeps = 2, .codec = test::FeatherCodec::zstd});
-    const Sequence found = load_sequence(log.folder.string(), far_options());
+    const Sequence sequence = load_sequence(log.folder.string(), far_options());
     double worst = 0.0;
-    for (const Frame& frame : found.frames) {
+    for (const Frame& frame : sequence.frames) {
         const TrueRays truth(log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)],
-                             found.lidar_of(frame).sensor);
-        const PoseTrack track = found.world_from_sensor(frame.lidar);
+                             sequence.lidar_of(frame).sensor);
+        const PoseTrack track = sequence.world_from_sensor(frame.lidar);
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const Argoverse2Ray& ray =
@@ -171,7 +170,7 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
             ASSERT_TRUE(ray.returned);
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const glm::dvec3 point_m =
-                placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + found.world_offset_m;
+                placed.origin_m + double(frame.scan.range_m[i]) * placed.direction + sequence.world_offset_m;
             const glm::dvec3 seen = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * ray.point_m;
             const glm::dvec3 rounded = inverse(Argoverse2Log::vehicle_at(frame.time_s)) * point_m;
             for (int axis = 0; axis < 3; ++axis)
@@ -185,14 +184,15 @@ TEST(Argoverse2, HalfPrecisionMovesPointsByItsRounding) {
 TEST(Argoverse2, PointsTellWhichHalfIsUp) {
     const Argoverse2Log log("halves",
                             {.lower_half_up = true, .sweeps = 2, .codec = test::FeatherCodec::none});
-    const Sequence found = load_sequence(log.folder.string(), far_options());
-    for (const Frame& frame : found.frames) {
+    const Sequence sequence = load_sequence(log.folder.string(), far_options());
+    for (const Frame& frame : sequence.frames) {
         const std::vector<Argoverse2Ray>& rays = log.rays[std::size_t(frame.index)][std::size_t(frame.lidar)];
         EXPECT_EQ(frame.scan.count_returns(),
                   std::size_t(std::count_if(rays.begin(), rays.end(), [](auto& r) { return r.returned; })));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const glm::vec3& d = frame.scan.rays.direction[i];
-            const double beam = found.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
+            const double beam =
+                sequence.lidar_of(frame).sensor.beams[frame.scan.rays.channel[i]].elevation_rad;
             ASSERT_NEAR(std::atan2(d.z, std::hypot(d.x, d.y)), beam, kBeyond_m / kNearest_m);
         }
     }
@@ -203,17 +203,17 @@ TEST(Argoverse2, FrameRangePosesAndNoLabels) {
     fs::remove(log.file("annotations.feather"));
     DatasetOptions options;
     options.frames = {1, 3};
-    Sequence found = load_sequence(log.folder.string(), options);
-    ASSERT_EQ(found.frames.size(), 4u);
-    EXPECT_EQ(found.frames[0].index, 1);
-    EXPECT_NEAR(found.frames[0].time_s, 0.100252, 1e-9);
-    EXPECT_TRUE(found.boxes.empty());
-    EXPECT_THAT(found.notes, testing::Contains("no annotations.feather: nothing in this log is labelled"));
+    Sequence sequence = load_sequence(log.folder.string(), options);
+    ASSERT_EQ(sequence.frames.size(), 4u);
+    EXPECT_EQ(sequence.frames[0].index, 1);
+    EXPECT_NEAR(sequence.frames[0].time_s, 0.100252, 1e-9);
+    EXPECT_TRUE(sequence.boxes.empty());
+    EXPECT_THAT(sequence.notes, testing::Contains("no annotations.feather: nothing in this log is labelled"));
     options.poses_file = log.file("poses.txt");
     test::write_text(options.poses_file,
                      "1 0 0 0 0 1 0 0 0 0 1 0\n1 0 0 5 0 1 0 0 0 0 1 0\n1 0 0 6 0 1 0 0 0 0 1 0\n");
-    found = load_sequence(log.folder.string(), options);
-    EXPECT_EQ(found.world_offset_m, glm::dvec3(6, 0, 0));
+    sequence = load_sequence(log.folder.string(), options);
+    EXPECT_EQ(sequence.world_offset_m, glm::dvec3(6, 0, 0));
     options.poses_file = kNoPoses;
     EXPECT_EQ(load_sequence(log.folder.string(), options).world_from_vehicle.pose[1].translation,
               glm::dvec3(0, 0, 0));
@@ -231,14 +231,15 @@ TEST(Argoverse2, ASweepMayLackALidar) {
                              test::number_column("intensity", std::vector<std::uint8_t>{1}),
                              test::number_column("laser_number", std::vector<std::uint8_t>{40}),
                              test::number_column("offset_ns", std::vector<std::int32_t>{5000000})}));
-    const Sequence found = load_sequence(log.folder.string(), {});
-    ASSERT_EQ(found.frames.size(), 5u);
-    EXPECT_EQ(found.frames[2].lidar, 1);
-    EXPECT_THAT(found.notes,
+    const Sequence sequence = load_sequence(log.folder.string(), {});
+    ASSERT_EQ(sequence.frames.size(), 5u);
+    EXPECT_EQ(sequence.frames[2].lidar, 1);
+    EXPECT_THAT(sequence.notes,
                 testing::Contains(testing::HasSubstr("1 times a sweep has no point of one LiDAR")));
 }
 
-/// Loads with a file replaced, and expects one line that holds a part.
+/// Loads the log with one file replaced and checks that the one-line error contains
+/// `part`.
 void expect_refused(const Argoverse2Log& log, const fs::path& file, const std::string& bytes,
                     const std::string& part) {
     const std::string good = test::read_text(file);
@@ -306,8 +307,8 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
     refuse(sweep, {test::number_column("x", std::vector<float>())}, "no points, expected a sweep");
     refuse(sweep, {test::number_column("x", std::vector<float>{1.0f})},
            "column 'y': no such column among 'x'");
-    const std::string whole = test::read_text(sweep);
-    expect_refused(log, sweep, whole.substr(0, whole.size() / 2), "cut short");
+    const std::string original = test::read_text(sweep);
+    expect_refused(log, sweep, original.substr(0, original.size() / 2), "cut short");
     expect_refused(log, sweep, "", "0 bytes");
 }
 

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boreas: a sequence written here, whose every ray is known, and what is wrong with its
-// files.
+// Reads a Boreas sequence with known rays, and checks the errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -19,10 +18,10 @@ namespace fs = std::filesystem;
 using test::BoreasFolder;
 using test::StampedRay;
 
-/// Every return stands where the ray that was fired then met the yard, and none is lost.
-void expect_boreas_truth(const BoreasFolder& data, const Sequence& found) {
-    const PoseTrack track = found.world_from_sensor(0);
-    for (const Frame& frame : found.frames) {
+/// Checks that every return is where its ray hit the yard, and that no return is lost.
+void expect_boreas_truth(const BoreasFolder& data, const Sequence& sequence) {
+    const PoseTrack track = sequence.world_from_sensor(0);
+    for (const Frame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
@@ -33,11 +32,11 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& found) {
             const StampedRay& ray = truth.at(column * data.drive.beams.size() + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // straight between scans, 8 m/s turning by 0.3 rad/s: 9 mm beside it half a
-            // scan before the first
-            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), 0.01);
+            // Poses are interpolated linearly between scans. At 8 m/s and 0.3 rad/s the
+            // error is 9 mm, half a scan before the first pose.
+            ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.01);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                        found.world_offset_m,
+                                        sequence.world_offset_m,
                                     ray.point_m),
                       0.011);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
@@ -48,21 +47,21 @@ void expect_boreas_truth(const BoreasFolder& data, const Sequence& found) {
 TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     const BoreasFolder data("2020-11-26-13-58");
     EXPECT_EQ(recognise_dataset(data.folder), "boreas");
-    const Sequence found = load_sequence(data.folder.string(), {});
-    EXPECT_EQ(found.name, "boreas-2020-11-26-13-58");
-    EXPECT_THAT(found.conventions, testing::HasSubstr("turned about z by -42.60 degrees"));
-    EXPECT_THAT(found.notes, testing::ElementsAre("nothing in this log is labelled",
-                                                  "128 beams x 360 columns are fitted to its points"));
-    ASSERT_EQ(found.frames.size(), std::size_t(BoreasFolder::kScans));
-    const SpinningSensor& sensor = found.lidars[0].sensor;
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
+    EXPECT_THAT(sequence.conventions, testing::HasSubstr("turned about z by -42.60 degrees"));
+    EXPECT_THAT(sequence.notes, testing::ElementsAre("nothing in this log is labelled",
+                                                     "128 beams x 360 columns are fitted to its points"));
+    ASSERT_EQ(sequence.frames.size(), std::size_t(BoreasFolder::kScans));
+    const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_NEAR(sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(sensor.clockwise);
     ASSERT_EQ(sensor.beams.size(), 128u);
     for (std::size_t b = 0; b < 128; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
-    expect_boreas_truth(data, found);
-    for (std::size_t i = 0; i < found.frames.size(); ++i) {  // x looks forward
-        const glm::dvec3 ahead = found.world_from_vehicle.pose[i].rotation * glm::dvec3(1, 0, 0);
+    expect_boreas_truth(data, sequence);
+    for (std::size_t i = 0; i < sequence.frames.size(); ++i) {  // x points forward
+        const glm::dvec3 ahead = sequence.world_from_vehicle.pose[i].rotation * glm::dvec3(1, 0, 0);
         const glm::dvec3 truth = data.drive.vehicle_at(0.1 * double(i)).rotation * glm::dvec3(1, 0, 0);
         EXPECT_LT(glm::distance(ahead, truth), 1e-6);
     }
@@ -75,10 +74,10 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
         const BoreasFolder data("angles", angles);
         for (const bool calibrated : {true, false}) {
             if (!calibrated) fs::remove(data.calibration());
-            const Sequence found = load_sequence(data.folder.string(), {});
-            EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr(
-                                         std::string("angles of poses are taken as ") + names[angles])));
-            expect_boreas_truth(data, found);
+            const Sequence sequence = load_sequence(data.folder.string(), {});
+            EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr(
+                                            std::string("angles of poses are taken as ") + names[angles])));
+            expect_boreas_truth(data, sequence);
         }
     }
 }
@@ -86,9 +85,9 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
 TEST(Boreas, WithoutCalibrationForwardIsWhereItDrives) {
     const BoreasFolder data("uncalibrated");
     fs::remove(data.calibration());
-    const Sequence found = load_sequence(data.folder.string(), {});
-    expect_boreas_truth(data, found);
-    const glm::dvec3 ahead = found.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    expect_boreas_truth(data, sequence);
+    const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x), data.drive.heading_rad, 0.01);
 }
 
@@ -123,10 +122,10 @@ TEST(Boreas, ScansWithoutPosesAreLeftOut) {
         test::write_text(data.poses(), text);
     };
     without(0, 1);
-    const Sequence found = load_sequence(data.folder.string(), {});
-    ASSERT_EQ(found.frames.size(), 4u);
-    EXPECT_EQ(found.frames[0].index, 2);
-    EXPECT_THAT(found.notes,
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    ASSERT_EQ(sequence.frames.size(), 4u);
+    EXPECT_EQ(sequence.frames[0].index, 2);
+    EXPECT_THAT(sequence.notes,
                 testing::Contains(
                     "2 of 6 scans are left out, the first of them frame 0, the last frame 1: lidar_poses.csv "
                     "has no poses around their times"));

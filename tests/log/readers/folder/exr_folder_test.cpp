@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a plain folder as EXR range images: a street whose truth is known, images that
-// OpenEXR itself wrote, and damage.
+// Reads EXR range images as scans of a plain folder: a street with known rays, images
+// written by OpenEXR, and damaged images.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -37,7 +37,7 @@ fs::path fresh_exr_folder(const std::string& name) {
     return folder;
 }
 
-/// A folder of one frame, to which its image is still to be written.
+/// Makes a folder of one frame whose image is still missing.
 fs::path one_frame(const std::string& name, const std::string& head = kHead) {
     const fs::path folder = fresh_exr_folder(name);
     test::write_text(folder / "sequence.json", head);
@@ -45,7 +45,7 @@ fs::path one_frame(const std::string& name, const std::string& head = kHead) {
     return folder;
 }
 
-/// The channels of a rendering, of a scan.
+/// Returns the channels of a scan as in a rendering.
 Channels channels_of(const Scan& scan) {
     Channels channels{{"range", to_vector(scan.range_m)},
                       {"intensity", to_vector(scan.intensity)},
@@ -59,8 +59,9 @@ Channels channels_of(const Scan& scan) {
     return channels;
 }
 
-/// A street with second returns, saved as a plain folder, its scans replaced by images.
-/// @param keep  channels that are written
+/// A street with second returns, saved as a plain folder whose scans are replaced by
+/// images.
+/// @param keep channels that are written
 struct StreetOfImages {
     Sequence truth = make_synthetic_street({.n_frames = 3, .rows = 32, .columns = 500});
     fs::path folder;
@@ -95,12 +96,12 @@ struct StreetOfImages {
     }
 };
 
-/// Every ray: its return within 1 mm of the truth where it lies in the world of the
-/// sensor, its beam, column and time.
-void expect_same_scans(const Sequence& found, const Sequence& truth, double ray_tolerance) {
-    ASSERT_EQ(found.frames.size(), truth.frames.size());
+/// Compares every ray with the truth: its return within 1 mm in the sensor's world, its
+/// beam, column and time.
+void expect_same_scans(const Sequence& sequence, const Sequence& truth, double ray_tolerance) {
+    ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t f = 0; f < truth.frames.size(); ++f) {
-        const Scan &a = found.frames[f].scan, &b = truth.frames[f].scan;
+        const Scan &a = sequence.frames[f].scan, &b = truth.frames[f].scan;
         ASSERT_EQ(std::tuple(a.rays.rows, a.rays.columns), std::tuple(b.rays.rows, b.rays.columns));
         EXPECT_EQ(a.rays.channel, b.rays.channel);
         EXPECT_EQ(a.intensity, b.intensity);
@@ -129,8 +130,8 @@ TEST(ExrFolder, ImagesWithoutRaysTakeThoseOfTheSensor) {
         return name.starts_with("range") || name.starts_with("intensity");
     };
     const StreetOfImages street("sensor", keep);
-    const Sequence found = load_sequence(street.folder.string(), {});
-    expect_same_scans(found, street.truth, 1e-6);  // 0.1 mm at 80 m
+    const Sequence sequence = load_sequence(street.folder.string(), {});
+    expect_same_scans(sequence, street.truth, 1e-6);  // 0.1 mm at 80 m
 }
 
 TEST(ExrFolder, RowsFromBelow) {
@@ -163,8 +164,8 @@ TEST(ExrFolder, TheSensorThatAFileNames) {
         << "a file of the user's is not read because an image says so";
 }
 
-/// An image as OpenEXR writes it for others: half precision or whole numbers, another
-/// compression, a window that does not begin at 0.
+/// Images as other programs write them with OpenEXR: half precision or integers, other
+/// compression, and a window that does not start at 0.
 TEST(ExrFolder, ImagesOfOtherPrograms) {
     constexpr int rows = 40, columns = 30, n = rows * columns;
     const fs::path folder =
@@ -203,7 +204,7 @@ TEST(ExrFolder, ImagesOfOtherPrograms) {
     }
 }
 
-/// What is said of an image in the folder's only frame.
+/// Checks the error message for the image of the folder's only frame.
 class ExrDamage : public testing::Test {
 protected:
     const fs::path folder = one_frame("damage");
@@ -248,8 +249,8 @@ protected:
         EXPECT_EQ(complaint(), "nothing");
         return test::read_text(file);
     }
-    /// A number behind an attribute's name and type, its size left out. @param at  in its
-    /// value; -4: the size
+    /// Returns the file with a number changed in an attribute, found by name and type.
+    /// @param at offset in the value; -4: the size
     std::string patched(const std::string& bytes, const std::string& name, const std::string& type, int at,
                         std::int32_t value) const {
         std::string changed = bytes;
@@ -287,7 +288,7 @@ TEST_F(ExrDamage, OfHeaders) {
     expect_bytes(window(-4, -1), "attribute 'dataWindow' of -1 bytes");
     expect_bytes(patched(bytes, "pixelAspectRatio", "float", -4, 8),
                  "attribute 'pixelAspectRatio' of type 'float' has 8 bytes, expected 4");
-    std::int32_t list_bytes = 0;  // more are told than its channels take: OpenEXR would read on within it
+    std::int32_t list_bytes = 0;  // larger than the channel list; OpenEXR would read beyond the list
     const std::string list = std::string("channels") + '\0' + "chlist" + '\0';
     std::memcpy(&list_bytes, bytes.data() + bytes.find(list) + list.size(), sizeof list_bytes);
     expect_bytes(patched(bytes, "channels", "chlist", -4, list_bytes + 9),
@@ -300,7 +301,7 @@ TEST_F(ExrDamage, OfHeaders) {
     other[5] = 0x10;
     expect_bytes(other, "several images in one file");
     other = bytes;
-    other[bytes.find(std::string("range\0\2", 7)) + 6] = 9;  // its type of numbers
+    other[bytes.find(std::string("range\0\2", 7)) + 6] = 9;  // the pixel type
     EXPECT_NE((test::write_text(file, other), complaint()), "nothing");
     other = bytes;
     other[bytes.find(std::string("range\0\2", 7)) + 14] = 2;  // every second pixel

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Damage to a plain folder: one line that names file and field.
+// Checks that every defect of a plain folder causes a one-line error that names file and
+// field.
 #include <relidar/log/dataset.hpp>
 
 #include <cstdint>
@@ -41,7 +42,7 @@ protected:
         test::write_text(folder / name, text);
     }
 
-    /// What is said of a folder in which one file holds something else, or is missing.
+    /// Returns the error message for a folder in which one file is replaced or missing.
     std::string complaint(const std::string& name, const std::string& text,
                           const DatasetOptions& options = {}) const {
         const std::string good = fs::exists(folder / name) ? test::read_text(folder / name) : "";
@@ -67,7 +68,7 @@ protected:
         options.poses_file = kNoPoses;
         return options;
     }
-    /// The head with members of its own.
+    /// Returns sequence.json with additional members.
     std::string with(const std::string& members) const {
         return head.substr(0, head.size() - 1) + ", " + members + "}";
     }
@@ -218,7 +219,7 @@ TEST_F(FolderDamage, OfPointFiles) {
     expect("scans/a.npz", "x", "a.npz");
 }
 
-/// Point clouds of relidar say in which frame their points are.
+/// Point clouds written by relidar state the frame of their points.
 TEST_F(FolderDamage, OfDeskewedPoints) {
     for (const char* frame :
          {"points_in world: the dataset's own", "points_in sensor at time_s: x forward, y left, z up"}) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The plain folder: logs whose truth is known, written by save_folder() or as other
-// programs write points, and read again.
+// Reads plain folders with known content, written by save_folder() or in the point
+// formats of other programs.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -33,7 +33,7 @@ fs::path fresh(const std::string& name) {
     return folder;
 }
 
-/// Two LiDARs, second returns, moving cars, a world of its own.
+/// Makes a street with two LiDARs, second returns, moving cars and a world offset.
 Sequence rich_street() {
     Sequence street = test::two_lidar_street({.n_frames = 5, .rows = 16, .columns = 256});
     for (Frame& frame : street.frames) {
@@ -46,34 +46,35 @@ Sequence rich_street() {
                 scan.second_returns[0].intensity[i] = 0.125f;
     }
     street.notes = {"a first note", "a second one"};
-    street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // as of a map
+    street.world_offset_m += glm::dvec3(457123.4, 5428765.3, 112.9);  // map coordinates
     return street;
 }
 
-void expect_same_poses(const PoseTrack& found, const PoseTrack& truth, double tolerance_m) {
-    EXPECT_EQ(found.time_s, truth.time_s);
-    ASSERT_EQ(found.pose.size(), truth.pose.size());
+void expect_same_poses(const PoseTrack& sequence, const PoseTrack& truth, double tolerance_m) {
+    EXPECT_EQ(sequence.time_s, truth.time_s);
+    ASSERT_EQ(sequence.pose.size(), truth.pose.size());
     for (std::size_t k = 0; k < truth.pose.size(); ++k) {
-        EXPECT_LT(glm::distance(found.pose[k].translation, truth.pose[k].translation), tolerance_m);
-        EXPECT_NEAR(std::abs(glm::dot(found.pose[k].rotation, truth.pose[k].rotation)), 1.0, 1e-12);
+        EXPECT_LT(glm::distance(sequence.pose[k].translation, truth.pose[k].translation), tolerance_m);
+        EXPECT_NEAR(std::abs(glm::dot(sequence.pose[k].rotation, truth.pose[k].rotation)), 1.0, 1e-12);
     }
 }
 
-void expect_same_log(const Sequence& found, const Sequence& truth) {
-    EXPECT_EQ(found.name, truth.name);
-    EXPECT_EQ(found.conventions, truth.conventions);
-    EXPECT_EQ(found.notes, truth.notes);
-    EXPECT_EQ(found.rolling_shutter, truth.rolling_shutter);
-    EXPECT_EQ(found.world_offset_m, truth.world_offset_m);
-    // 5 million metres from the origin: the last digit
-    expect_same_poses(found.world_from_vehicle, truth.world_from_vehicle, 2e-9);
-    ASSERT_EQ(found.lidars.size(), truth.lidars.size());
+void expect_same_log(const Sequence& sequence, const Sequence& truth) {
+    EXPECT_EQ(sequence.name, truth.name);
+    EXPECT_EQ(sequence.conventions, truth.conventions);
+    EXPECT_EQ(sequence.notes, truth.notes);
+    EXPECT_EQ(sequence.rolling_shutter, truth.rolling_shutter);
+    EXPECT_EQ(sequence.world_offset_m, truth.world_offset_m);
+    // Five million metres from the origin, the tolerance is the last digit.
+    expect_same_poses(sequence.world_from_vehicle, truth.world_from_vehicle, 2e-9);
+    ASSERT_EQ(sequence.lidars.size(), truth.lidars.size());
     for (std::size_t l = 0; l < truth.lidars.size(); ++l) {
-        EXPECT_EQ(found.lidars[l].name, truth.lidars[l].name);
-        EXPECT_EQ(found.lidars[l].vehicle_from_sensor.translation,
+        EXPECT_EQ(sequence.lidars[l].name, truth.lidars[l].name);
+        EXPECT_EQ(sequence.lidars[l].vehicle_from_sensor.translation,
                   truth.lidars[l].vehicle_from_sensor.translation);
-        EXPECT_EQ(found.lidars[l].vehicle_from_sensor.rotation, truth.lidars[l].vehicle_from_sensor.rotation);
-        const SpinningSensor &a = found.lidars[l].sensor, &b = truth.lidars[l].sensor;
+        EXPECT_EQ(sequence.lidars[l].vehicle_from_sensor.rotation,
+                  truth.lidars[l].vehicle_from_sensor.rotation);
+        const SpinningSensor &a = sequence.lidars[l].sensor, &b = truth.lidars[l].sensor;
         EXPECT_EQ(a.name, b.name);
         EXPECT_EQ(
             std::tuple(a.columns, a.period_s, a.clockwise, a.min_range_m, a.max_range_m, a.divergence_rad),
@@ -88,19 +89,19 @@ void expect_same_log(const Sequence& found, const Sequence& truth) {
                 std::tuple(b.beams[k].origin_offset_m, b.beams[k].origin_up_m, b.beams[k].origin_left_m));
         }
     }
-    ASSERT_EQ(found.boxes.size(), truth.boxes.size());
+    ASSERT_EQ(sequence.boxes.size(), truth.boxes.size());
     for (std::size_t k = 0; k < truth.boxes.size(); ++k) {
-        EXPECT_EQ(found.boxes[k].id, truth.boxes[k].id);
-        EXPECT_EQ(found.boxes[k].category, truth.boxes[k].category);
-        EXPECT_EQ(found.boxes[k].size_m, truth.boxes[k].size_m);
-        expect_same_poses(found.boxes[k].world_from_box, truth.boxes[k].world_from_box, 2e-9);
+        EXPECT_EQ(sequence.boxes[k].id, truth.boxes[k].id);
+        EXPECT_EQ(sequence.boxes[k].category, truth.boxes[k].category);
+        EXPECT_EQ(sequence.boxes[k].size_m, truth.boxes[k].size_m);
+        expect_same_poses(sequence.boxes[k].world_from_box, truth.boxes[k].world_from_box, 2e-9);
     }
 }
 
-void expect_same_scans(const Sequence& found, const Sequence& truth) {
-    ASSERT_EQ(found.frames.size(), truth.frames.size());
+void expect_same_scans(const Sequence& sequence, const Sequence& truth) {
+    ASSERT_EQ(sequence.frames.size(), truth.frames.size());
     for (std::size_t i = 0; i < truth.frames.size(); ++i) {
-        const Frame &a = found.frames[i], &b = truth.frames[i];
+        const Frame &a = sequence.frames[i], &b = truth.frames[i];
         EXPECT_EQ(std::tuple(a.index, a.time_s, a.lidar), std::tuple(b.index, b.time_s, b.lidar));
         EXPECT_EQ(std::tuple(a.scan.rays.rows, a.scan.rays.columns, a.scan.rays.divergence_rad),
                   std::tuple(b.scan.rays.rows, b.scan.rays.columns, b.scan.rays.divergence_rad));
@@ -126,9 +127,9 @@ TEST(SaveFolder, IsReadAsTheSameLog) {
     const fs::path folder = fresh("saved");
     save_folder(street, folder);
     EXPECT_EQ(recognise_dataset(folder), "folder");
-    const Sequence found = load_sequence(folder.string(), {});
-    expect_same_log(found, street);
-    expect_same_scans(found, street);
+    const Sequence sequence = load_sequence(folder.string(), {});
+    expect_same_log(sequence, street);
+    expect_same_scans(sequence, street);
 }
 
 TEST(SaveFolder, KeepsADrive) {
@@ -136,9 +137,9 @@ TEST(SaveFolder, KeepsADrive) {
     const Sequence truth = load_sequence(drive.folder.string(), {});
     const fs::path folder = fresh("drive");
     save_folder(truth, folder);
-    const Sequence found = load_sequence(folder.string(), {});
-    expect_same_log(found, truth);
-    expect_same_scans(found, truth);
+    const Sequence sequence = load_sequence(folder.string(), {});
+    expect_same_log(sequence, truth);
+    expect_same_scans(sequence, truth);
 }
 
 TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
@@ -147,11 +148,11 @@ TEST(SaveFolder, KeepsRaysOfASensorThatDoesNotSpin) {
         .name = "flash", .beams = {}, .columns = 0, .period_s = 0.0, .max_range_m = 60.0};
     const fs::path folder = fresh("flash");
     save_folder(street, folder);
-    const Sequence found = load_sequence(folder.string(), {});
-    EXPECT_EQ(found.lidars[0].sensor.period_s, 0.0);
-    EXPECT_EQ(found.lidars[0].sensor.max_range_m, 60.0);
+    const Sequence sequence = load_sequence(folder.string(), {});
+    EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
+    EXPECT_EQ(sequence.lidars[0].sensor.max_range_m, 60.0);
     for (Frame& frame : street.frames) drop_outside(frame.scan, {0.0, 60.0});
-    expect_same_scans(found, street);
+    expect_same_scans(sequence, street);
 }
 
 TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
@@ -165,11 +166,11 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
     street.lidars[test::kRosette].pattern = table;
     const fs::path folder = fresh("rig");
     save_folder(street, folder);
-    const Sequence found = load_sequence(folder.string(), {});
-    ASSERT_EQ(found.lidars.size(), 4u);
-    EXPECT_FALSE(found.lidars[test::kSpinning].pattern);
+    const Sequence sequence = load_sequence(folder.string(), {});
+    ASSERT_EQ(sequence.lidars.size(), 4u);
+    EXPECT_FALSE(sequence.lidars[test::kSpinning].pattern);
     for (const int l : {test::kWindow, test::kRosette, test::kTwoReturns}) {
-        const RayTable a = nominal_rays(found.lidars[std::size_t(l)], 0.7),
+        const RayTable a = nominal_rays(sequence.lidars[std::size_t(l)], 0.7),
                        b = nominal_rays(street.lidars[std::size_t(l)], 0.7);
         ASSERT_EQ(a.size(), b.size());
         for (std::size_t i = 0; i < a.size(); ++i)
@@ -177,10 +178,10 @@ TEST(SaveFolder, KeepsARigOfSensorsThatDoNotSpin) {
         EXPECT_EQ(a.time_offset_s, b.time_offset_s);
         EXPECT_FLOAT_EQ(a.divergence_rad, b.divergence_rad);
         EXPECT_EQ(a.ray_divergence_rad, b.ray_divergence_rad);
-        EXPECT_EQ(found.lidars[std::size_t(l)].sensor.max_range_m,
+        EXPECT_EQ(sequence.lidars[std::size_t(l)].sensor.max_range_m,
                   street.lidars[std::size_t(l)].sensor.max_range_m);
     }
-    expect_same_scans(found, street);
+    expect_same_scans(sequence, street);
 }
 
 TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
@@ -191,11 +192,11 @@ TEST(SaveFolder, SaysThatScansAreMotionCompensated) {
     const std::vector<NamedArray> arrays = read_npz((folder / "scans/000001.npz").string());
     EXPECT_EQ(find_array(arrays, "deskewed")->as_float(), std::vector<float>{1.0f});
     EXPECT_EQ(find_array(arrays, "time")->as_float(), std::vector<float>(8 * 64, 0.0f));
-    const Sequence found = load_sequence(folder.string(), {});
-    EXPECT_FALSE(found.rolling_shutter);
-    EXPECT_FALSE(found.frames[1].start);
+    const Sequence sequence = load_sequence(folder.string(), {});
+    EXPECT_FALSE(sequence.rolling_shutter);
+    EXPECT_FALSE(sequence.frames[1].start);
     for (std::size_t i = 0; i < 8 * 64; ++i) {
-        const auto seen = world_return(found, found.frames[1], i),
+        const auto seen = world_return(sequence, sequence.frames[1], i),
                    truth = world_return(street, street.frames[1], i);
         ASSERT_LT(glm::distance(seen.point_m, truth.point_m), 1e-6) << i;
     }
@@ -212,14 +213,14 @@ TEST(SaveFolder, ReadsARangeOfItsFrames) {
     save_folder(street, folder);
     DatasetOptions options;
     options.frames = {1, 3};
-    const Sequence found = load_sequence(folder.string(), options);
-    ASSERT_EQ(found.frames.size(), 4u);
-    EXPECT_EQ(found.frames[0].scan.range_m, street.frames[2].scan.range_m);
-    for (const BoxTrack& box : found.boxes)
-        EXPECT_TRUE(found.world_from_vehicle.covers(box.world_from_box.time_s.front())) << box.id;
+    const Sequence sequence = load_sequence(folder.string(), options);
+    ASSERT_EQ(sequence.frames.size(), 4u);
+    EXPECT_EQ(sequence.frames[0].scan.range_m, street.frames[2].scan.range_m);
+    for (const BoxTrack& box : sequence.boxes)
+        EXPECT_TRUE(sequence.world_from_vehicle.covers(box.world_from_box.time_s.front())) << box.id;
 }
 
-/// Names in a folder, the hidden ones too.
+/// Returns the names in a folder, including hidden files.
 std::vector<std::string> names_in(const fs::path& folder) {
     std::vector<std::string> names;
     for (const auto& entry : fs::directory_iterator(folder)) names.push_back(entry.path().filename());
@@ -232,15 +233,15 @@ TEST(SaveFolder, ReadsAFewScansForALook) {
     save_folder(street, folder);
     DatasetOptions options;
     options.most_scans = 2;
-    const Sequence found = load_sequence(folder.string(), options);
-    expect_same_log(found, street);
-    ASSERT_EQ(found.frames.size(), street.frames.size());
+    const Sequence sequence = load_sequence(folder.string(), options);
+    expect_same_log(sequence, street);
+    ASSERT_EQ(sequence.frames.size(), street.frames.size());
     for (std::size_t i = 0; i < street.frames.size(); ++i) {
         const int of_its_lidar = int(i) / 2;
-        EXPECT_EQ(found.frames[i].time_s, street.frames[i].time_s);
+        EXPECT_EQ(sequence.frames[i].time_s, street.frames[i].time_s);
         if (of_its_lidar == 0 || of_its_lidar == 2)
-            EXPECT_TRUE(found.frames[i].scan.range_m == street.frames[i].scan.range_m) << i;
-        else EXPECT_TRUE(found.frames[i].scan.range_m.empty()) << i;
+            EXPECT_TRUE(sequence.frames[i].scan.range_m == street.frames[i].scan.range_m) << i;
+        else EXPECT_TRUE(sequence.frames[i].scan.range_m.empty()) << i;
     }
 }
 
@@ -271,7 +272,7 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_TRUE(fs::exists(folder.parent_path() / "other/thing.txt"));
 }
 
-/// A log of points: those of the street's returns, in the order of its rays.
+/// A log of point files with the returns of a street, in the order of its rays.
 struct PointLog {
     Sequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
@@ -311,11 +312,11 @@ struct Difference {
     std::size_t rings = 0, drops = 0;
 };
 
-/// Ray by ray: the image has the street's rows and columns.
-Difference difference(const Sequence& found, const Sequence& street) {
+/// Compares ray by ray; the image has the rows and columns of the street.
+Difference difference(const Sequence& sequence, const Sequence& street) {
     Difference worst;
     for (std::size_t f = 0; f < street.frames.size(); ++f) {
-        const Scan &a = found.frames[f].scan, &b = street.frames[f].scan;
+        const Scan &a = sequence.frames[f].scan, &b = street.frames[f].scan;
         if (a.range_m.size() != b.range_m.size()) return {1e9, 1e9, 1e9, 1e9, 0, 0};
         for (std::size_t i = 0; i < b.range_m.size(); ++i) {
             worst.drops += (a.range_m[i] > 0.0f) != (b.range_m[i] > 0.0f);
@@ -326,7 +327,7 @@ Difference difference(const Sequence& found, const Sequence& street) {
             if (a.range_m[i] == 0.0f || b.range_m[i] == 0.0f) continue;
             worst.intensity = std::max(worst.intensity, double(std::abs(a.intensity[i] - b.intensity[i])));
             worst.point_m =
-                std::max(worst.point_m, glm::distance(world_return(found, found.frames[f], i).point_m,
+                std::max(worst.point_m, glm::distance(world_return(sequence, sequence.frames[f], i).point_m,
                                                       world_return(street, street.frames[f], i).point_m));
         }
     }
@@ -334,9 +335,9 @@ Difference difference(const Sequence& found, const Sequence& street) {
 }
 
 void expect_street(const PointLog& log, double time_s) {
-    const Sequence found = load_sequence(log.folder.string(), {});
-    ASSERT_EQ(found.lidars[0].sensor.columns, log.street.lidars[0].sensor.columns);
-    const Difference worst = difference(found, log.street);
+    const Sequence sequence = load_sequence(log.folder.string(), {});
+    ASSERT_EQ(sequence.lidars[0].sensor.columns, log.street.lidars[0].sensor.columns);
+    const Difference worst = difference(sequence, log.street);
     EXPECT_LT(worst.point_m, 1e-4);
     EXPECT_LT(worst.time_s, time_s);
     EXPECT_LT(worst.intensity, 0.51 / 255.0);
@@ -364,7 +365,7 @@ TEST(PlainFolder, NpyOfColumns) {
 }
 TEST(PlainFolder, BinWithRingsAlone) {
     const PointLog log("bin", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    expect_street(log, 1e-4);  // the head faces forward at the frame's time
+    expect_street(log, 1e-4);  // the sensor faces forward at the frame's time
     EXPECT_NE(load_sequence(log.folder.string(), {}).notes.back().find("have no times"), std::string::npos);
 }
 
@@ -398,7 +399,7 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
         for (test::FilePoint& p : points) p.ring = std::uint16_t(15 - p.ring);
         return test::bin(points);
     };
-    // fitted
+    // the sensor is fitted
     expect_street({"lowest", "bin", upside_down, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"},
                   1e-4);
     std::string csv = "elevation_deg\n";
@@ -415,19 +416,19 @@ TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
 TEST(PlainFolder, KeepsPointsWithoutOrderOfALidarThatDoesNotSpin) {
     const PointLog log("solid", "bin", test::bin,
                        R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"spins": false}])");
-    const Sequence found = load_sequence(log.folder.string(), {});
-    EXPECT_EQ(found.lidars[0].sensor.period_s, 0.0);
-    for (std::size_t f = 0; f < found.frames.size(); ++f) {
+    const Sequence sequence = load_sequence(log.folder.string(), {});
+    EXPECT_EQ(sequence.lidars[0].sensor.period_s, 0.0);
+    for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
         const test::FilePoints points = PointLog::points(log.street.frames[f]);
-        ASSERT_EQ(found.frames[f].scan.rays.rows, 1);
-        ASSERT_EQ(found.frames[f].scan.range_m.size(), points.size());
+        ASSERT_EQ(sequence.frames[f].scan.rays.rows, 1);
+        ASSERT_EQ(sequence.frames[f].scan.range_m.size(), points.size());
         for (std::size_t i = 0; i < points.size(); ++i)
-            EXPECT_LT(glm::distance(found.frames[f].scan.point(i), points[i].point_m), 1e-4f);
+            EXPECT_LT(glm::distance(sequence.frames[f].scan.point(i), points[i].point_m), 1e-4f);
     }
 }
 
 TEST(PlainFolder, UndoesMotionCompensation) {
-    // the street is driven along at 8 m/s: half a sweep is 0.4 m
+    // The sensor drives at 8 m/s, so half a sweep is 0.4 m.
     const Sequence street = make_synthetic_street(
         {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
     const PoseTrack track = street.world_from_sensor(0);
@@ -450,8 +451,8 @@ TEST(PlainFolder, UndoesMotionCompensation) {
 
 TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
     const PointLog log("track", "bin", test::bin, R"(, "columns": ["x", "y", "z", "intensity", "ring"])");
-    // by position; then by the names of TUM, whose quaternions have w last, after a
-    // byte-order mark
+    // Columns by position; then columns by TUM's names, whose quaternions have w last,
+    // after a byte-order mark.
     const std::string logs[] = {
         "# time x y z qw qx qy qz\n-0.05 0 0 0 1 0 0 0\n0.15 2 0 0 1 0 0 0\n0.25 2 3 0 0.9238795325112867 0 "
         "0 0.3826834323650898\n"
@@ -461,8 +462,8 @@ TEST(PlainFolder, InterpolatesPosesThatHaveTimes) {
         "0.7071067811865476\n"};
     for (const std::string& poses : logs) {
         test::write_text(log.folder / "poses.txt", poses);
-        const Sequence found = load_sequence(log.folder.string(), {});
-        const PoseTrack world = shifted_track(found.world_from_vehicle, found.world_offset_m);
+        const Sequence sequence = load_sequence(log.folder.string(), {});
+        const PoseTrack world = shifted_track(sequence.world_from_vehicle, sequence.world_offset_m);
         EXPECT_LT(glm::distance(world.pose[1].translation, glm::dvec3(1.5, 0, 0)), 1e-12);  // 0.1 s
         EXPECT_LT(glm::distance(world.pose[2].translation, glm::dvec3(2, 1.5, 0)), 1e-12);  // 0.2 s
         EXPECT_NEAR(world.pose[2].rotation.z, std::sin(kPi / 16), 1e-12) << "an eighth of a turn half way";
@@ -478,14 +479,14 @@ TEST(PlainFolder, BoxesByFrameAndYaw) {
         {"track": "7", "category": "Car", "frame": 1, "size": [4, 2, 1.5], "position": [10, 1, 0.75], "yaw_deg": 90},
         {"track": "8", "category": "Van", "time_s": 0.1, "size": [5, 2, 2], "position": [1, 9, 1], "quaternion": [1, 0, 0, 0]},
         {"track": "7", "category": "Car", "frame": 2, "size": [4, 2, 1.5], "position": [11, 1, 0.75], "yaw_deg": 90}]})");
-    const Sequence found = load_sequence(log.folder.string(), {});
-    ASSERT_EQ(found.boxes.size(), 2u);
-    EXPECT_EQ(found.boxes[0].id, "7");
-    EXPECT_EQ(found.boxes[0].world_from_box.time_s, (std::vector<double>{0.1, 0.2}));
-    const Pose& pose = found.boxes[0].world_from_box.pose[1];
-    EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, glm::dvec3(11, 1, 0.75)), 1e-9);
+    const Sequence sequence = load_sequence(log.folder.string(), {});
+    ASSERT_EQ(sequence.boxes.size(), 2u);
+    EXPECT_EQ(sequence.boxes[0].id, "7");
+    EXPECT_EQ(sequence.boxes[0].world_from_box.time_s, (std::vector<double>{0.1, 0.2}));
+    const Pose& pose = sequence.boxes[0].world_from_box.pose[1];
+    EXPECT_LT(glm::distance(pose.translation + sequence.world_offset_m, glm::dvec3(11, 1, 0.75)), 1e-9);
     EXPECT_LT(glm::distance(pose.rotation * glm::dvec3(1, 0, 0), glm::dvec3(0, 1, 0)), 1e-9);
-    EXPECT_EQ(found.boxes[1].category, "Van");
+    EXPECT_EQ(sequence.boxes[1].category, "Van");
 }
 
 TEST(PlainFolder, ReadsRenderedScans) {

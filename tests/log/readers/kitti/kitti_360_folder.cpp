@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the small KITTI-360, every matrix by 4x4 products of its own.
+// Writes a small KITTI-360 folder; computes every matrix independently with 4x4 products.
 #include "log/readers/kitti/kitti_360_folder.hpp"
 
 #include <cmath>
@@ -15,13 +15,13 @@ glm::dmat4 turned(const glm::dmat4& m, double angle_rad, const glm::dvec3& axis)
     return glm::rotate(m, angle_rad, axis);
 }
 
-/// Columns of the rotation, and the place.
+/// Makes a matrix from the columns of its rotation and its translation.
 glm::dmat4 frame_matrix(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z, const glm::dvec3& at) {
     return {glm::dvec4(x, 0), glm::dvec4(y, 0), glm::dvec4(z, 0), glm::dvec4(at, 1)};
 }
 
-/// imu_from_cam0: the camera looks along the IMU's x, its y is down as the IMU's z is,
-/// with a small tilt.
+/// Returns imu_from_cam0: the camera looks along the IMU's x, its y points down like the
+/// IMU's z, with a small tilt.
 glm::dmat4 imu_from_cam0() {
     return turned(frame_matrix({0, 1, 0}, {0, 0, 1}, {1, 0, 0}, {1.57, 0.04, -0.9}), 0.03, {1, 0, 0});
 }
@@ -30,7 +30,7 @@ glm::dmat4 velo_from_cam0() {
     return turned(frame_matrix({0, -1, 0}, {0, 0, -1}, {1, 0, 0}, {0.81, 0.28, -0.1}), -0.02, {0, 1, 0});
 }
 
-/// Numbers of the upper three rows, row-major.
+/// Returns the numbers of the upper three rows, row by row.
 std::string numbers(const glm::dmat4& m) {
     std::string text;
     for (int r = 0; r < 3; ++r)
@@ -38,7 +38,7 @@ std::string numbers(const glm::dmat4& m) {
     return text;
 }
 
-/// A matrix as OpenCV's FileStorage writes it.
+/// Writes a matrix in the XML format of OpenCV's FileStorage.
 std::string matrix_xml(const std::string& name, int rows, int cols, const std::vector<double>& values) {
     std::string data;
     for (std::size_t i = 0; i < values.size(); ++i)
@@ -121,8 +121,8 @@ Kitti360Folder::Kitti360Folder(const std::string& name, int first)
         cameras += fmt::format("image_{:02d}: {}\n", camera, numbers(imu_from_cam0()));
     write_text(calibration("calib_cam_to_pose.txt"), cameras);
     write_text(calibration("calib_cam_to_velo.txt"), numbers(velo_from_cam0()) + "\n");
-    // A car that goes along ahead, mirrored in its second label; one that stands; a wall,
-    // and someone without a place.
+    // Writes a car that drives ahead (mirrored in its second label), a parked car, a
+    // wall, and a person without a position.
     std::string objects;
     for (int i = 0; i < kFrames; ++i) {
         const glm::dvec3 size = i == 1 ? glm::dvec3(6, -3, 2) : glm::dvec3(6, 3, 2);

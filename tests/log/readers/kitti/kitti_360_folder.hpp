@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small KITTI-360 written by the tests: the sweeps of the virtual HDL-64E as frames
-// 2350 to 2352 of drive 0000, which is in its paper's part kd1 from 2351 on. The car
-// drives an even curve, so that where the LiDAR was at any time is known.
+// Writes a small KITTI-360 folder: sweeps of the virtual HDL-64E as frames 2350 to 2352
+// of drive 0000, which belongs to part kd1 of the paper from frame 2351 on. The car
+// drives a smooth curve with a closed form, so that the pose of the LiDAR is known at any
+// time.
 #pragma once
 
 #include <filesystem>
@@ -21,7 +22,7 @@ struct Kitti360Folder {
     KittiDrive sweeps;
     std::filesystem::path folder;
 
-    /// @param first  frame number of the first sweep
+    /// @param first frame number of the first sweep
     explicit Kitti360Folder(const std::string& name, int first = kFirst);
 
     std::filesystem::path raw(const std::string& drive = kDrive) const {
@@ -34,22 +35,24 @@ struct Kitti360Folder {
     }
     std::filesystem::path calibration(const std::string& file) const { return folder / "calibration" / file; }
 
-    /// Truth, in the dataset's world. @param frame  with a fraction: between two sweeps
+    /// Returns the exact pose in the dataset's world.
+    /// @param frame fractional values are between two sweeps
     static glm::dmat4 world_from_imu(double frame);
     static glm::dmat4 world_from_velo(double frame);
 
-    /// poses.txt with some of the frames.
+    /// Writes poses.txt with the given frames.
     void write_poses(const std::vector<int>& frames) const;
 };
 
-/// A box of the labels: rotation and size in one matrix, as KITTI-360 has them.
+/// Returns the matrix of a labelled box, which contains rotation and size as in
+/// KITTI-360.
 glm::dmat4 box_matrix(const glm::dvec3& centre_m, double yaw_rad, const glm::dvec3& size_m);
 
-/// A child of opencv_storage with these fields, its transform, and the cube that the
-/// transform is of.
+/// Returns a child of opencv_storage with these fields, its transform, and the unit cube
+/// that is transformed.
 std::string object_xml(int number, const std::string& fields, const glm::dmat4& transform);
-/// Fields of an object of train_full, drive 0004 excepted. @param timestamp  -1: it
-/// stands, over start_frame to end_frame
+/// Returns the fields of an object of train_full, for drives other than 0004.
+/// @param timestamp -1: the object does not move from start_frame to end_frame
 std::string object_fields(const std::string& label, int semantic, int instance, int timestamp,
                           int start_frame, int end_frame);
 std::string boxes_xml(const std::string& objects);

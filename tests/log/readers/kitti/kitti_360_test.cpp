@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI-360: what the reader makes of a small one against the closed-form way and boxes
-// it was written with.
+// Reads a small KITTI-360 folder and compares it with the closed-form path and the boxes
+// that it was written with.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -81,12 +81,12 @@ TEST(Kitti360, BoxesHoldWhatWasLabelled) {
     for (int i = 0; i < 3; ++i) {
         const glm::dmat4 truth = Kitti360Folder::world_from_velo(Kitti360Folder::kFirst + i) *
                                  test::box_matrix({9.5, 0, 0}, 0.3, {1, 1, 1});
-        const Pose& found = driving.world_from_box.pose[std::size_t(i)];
+        const Pose& actual = driving.world_from_box.pose[std::size_t(i)];
         EXPECT_EQ(driving.world_from_box.time_s[std::size_t(i)], log.frames[std::size_t(i)].time_s);
-        EXPECT_LT(glm::distance(found.translation + log.world_offset_m, glm::dvec3(truth[3])), 1e-6);
-        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(1, 0, 0), glm::dvec3(truth[0])), 1e-9)
+        EXPECT_LT(glm::distance(actual.translation + log.world_offset_m, glm::dvec3(truth[3])), 1e-6);
+        EXPECT_LT(glm::distance(actual.rotation * glm::dvec3(1, 0, 0), glm::dvec3(truth[0])), 1e-9)
             << "front, of a mirrored one too";
-        EXPECT_LT(glm::distance(found.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
+        EXPECT_LT(glm::distance(actual.rotation * glm::dvec3(0, 0, 1), glm::dvec3(truth[2])), 1e-9);
     }
     EXPECT_EQ(standing.world_from_box.pose[0].translation, standing.world_from_box.pose[1].translation);
     for (const Frame& frame : log.frames) EXPECT_GT(points_in(log, frame, driving), 100u) << frame.index;
@@ -158,11 +158,11 @@ TEST(Kitti360, FramesWithoutAPose) {
     EXPECT_THAT(log.notes, Contains("frames without a pose, taken between those of their neighbours: 2351"));
     const glm::dvec3 there(Kitti360Folder::world_from_velo(2351)[3]);
     EXPECT_LT(glm::distance(log.world_from_vehicle.pose[1].translation + log.world_offset_m, there), 1e-3);
-    kitti.write_poses({2345, 2351});  // six frames apart: half a second is five
+    kitti.write_poses({2345, 2351});  // six frames apart; half a second is five frames
     log = read(kitti);
     ASSERT_EQ(log.frames.size(), 1u);
     EXPECT_THAT(log.notes, Contains("frames without a pose, left out: 2350, 2352"));
-    // Long, but the car stands.
+    // A long gap between poses, but the car does not move.
     const std::string line = read_text(kitti.poses());
     const std::string pose = line.substr(line.find(' '), line.find('\n') - line.find(' '));
     write_text(kitti.poses(), "2300" + pose + "\n2400" + pose + "\n");
@@ -199,8 +199,8 @@ TEST(Kitti360, BoxesGoAlongWithOtherPoses) {
     EXPECT_TRUE(read(kitti, options).boxes.empty());
 }
 
-// Drive 0004: objects without numbers, in train_full alone; other drives may have train
-// alone.
+// In drive 0004 objects have no numbers and exist only in train_full; other drives may
+// have only train.
 TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     const Kitti360Folder kitti("k360_0004");
     const glm::dmat4 place =
@@ -229,7 +229,7 @@ TEST(Kitti360, ObjectsWithoutNumbersGoByTheirLabels) {
     EXPECT_THAT(read(kitti).notes, Contains("no data_3d_bboxes: nothing in this drive is labelled"));
 }
 
-/// Reads with a file changed, and puts it back.
+/// Reads the log with one file changed, expects an error, and restores the file.
 void expect_error(const Kitti360Folder& kitti, const fs::path& file, const std::string& text,
                   const std::string& part) {
     const std::string good = read_text(file);
@@ -273,9 +273,9 @@ TEST(Kitti360, SaysWhichFileIsWrong) {
 
 TEST(Kitti360, SaysWhichBoxIsWrong) {
     const Kitti360Folder kitti("k360_box_errors");
-    const std::string whole = read_text(kitti.boxes());
+    const std::string original = read_text(kitti.boxes());
     const auto expect = [&](const std::string& from, const std::string& to, const std::string& part) {
-        std::string text = whole;
+        std::string text = original;
         ASSERT_NE(text.find(from), std::string::npos) << from;
         expect_error(kitti, kitti.boxes(), text.replace(text.find(from), from.size(), to), part);
     };

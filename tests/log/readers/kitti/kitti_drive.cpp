@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the virtual KITTI drive. The sweep's firings lie at ticks floor(n * 4000 / 701 +
-// wobble), 64 beams each.
+// Writes a virtual KITTI drive. The firings of a sweep are at encoder ticks floor(n *
+// 4000 / 701 + wobble), with 64 beams each.
 #include "log/readers/kitti/kitti_drive.hpp"
 
 #include <algorithm>
@@ -92,7 +92,7 @@ const Sweep& sweep_of(Heads heads, int frame) {
     return at->second;
 }
 
-/// Times around midnight: 0.1 s a sweep.
+/// Returns times around midnight with 0.1 s per sweep.
 std::string timestamp(double second) {
     return second < 60.0 ? fmt::format("2011-12-31 23:59:{:012.9f}\n", second)
                          : fmt::format("2012-01-01 00:00:{:012.9f}\n", second - 60.0);
@@ -141,8 +141,8 @@ KittiDrive::KittiDrive(const std::string& name, Heads heads)
         times[0] += timestamp(second);
         times[1] += timestamp(second - 0.05);
         times[2] += timestamp(second + 0.05);
-        // 1e-5 degrees of longitude a frame; yaw a quarter turn: the car drives north
-        // while the log moves it east
+        // 1e-5 degrees of longitude per frame. The yaw is a quarter turn: the car faces
+        // north while the log moves it east.
         std::string oxts = fmt::format("60.0 {:.10f} 100.5 0 0 {:.12f}", 8.0 + 1e-5 * frame, kPi / 2);
         for (int i = 6; i < 30; ++i) oxts += " 0";
         write_text(file(fmt::format("oxts/data/{:010d}.txt", frame)), oxts + "\n");

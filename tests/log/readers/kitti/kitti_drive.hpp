@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small KITTI raw drive written by the tests: a virtual HDL-64E (two optical centres,
-// azimuth and left offsets, encoder ticks of 0.09 degrees) in a wavy room, coordinates
-// rounded to millimetres and stored ring by ring as KITTI does.
+// Writes a small KITTI raw drive: a virtual HDL-64E (two optical centres, azimuth and
+// left offsets, encoder ticks of 0.09 degrees) in a wavy room. Coordinates are rounded to
+// millimetres and stored ring by ring like KITTI's.
 #pragma once
 
 #include <array>
@@ -15,19 +15,18 @@
 
 namespace relidar::test {
 
-/// Where the heads of the virtual sweeps stand: on encoder ticks, at even steps, or
-/// anywhere near even steps.
+/// Encoder positions of the firings: on ticks, at even steps, or random near even steps.
 enum class Heads { ticks, even, jittered };
 
 struct KittiDrive {
     static constexpr int kFirings = 701;
 
-    std::filesystem::path folder;     ///< of the drive
-    std::vector<Beam> beams;          ///< truth, 64
-    std::vector<glm::dvec3> dropped;  ///< true direction of every ray of frame 0 without a return
+    std::filesystem::path folder;     ///< folder of the drive
+    std::vector<Beam> beams;          ///< the 64 exact beams
+    std::vector<glm::dvec3> dropped;  ///< exact direction of every ray of frame 0 without a return
     std::size_t n_points = 0;         ///< in frame 0
 
-    /// Writes a drive of three frames into a fresh folder under the tests' temporary one.
+    /// Writes a drive of three frames to a new temporary folder.
     explicit KittiDrive(const std::string& name, Heads heads = Heads::ticks);
     ~KittiDrive();
     KittiDrive(const KittiDrive&) = delete;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every defect of a KITTI drive gives one line that holds the path, what was found and
-// what was expected.
+// Checks that every defect of a KITTI drive causes a one-line error with the path, the
+// value found, and the expected value.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -22,8 +22,8 @@ using test::KittiDrive;
 using test::read_text;
 using test::write_text;
 
-/// Loads the drive, expects a failure of the given code whose message holds all parts and
-/// is one line.
+/// Loads the drive and expects an error with the given exit code and a one-line message
+/// that contains all parts.
 void expect_failure(const KittiDrive& drive, const DatasetOptions& options, ExitCode code,
                     const std::vector<std::string>& parts) {
     try {
@@ -53,7 +53,7 @@ TEST(KittiErrors, MissingFoldersAndFiles) {
     expect_data_error(drive, {"oxts/data/0000000001.txt: no such file"});
     fs::remove_all(drive.file("oxts"));
     expect_data_error(drive, {"oxts/data: no OXTS files", "dataset.poses=FILE", "dataset.poses=none"});
-    write_text(drive.file("oxts/data/nan.txt"), "");  // no frame's
+    write_text(drive.file("oxts/data/nan.txt"), "");  // belongs to no frame
     expect_data_error(drive, {"oxts/data: no OXTS files"});
     fs::remove(drive.file("velodyne_points/timestamps_end.txt"));
     expect_data_error(drive, {"timestamps_end.txt: no such file"});
@@ -131,34 +131,34 @@ TEST(KittiErrors, PosesOutOfThisWorld) {
 
 TEST(KittiErrors, BrokenScans) {
     const KittiDrive drive("scans");
-    const std::string whole = read_text(drive.scan(1));
-    write_text(drive.scan(1), whole.substr(0, 100));
+    const std::string original = read_text(drive.scan(1));
+    write_text(drive.scan(1), original.substr(0, 100));
     expect_data_error(drive,
                       {"0000000001.bin: truncated: 100 bytes", "multiple of 16", "6 points and 4 bytes"});
     write_text(drive.scan(1), "");
     expect_data_error(drive, {"0000000001.bin: empty"});
-    std::string bad = whole;
+    std::string bad = original;
     put_float(bad, 77, 1, NAN);
     write_text(drive.scan(1), bad);
     expect_data_error(drive, {"0000000001.bin: point 77", "finite"});
-    bad = whole;
+    bad = original;
     put_float(bad, 5, 3, INFINITY);
     write_text(drive.scan(1), bad);
     expect_data_error(drive, {"point 5", "intensity inf"});
-    bad = whole;
+    bad = original;
     put_float(bad, 8, 0, 2e4f);
     write_text(drive.scan(1), bad);
     expect_data_error(drive, {"point 8", "within 10000 m"});
-    for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), whole.substr(0, 16 * 3000));
+    for (int frame = 0; frame < 3; ++frame) write_text(drive.scan(frame), original.substr(0, 16 * 3000));
     expect_data_error(drive, {"velodyne_points/data: ", "rings in file order, expected 64"});
 }
 
-/// 64 rings of points at even azimuths, ring by ring as KITTI stores them.
+/// Returns 64 rings of points at even azimuths, ring by ring as in KITTI.
 std::string even_scan(double step_rad, int n_a_ring) {
     std::string bytes;
     for (int ring = 0; ring < 64; ++ring) {
         for (int i = 0; i < n_a_ring; ++i) {
-            // A few points far round the sweep make the azimuth wrap from ring to ring.
+            // A few points near the end of the turn make the azimuth wrap between rings.
             const double azimuth = i < n_a_ring - 3 ? i * step_rad : 2.0 * kPi - (n_a_ring - i) * 1e-3;
             const double elevation = (2.0 - 0.42 * ring) * kPi / 180.0;
             const double rho = 12.0 + 8.0 * std::sin(0.01 * i);
@@ -180,12 +180,12 @@ TEST(KittiErrors, AzimuthStepsOfNoSensor) {
 TEST(KittiErrors, Timestamps) {
     const KittiDrive drive("times");
     const auto file = drive.file("velodyne_points/timestamps.txt");
-    const std::string whole = read_text(file);
-    write_text(file, whole.substr(0, whole.find('\n') + 1));
+    const std::string original = read_text(file);
+    write_text(file, original.substr(0, original.find('\n') + 1));
     expect_data_error(drive, {"timestamps.txt: 1 lines, frame 1 needs line 2"});
     write_text(file, "2011-13-31 23:59:10.0\n");
     expect_data_error(drive, {"timestamps.txt line 1", "2011-13-31", "expected YYYY-MM-DD"});
-    write_text(file, "9999-01-01 00:00:00.0\n");  // beyond 64 bits of nanoseconds
+    write_text(file, "9999-01-01 00:00:00.0\n");  // nanoseconds overflow 64 bits
     expect_data_error(drive, {"timestamps.txt line 1", "9999-01-01", "1970 to 2199"});
     write_text(file, std::string(1 << 20, '7') + "\n");
     try {
@@ -194,12 +194,12 @@ TEST(KittiErrors, Timestamps) {
     } catch (const DataError& error) {
         EXPECT_LT(std::string(error.what()).size(), 400u);
     }
-    const std::string line = whole.substr(0, whole.find('\n') + 1);
+    const std::string line = original.substr(0, original.find('\n') + 1);
     write_text(file, line + "\n" + line);
     expect_data_error(drive, {"timestamps.txt line 2: empty, expected the time of frame 1"});
     write_text(file, "\n \n");
     expect_data_error(drive, {"timestamps.txt: empty"});
-    write_text(file, "   " + whole);  // leading blanks: a time all the same
+    write_text(file, "   " + original);  // leading blanks are allowed
     EXPECT_EQ(load_sequence(drive.folder.string(), {}).frames.size(), 3u);
     write_text(file, line + line + line);
     expect_data_error(drive, {"timestamps.txt line 2", "rising"});
@@ -245,10 +245,10 @@ TEST(KittiErrors, FrameRange) {
 TEST(KittiErrors, Tracklets) {
     const KittiDrive drive("tracklets");
     const auto file = drive.file("tracklet_labels.xml");
-    const std::string whole = read_text(file);
+    const std::string original = read_text(file);
     const auto expect = [&](const std::string& from, const std::string& to,
                             const std::vector<std::string>& parts) {
-        std::string text = whole;
+        std::string text = original;
         write_text(file, text.replace(text.find(from), from.size(), to));
         expect_data_error(drive, parts);
     };

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI raw: what the reader recovers from a virtual drive against the truth it was
-// written from, and from the real drive 2011_09_26_drive_0005_sync where
-// RELIDAR_KITTI_DRIVE names its folder.
+// Reads a virtual KITTI raw drive and compares it with its exact content. Also reads the
+// real drive 2011_09_26_drive_0005_sync if RELIDAR_KITTI_DRIVE names its folder.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -64,12 +63,12 @@ TEST(KittiRaw, EveryPointAndEveryDropHasItsRay) {
         for (const glm::dvec3& d : model) nearest = std::min(nearest, glm::length(d - truth));
         ASSERT_LT(nearest, 3e-4);  // a step is 9e-3
     }
-    // Times follow the head, columns the azimuth.
+    // Times must follow the encoder position, and columns the azimuth.
     for (std::size_t i = 0; i < scan.rays.size(); ++i) {
         const double azimuth = std::atan2(scan.rays.direction[i].y, scan.rays.direction[i].x);
         const double head = azimuth - log.lidars[0].sensor.beams[scan.rays.channel[i]].azimuth_offset_rad;
         const double late = std::remainder(scan.rays.time_offset_s[i] + head / (2 * kPi) * 0.1, 0.1);
-        ASSERT_LT(std::abs(late), 2e-4);  // the left offset turns a ray by 26 mm over its range
+        ASSERT_LT(std::abs(late), 2e-4);  // the left offset turns a ray by 26 mm divided by its range
         const double column_azimuth =
             kPi - (static_cast<double>(i % KittiDrive::kFirings) + 0.5) * 2 * kPi / KittiDrive::kFirings;
         ASSERT_LT(std::abs(std::remainder(azimuth - column_azimuth, 2 * kPi)), 0.03);
@@ -89,17 +88,17 @@ TEST(KittiRaw, WithoutEncoderTicksStepsAreEven) {
 
 TEST(KittiRaw, LaserWithoutReturnsInOneScan) {
     const KittiDrive drive("ring");
-    const std::string whole = test::read_text(drive.scan(1));
+    const std::string original = test::read_text(drive.scan(1));
     std::size_t end = 16;  // first ring: until the azimuth wraps
     const auto y = [&](std::size_t at) {
         float v;
-        std::memcpy(&v, whole.data() + at + 4, 4);
+        std::memcpy(&v, original.data() + at + 4, 4);
         return v;
     };
     while (!(y(end - 16) < 0.0f && y(end) >= 0.0f)) end += 16;
-    test::write_text(drive.scan(1), whole.substr(end));
+    test::write_text(drive.scan(1), original.substr(end));
     const Scan scan = load_sequence(drive.folder.string(), {}).frames[1].scan;
-    EXPECT_EQ(scan.count_returns(), (whole.size() - end) / 16);
+    EXPECT_EQ(scan.count_returns(), (original.size() - end) / 16);
     for (int c = 0; c < KittiDrive::kFirings; ++c) EXPECT_EQ(scan.range_m[static_cast<std::size_t>(c)], 0.0f);
 }
 
@@ -107,15 +106,16 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     const KittiDrive drive("poses");
     const Sequence log = load_sequence(drive.folder.string(), {});
     ASSERT_EQ(log.frames.size(), 3u);
-    EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // over midnight and New Year
-    // Mercator: s R dlon with s = cos 60; the sensor keeps its place on the car.
+    EXPECT_NEAR(log.frames[2].time_s, 0.2, 1e-9);  // across midnight and New Year
+    // Mercator: s R dlon with s = cos 60; the sensor stays at the same position on the
+    // car.
     const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
     const PoseTrack& track = log.world_from_vehicle;
     EXPECT_NEAR(track.pose[1].translation.x, 0.0, 1e-9);
     EXPECT_NEAR(track.pose[2].translation.x - track.pose[1].translation.x, step, 1e-6);
     EXPECT_NEAR(track.pose[2].translation.y, 0.0, 1e-6);
-    // The sensor sits at -T = (0.8, -0.3, 0.8) in the car, which is turned a quarter to
-    // the left.
+    // The sensor is at -T = (0.8, -0.3, 0.8) in the car, which is turned a quarter turn
+    // to the left.
     EXPECT_NEAR(log.world_offset_m.x - step, 0.3, 1e-6);
     EXPECT_NEAR(log.world_offset_m.y, 0.8, 1e-6);
     EXPECT_NEAR(log.world_offset_m.z, 0.8, 1e-6);
@@ -125,7 +125,7 @@ TEST(KittiRaw, PosesTimesAndBoxes) {
     EXPECT_EQ(box.size_m, glm::dvec3(4.4, 1.8, 2.0));
     ASSERT_EQ(box.world_from_box.pose.size(), 2u);
     EXPECT_DOUBLE_EQ(box.world_from_box.time_s[0], log.frames[1].time_s);
-    // sensor (10, 2, -1.5 + h/2) of frame 1
+    // (10, 2, -1.5 + h/2) in the sensor frame of frame 1
     const glm::dvec3 centre = box.world_from_box.pose[0].translation;
     EXPECT_NEAR(glm::length(centre - glm::dvec3(-2, 10, -0.5)), 0.0, 1e-6);
     const glm::dvec3 ahead = box.world_from_box.pose[0].rotation * glm::dvec3(1, 0, 0);
@@ -160,18 +160,18 @@ TEST(KittiRaw, PosesFileFrameRangeAndMissingScans) {
     EXPECT_EQ(load_sequence(drive.folder.string(), options).frames.size(), 1u);
 }
 
-/// Empties lines of a file.
+/// Empties the given lines of a file.
 void blank_lines(const std::filesystem::path& path, const std::vector<std::size_t>& numbers) {
-    const std::string whole = test::read_text(path);
+    const std::string original = test::read_text(path);
     std::string text, line;
-    std::istringstream lines(whole);
+    std::istringstream lines(original);
     for (std::size_t n = 0; std::getline(lines, line); ++n)
         text += (std::find(numbers.begin(), numbers.end(), n) == numbers.end() ? line : "") + "\n";
     test::write_text(path, text);
 }
 
-// As drive 0009 ships: a scan less, its line of the three timestamp files empty, its OXTS
-// file there.
+// Drive 0009 lacks some scans: their lines in the three timestamp files are empty, but
+// their OXTS files exist.
 TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     const KittiDrive drive("drive0009");
     std::filesystem::remove(drive.scan(1));
@@ -183,7 +183,8 @@ TEST(KittiRaw, LoadsADriveWithoutSomeOfItsScans) {
     EXPECT_NEAR(log.frames[1].time_s - log.frames[0].time_s, 0.2, 1e-9);
     EXPECT_NEAR(log.lidars[0].sensor.period_s, 0.1, 1e-9);
     EXPECT_THAT(log.notes, testing::ElementsAre("1 of the scans 0 to 2 missing (1): left out"));
-    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;  // of OXTS, by number and not by count
+    // from the OXTS file with the frame's number, not by count
+    const double step = 0.5 * 6378137.0 * 1e-5 * kPi / 180;
     EXPECT_NEAR(log.world_from_vehicle.pose[1].translation.x - log.world_from_vehicle.pose[0].translation.x,
                 2 * step, 1e-6);
     ASSERT_EQ(log.boxes.size(), 1u);
@@ -216,7 +217,7 @@ TEST(KittiRaw, CalibrationBesideAboveOrInItsArchive) {
 
 TEST(KittiRaw, WithoutPosesAndTracklets) {
     const KittiDrive drive("no_poses");
-    const Sequence whole = load_sequence(drive.folder.string(), {});
+    const Sequence original = load_sequence(drive.folder.string(), {});
     std::filesystem::remove_all(drive.file("oxts"));
     std::filesystem::remove(drive.calibration());
     DatasetOptions options;
@@ -226,14 +227,14 @@ TEST(KittiRaw, WithoutPosesAndTracklets) {
     for (std::size_t i = 0; i < 3; ++i) {
         EXPECT_EQ(log.world_from_vehicle.pose[i].translation, glm::dvec3(0.0));
         EXPECT_EQ(log.world_from_vehicle.pose[i].rotation, glm::dquat(1, 0, 0, 0));
-        EXPECT_EQ(log.world_from_vehicle.time_s[i], whole.world_from_vehicle.time_s[i]);
-        EXPECT_EQ(log.frames[i].scan.range_m, whole.frames[i].scan.range_m);
+        EXPECT_EQ(log.world_from_vehicle.time_s[i], original.world_from_vehicle.time_s[i]);
+        EXPECT_EQ(log.frames[i].scan.range_m, original.frames[i].scan.range_m);
     }
     EXPECT_EQ(log.boxes[0].world_from_box.pose[0].translation, glm::dvec3(10, 2, -0.5));  // as labelled
-    set_vehicle_poses(log, whole.world_from_vehicle);
+    set_vehicle_poses(log, original.world_from_vehicle);
     for (std::size_t k = 0; k < 2; ++k)
         EXPECT_NEAR(glm::distance(log.boxes[0].world_from_box.pose[k].translation,
-                                  whole.boxes[0].world_from_box.pose[k].translation),
+                                  original.boxes[0].world_from_box.pose[k].translation),
                     0.0, 1e-9);
     std::filesystem::remove(drive.file("tracklet_labels.xml"));
     log = load_sequence(drive.folder.string(), options);
@@ -252,8 +253,8 @@ TEST(KittiRaw, ReturnsBeyondTheLimitAreDropped) {
 
 TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     const KittiDrive drive("far");
-    float farthest_m = 0.0f;                   // from the sensor
-    for (int frame = 0; frame < 3; ++frame) {  // the walls are 16 times as far away
+    float farthest_m = 0.0f;                   // distance from the sensor
+    for (int frame = 0; frame < 3; ++frame) {  // moves the walls to 16 times the distance
         std::string bytes = test::read_text(drive.scan(frame));
         for (std::size_t at = 0; at + 16 <= bytes.size(); at += 16) {
             float p[3];
@@ -267,7 +268,7 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     DatasetOptions options;
     options.max_range_m = INFINITY;
     const Sequence log = load_sequence(drive.folder.string(), options);
-    double offset_m = 0.0;  // ranges count from where a beam starts, not from the sensor
+    double offset_m = 0.0;  // ranges start at the origin of a beam, not at the sensor
     for (const Beam& beam : drive.beams)
         offset_m = std::max(offset_m, 16.0 * glm::length(glm::dvec3(beam.origin_offset_m, beam.origin_up_m,
                                                                     beam.origin_left_m)));
@@ -309,7 +310,7 @@ TEST(KittiRaw, RealDrive) {
     }
 }
 
-/// The points of a scan's file within a range, single precision as they are.
+/// Returns the points of a scan's file within a range, in the stored single precision.
 std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std::vector<float>& intensity) {
     std::vector<glm::vec4> records(fs::file_size(file) / sizeof(glm::vec4));
     const auto n_bytes = std::streamsize(records.size() * sizeof(glm::vec4));
@@ -320,7 +321,7 @@ std::vector<glm::vec3> file_points(const fs::path& file, float max_range_m, std:
     return points;
 }
 
-/// How many points have none of the others within 1 mm.
+/// Counts the points without a point of `others` within 1 mm.
 std::size_t count_missing(const std::vector<glm::vec3>& points, std::vector<glm::vec3> others) {
     constexpr float kSame_m = 1e-3f;
     std::ranges::sort(others, {}, &glm::vec3::x);
@@ -360,8 +361,8 @@ TEST(KittiRaw, RealScansKeepTheirPointsOnTheNativeGrid) {
     EXPECT_GT(lost_grid, lost_native);
 }
 
-/// What render.follow_sweeps rests on: nominal rays, each firing turned as one, are the
-/// rays of the scan, of dropped ones as well.
+/// The setting render.follow_sweeps relies on this: nominal rays, with each firing turned
+/// as a unit, equal the rays of the scan, including dropped rays.
 TEST(KittiRaw, RealScansHaveOneAzimuthAFiring) {
     const char* folder = std::getenv("RELIDAR_KITTI_DRIVE");
     if (!folder) GTEST_SKIP() << "RELIDAR_KITTI_DRIVE names no KITTI raw drive";

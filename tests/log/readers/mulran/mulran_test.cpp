@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// MulRan: a sequence written here, whose every ray is known, in both orders of points,
-// and what is wrong with its files.
+// Reads a MulRan sequence with known rays in both orders of points, and checks the errors
+// for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -19,10 +19,10 @@ namespace fs = std::filesystem;
 using test::MulranFolder;
 using test::StampedRay;
 
-/// Every return stands where the ray that was fired then met the yard, and none is lost.
-void expect_mulran_truth(const MulranFolder& data, const Sequence& found) {
-    const PoseTrack track = found.world_from_sensor(0);
-    for (const Frame& frame : found.frames) {
+/// Checks that every return is where its ray hit the yard, and that no return is lost.
+void expect_mulran_truth(const MulranFolder& data, const Sequence& sequence) {
+    const PoseTrack track = sequence.world_from_sensor(0);
+    for (const Frame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.1, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         const std::vector<StampedRay>& truth = data.drive.rays[std::size_t(frame.index)];
@@ -33,10 +33,11 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& found) {
             const StampedRay& ray = truth.at(column * 64 + frame.scan.rays.channel[i]);
             ASSERT_TRUE(ray.returned) << frame.index << " " << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // poses are straight for 10 ms; corrections of the rays are single precision
-            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), 0.002);
+            // Poses are interpolated linearly over 10 ms; corrections of rays are in
+            // single precision.
+            ASSERT_LT(glm::distance(placed.origin_m + sequence.world_offset_m, ray.origin_m), 0.002);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                        found.world_offset_m,
+                                        sequence.world_offset_m,
                                     ray.point_m),
                       0.003);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 200.0f / 255.0f);
@@ -47,16 +48,16 @@ void expect_mulran_truth(const MulranFolder& data, const Sequence& found) {
 TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const MulranFolder data("KAIST01");
     EXPECT_EQ(recognise_dataset(data.folder), "mulran");
-    const Sequence found = load_sequence(data.folder.string(), {});
-    EXPECT_EQ(found.name, "MulRan KAIST01");
-    ASSERT_EQ(found.frames.size(), 3u);
-    EXPECT_EQ(found.frames[0].index, 1);
-    EXPECT_THAT(found.notes,
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    EXPECT_EQ(sequence.name, "MulRan KAIST01");
+    ASSERT_EQ(sequence.frames.size(), 3u);
+    EXPECT_EQ(sequence.frames[0].index, 1);
+    EXPECT_THAT(sequence.notes,
                 testing::Contains(
                     "1 of 4 scans are left out, the first of them frame 0, the last frame 0: global_pose.csv "
                     "has no poses around their times"));
-    EXPECT_THAT(found.notes, testing::Contains("64 beams x 1024 columns are fitted to its points"));
-    const Lidar& lidar = found.lidars[0];
+    EXPECT_THAT(sequence.notes, testing::Contains("64 beams x 1024 columns are fitted to its points"));
+    const Lidar& lidar = sequence.lidars[0];
     EXPECT_NEAR(lidar.sensor.period_s, 0.1, 1e-5);
     EXPECT_TRUE(lidar.sensor.clockwise);
     ASSERT_EQ(lidar.sensor.beams.size(), 64u);
@@ -65,16 +66,16 @@ TEST(Mulran, EveryReturnIsWhereItWasMeasured) {
     const glm::dvec3 ahead = lidar.vehicle_from_sensor.rotation * glm::dvec3(1, 0, 0);
     EXPECT_NEAR(std::atan2(ahead.y, ahead.x) * 180.0 / kPi, -0.3346, 1e-4) << "looks forward";
     EXPECT_LT(glm::distance(lidar.vehicle_from_sensor.translation, glm::dvec3(1.7042, -0.021, 1.8047)), 1e-9);
-    expect_mulran_truth(data, found);
+    expect_mulran_truth(data, sequence);
 }
 
 TEST(Mulran, PointsRingByRingInTheOtherFolder) {
     const MulranFolder data("ring-by-ring", false);
     fs::create_directory(data.folder / "sensor_data");
     fs::rename(data.folder / "Ouster", data.folder / "sensor_data/Ouster");
-    const Sequence found = load_sequence(data.folder.string(), {});
-    ASSERT_EQ(found.frames.size(), 3u);
-    expect_mulran_truth(data, found);
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    ASSERT_EQ(sequence.frames.size(), 3u);
+    expect_mulran_truth(data, sequence);
 }
 
 TEST(Mulran, FramesAndOtherPoses) {
@@ -100,7 +101,7 @@ TEST(Mulran, FramesAndOtherPoses) {
 TEST(Mulran, PosesOfSomethingElseAreTold) {
     const MulranFolder data("backward");
     std::string lines;
-    for (int k = -10; k < 40; ++k) {  // of what looks to the left
+    for (int k = -10; k < 40; ++k) {  // sensor that looks to the left
         const Pose pose = data.drive.vehicle_at(0.01 * k);
         const glm::dvec3 x = pose.rotation * glm::dvec3(0, 1, 0), y = -(pose.rotation * glm::dvec3(1, 0, 0)),
                          &t = pose.translation;
@@ -119,9 +120,9 @@ TEST(Mulran, BrightPointsAreCut) {
     const float bright = 6000.0f;
     bytes.replace(12, 4, reinterpret_cast<const char*>(&bright), 4);
     test::write_text(data.scan(1), bytes);
-    const Sequence found = load_sequence(data.folder.string(), {});
+    const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_THAT(
-        found.notes,
+        sequence.notes,
         testing::Contains("intensities up to 6000: 200, above which 0.5 % of the points are, counts as 1"));
 }
 

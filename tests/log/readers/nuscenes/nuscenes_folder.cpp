@@ -17,7 +17,7 @@ namespace {
 constexpr std::int64_t kFirst_us = 1533151603547590;
 constexpr glm::dvec3 kMap_m(411.3, 1180.9, 0.0);
 
-// The LiDAR as nuScenes has it: x right, y forward.
+// Returns the mounting of the LiDAR in nuScenes axes: x right, y forward.
 Pose mounted() {
     return {glm::normalize(glm::dquat(0.7077955, -0.0064922, 0.0106464, -0.7063073)),
             {0.943713, 0.0, 1.84023}};
@@ -41,7 +41,8 @@ std::string sample_of(const char* token, const char* scene, int sweep) {
                        time_us(sweep));
 }
 
-/// The turn that ends at a sweep's time: its rays, and the file's bytes.
+/// Computes the rays of the turn that ends at a sweep's time and returns the bytes of its
+/// file.
 std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
     std::string bytes;
     const double end_s = sweep * NuscenesFolder::kSweep_s;
@@ -61,7 +62,8 @@ std::string turn_of(int sweep, int columns, std::vector<NuscenesRay>& rays) {
             ray.point_m = kMap_m + yard_hit(ray.origin_m - kMap_m, fired.rotation * raw);
             ray.returned =
                 hash64(std::uint64_t(column * 32 + ring), std::uint64_t(sweep)) % 8 != 0 && column % 60 != 7;
-            const glm::dvec3 nothing = fired * glm::dvec3(0.0, 1e-3, 0.0);  // compensated like all others
+            // compensated like all other points
+            const glm::dvec3 nothing = fired * glm::dvec3(0.0, 1e-3, 0.0);
             const glm::dvec3 p = inverse(map_from_raw) * (ray.returned ? ray.point_m : nothing);
             const float values[5] = {float(p.x), float(p.y), float(p.z), 51.0f, float(ring)};
             bytes.append(reinterpret_cast<const char*>(values), sizeof values);
@@ -111,7 +113,7 @@ NuscenesFolder::NuscenesFolder(const std::string& name, int n_columns)
             "\"{}\", \"filename\": \"{}\", \"timestamp\": {}, \"is_key_frame\": {}, \"next\": \"{}\"",
             token, sample, at, calibration, file, time_us(at), key, next));
     };
-    for (int i = kSweeps - 1; i >= 0; --i) {  // in no order of time
+    for (int i = kSweeps - 1; i >= 0; --i) {  // not ordered by time
         const std::string next = i + 1 < kSweeps ? fmt::format("d{}", i + 1) : "";
         add_file(fmt::format("d{}", i), i < 6 ? "k0" : "k1", "mount", i, i % 10 == 0, next,
                  fs::relative(sweep(i), folder).string());

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// nuScenes: a folder written here, whose every ray is known, and damage of each of its
-// files.
+// Reads a nuScenes folder with known rays, and folders with damage in each file.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -26,9 +25,10 @@ Sequence load(const NuscenesFolder& data, const std::string& scene = "scene-0103
     return load_sequence(data.folder.string(), options);
 }
 
-/// A LiDAR's place is interpolated along chords, 0.944 m from the axle at 0.0175 rad a
-/// sweep. At s sweeps after the first end of a chord it is r angle^2 |s (s - 1)| / 2 off
-/// the arc; the first turn, s = -1 to 0, goes back along the chord after it.
+/// Returns the interpolation error of the LiDAR's position, which moves along chords at
+/// 0.944 m from the axle with 0.0175 rad per sweep. At s sweeps after the start of a
+/// chord the distance to the arc is r angle^2 |s (s - 1)| / 2. The first turn, s = -1 to
+/// 0, extrapolates the next chord backwards.
 double off_arc_m(int frame, double s) {
     const double arc_m = 0.944 * 0.0175 * 0.0175, along = frame == 0 ? s - 1.0 : s;
     return arc_m * std::abs(along * (along - 1.0)) / 2.0 + 1e-6;
@@ -37,15 +37,15 @@ double off_arc_m(int frame, double s) {
 TEST(Nuscenes, EveryRayIsWhereItWasFired) {
     const NuscenesFolder data("rays");
     EXPECT_EQ(recognise_dataset(data.folder), "nuscenes");
-    const Sequence found = load(data);
-    EXPECT_EQ(found.name, "nuScenes scene-0103");
-    ASSERT_EQ(found.frames.size(), std::size_t(NuscenesFolder::kSweeps));
-    const SpinningSensor& sensor = found.lidars[0].sensor;
+    const Sequence actual = load(data);
+    EXPECT_EQ(actual.name, "nuScenes scene-0103");
+    ASSERT_EQ(actual.frames.size(), std::size_t(NuscenesFolder::kSweeps));
+    const SpinningSensor& sensor = actual.lidars[0].sensor;
     ASSERT_EQ(sensor.beams.size(), 32u);
     EXPECT_NEAR(sensor.beams[0].elevation_rad * 180.0 / kPi, 10.67, 5e-3);
     EXPECT_NEAR(sensor.beams[31].elevation_rad * 180.0 / kPi, -30.67, 5e-3);
-    const PoseTrack track = found.world_from_sensor(0);
-    for (const Frame& frame : found.frames) {
+    const PoseTrack track = actual.world_from_sensor(0);
+    for (const Frame& frame : actual.frames) {
         ASSERT_EQ(frame.scan.rays.columns, data.columns);
         std::size_t n_returns = 0;
         for (const NuscenesRay& ray : data.rays[std::size_t(frame.index)]) n_returns += ray.returned;
@@ -61,13 +61,13 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
             ASSERT_EQ(returned, ray.returned) << i;
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const double off_m = off_arc_m(frame.index, turned);
-            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), off_m);
+            ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m), off_m);
             ASSERT_LT(glm::distance(glm::dvec3(frame.scan.rays.direction[i]), ray.direction),
                       returned ? off_m / 4.0 + 1e-6 : 4e-4)
                 << i;
             if (!returned) continue;
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                        found.world_offset_m,
+                                        actual.world_offset_m,
                                     ray.point_m),
                       1e-4);
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
@@ -77,22 +77,23 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
 
 TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     const NuscenesFolder data("boxes", 40);
-    const Sequence found = load(data);
-    for (std::size_t i = 0; i < found.frames.size(); ++i) {
-        EXPECT_NEAR(found.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
-        const Pose truth = NuscenesFolder::vehicle_at(found.frames[i].time_s),
-                   &pose = found.world_from_vehicle.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, truth.translation), 1e-8);
+    const Sequence actual = load(data);
+    for (std::size_t i = 0; i < actual.frames.size(); ++i) {
+        EXPECT_NEAR(actual.frames[i].time_s, double(i) * NuscenesFolder::kSweep_s, 1e-9);
+        const Pose truth = NuscenesFolder::vehicle_at(actual.frames[i].time_s),
+                   &pose = actual.world_from_vehicle.pose[i];
+        EXPECT_LT(glm::distance(pose.translation + actual.world_offset_m, truth.translation), 1e-8);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
     }
-    ASSERT_EQ(found.boxes.size(), 1u) << "the dog is in another scene";
-    const BoxTrack& box = found.boxes[0];
+    ASSERT_EQ(actual.boxes.size(), 1u) << "the dog is in another scene";
+    const BoxTrack& box = actual.boxes[0];
     EXPECT_EQ(box.category, "vehicle.car");
     EXPECT_EQ(box.size_m, glm::dvec3(4.5, 1.9, 1.6)) << "length first";
-    ASSERT_EQ(box.world_from_box.pose.size(), found.frames.size());
-    for (std::size_t i = 0; i < found.frames.size(); ++i) {
-        const Pose truth = NuscenesFolder::box_at(found.frames[i].time_s), &pose = box.world_from_box.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, truth.translation), 1e-8);
+    ASSERT_EQ(box.world_from_box.pose.size(), actual.frames.size());
+    for (std::size_t i = 0; i < actual.frames.size(); ++i) {
+        const Pose truth = NuscenesFolder::box_at(actual.frames[i].time_s),
+                   &pose = box.world_from_box.pose[i];
+        EXPECT_LT(glm::distance(pose.translation + actual.world_offset_m, truth.translation), 1e-8);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-12);
     }
 }
@@ -145,14 +146,14 @@ TEST(Nuscenes, KeyframesAlone) {
     options.skip_broken = true;
     EXPECT_EQ(load(data, "103", options).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
     fs::remove_all(data.folder / "sweeps");
-    const Sequence found = load(data);
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("its keyframes alone")));
-    ASSERT_EQ(found.frames.size(), 2u);
-    EXPECT_EQ(found.frames[1].index, 10);
-    EXPECT_NEAR(found.frames[1].time_s, 0.5, 1e-9);
-    EXPECT_EQ(found.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, found.frames[1].time_s}));
-    const PoseTrack track = found.world_from_sensor(0);
-    for (const Frame& frame : found.frames) {
+    const Sequence actual = load(data);
+    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr("its keyframes alone")));
+    ASSERT_EQ(actual.frames.size(), 2u);
+    EXPECT_EQ(actual.frames[1].index, 10);
+    EXPECT_NEAR(actual.frames[1].time_s, 0.5, 1e-9);
+    EXPECT_EQ(actual.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, actual.frames[1].time_s}));
+    const PoseTrack track = actual.world_from_sensor(0);
+    for (const Frame& frame : actual.frames) {
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const double turned = double(frame.scan.rays.time_offset_s[i]) / NuscenesFolder::kSweep_s + 1.0;
@@ -160,13 +161,13 @@ TEST(Nuscenes, KeyframesAlone) {
                               ring = 31u - frame.scan.rays.channel[i];
             const NuscenesRay& ray = data.rays[std::size_t(frame.index)][column * 32 + ring];
             const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-            // a chord of half a second, from where the LiDAR turns about the axle
+            // A chord of half a second; the LiDAR turns about the axle.
             const double s = (frame.index == 0 ? 0.0 : 1.0) + 0.1 * (turned - 1.0),
                          arc_m = 0.944 * 0.175 * 0.175;
-            ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m),
+            ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m),
                       arc_m * std::abs(s * (s - 1.0)) / 2.0 + 1e-5);
             ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                        found.world_offset_m,
+                                        actual.world_offset_m,
                                     ray.point_m),
                       1e-4);
         }

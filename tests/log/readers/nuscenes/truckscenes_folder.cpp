@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// After the schema of the development kit and the point clouds that it reads: PCD with x,
-// y, z, intensity and a stamp of each point in microseconds, in the LiDAR's own frame,
-// not compensated; a pose of the vehicle every 10 ms, of which files name the nearest.
+// Follows the schema of the development kit and its point clouds: PCD with x, y, z,
+// intensity and a time stamp of each point in microseconds, in the LiDAR's frame, not
+// compensated. The vehicle has a pose every 10 ms, and files refer to the nearest pose.
 #include "log/readers/nuscenes/truckscenes_folder.hpp"
 
 #include <cmath>
@@ -101,7 +101,7 @@ void TruckScenesFolder::write_tables() const {
     std::vector<std::string> samples, mounts;
     std::vector<std::string> sensors = {
         "\"token\": \"radar\", \"channel\": \"RADAR_LEFT_FRONT\", \"modality\": \"radar\""};
-    for (int k = 0; k < kSweeps; k += 5)  // a sample's time is near those of its files
+    for (int k = 0; k < kSweeps; k += 5)  // the time of a sample is close to the times of its files
         samples.push_back(fmt::format("\"token\": \"k{}\", \"scene_token\": \"s0\", \"timestamp\": {}", k,
                                       stamp_us(k, 0.0) + (k == 0 ? 900 : -900)));
     std::vector<std::string> files, poses;

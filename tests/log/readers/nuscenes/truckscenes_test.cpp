@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// TruckScenes and Lyft Level 5: nuScenes' tables with several LiDARs, whose points are as
-// they were measured, without rings.
+// Reads TruckScenes and Lyft Level 5: nuScenes tables with several LiDARs, whose points
+// are not compensated and have no rings.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -31,10 +31,11 @@ Sequence load(const TruckScenesFolder& data, DatasetOptions options = {}) {
     return load_sequence(data.folder.string(), options);
 }
 
-/// Every return of a frame is that of the ray which was fired then, and none is lost.
-void expect_truth(const Sequence& found, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
+/// Checks that every return of a frame belongs to the ray fired at its time, and that no
+/// return is lost.
+void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesFolder::Lidar& lidar) {
     const std::vector<TruckRay>& truth = lidar.rays[std::size_t(frame.index)];
-    const PoseTrack track = found.world_from_sensor(frame.lidar);
+    const PoseTrack track = actual.world_from_sensor(frame.lidar);
     const std::size_t n_beams = lidar.elevations_deg.size();
     std::size_t n_returns = 0;
     for (const TruckRay& ray : truth) n_returns += ray.returned;
@@ -48,15 +49,15 @@ void expect_truth(const Sequence& found, const Frame& frame, const TruckScenesFo
         ASSERT_TRUE(ray.returned) << i;
         ASSERT_NEAR(fired_s, ray.time_s, 1e-7);
         const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
-        // the LiDAR goes along chords, less than 2.5 m from the axle, at 20 degrees a
-        // second
+        // The LiDAR moves along chords, less than 2.5 m from the axle, at 20 degrees per
+        // second.
         const TrackPlace place = track.place(fired_s);
         const double turn_rad =
             20.0 * kPi / 180.0 * (track.time_s[place.left + 1] - track.time_s[place.left]);
         const double off_m = 2.5 * turn_rad * turn_rad * std::abs(place.s * (place.s - 1.0)) / 2.0 + 2e-5;
-        ASSERT_LT(glm::distance(placed.origin_m + found.world_offset_m, ray.origin_m), off_m) << i;
+        ASSERT_LT(glm::distance(placed.origin_m + actual.world_offset_m, ray.origin_m), off_m) << i;
         ASSERT_LT(glm::distance(placed.origin_m + double(frame.scan.range_m[i]) * placed.direction +
-                                    found.world_offset_m,
+                                    actual.world_offset_m,
                                 ray.point_m),
                   off_m + 1e-4);
         ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.2f);
@@ -66,13 +67,13 @@ void expect_truth(const Sequence& found, const Frame& frame, const TruckScenesFo
 TEST(TruckScenes, EveryReturnOfBothLidars) {
     const TruckScenesFolder data("rays");
     EXPECT_EQ(recognise_dataset(data.folder), "nuscenes");
-    const Sequence found = load(data);
-    EXPECT_EQ(found.name, "TruckScenes scene-0044384af3d8494e913fb8b14915239e-3");
-    ASSERT_EQ(found.lidars.size(), 2u);
-    ASSERT_EQ(found.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 1))
+    const Sequence actual = load(data);
+    EXPECT_EQ(actual.name, "TruckScenes scene-0044384af3d8494e913fb8b14915239e-3");
+    ASSERT_EQ(actual.lidars.size(), 2u);
+    ASSERT_EQ(actual.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 1))
         << "LIDAR_TOP_FRONT lacks a sweep";
     for (std::size_t l = 0; l < 2; ++l) {
-        const Lidar& lidar = found.lidars[l];
+        const Lidar& lidar = actual.lidars[l];
         EXPECT_EQ(lidar.name, data.lidars[l].channel);
         EXPECT_NEAR(lidar.period_s(), TruckScenesFolder::kSweep_s, 1e-4);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
@@ -81,28 +82,28 @@ TEST(TruckScenes, EveryReturnOfBothLidars) {
             EXPECT_NEAR(lidar.sensor.beams[b].elevation_rad * 180.0 / kPi, data.lidars[l].elevations_deg[b],
                         1e-3);
     }
-    for (const Frame& frame : found.frames) {
+    for (const Frame& frame : actual.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * TruckScenesFolder::kSweep_s, 1e-9)
             << "LiDARs share the time of the first";
-        expect_truth(found, frame, data.lidars[std::size_t(frame.lidar)]);
+        expect_truth(actual, frame, data.lidars[std::size_t(frame.lidar)]);
     }
     EXPECT_THAT(
-        found.notes,
+        actual.notes,
         testing::Contains(testing::HasSubstr("LiDAR 'LIDAR_TOP_FRONT': 24 beams x 400 columns are fitted")));
 }
 
 TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     const TruckScenesFolder data("poses");
-    const Sequence found = load(data);
-    ASSERT_EQ(found.world_from_vehicle.time_s.size(), std::size_t(TruckScenesFolder::kSweeps));
-    for (std::size_t i = 0; i < found.world_from_vehicle.time_s.size(); ++i) {
-        const Pose truth = TruckScenesFolder::vehicle_at(found.world_from_vehicle.time_s[i]),
-                   &pose = found.world_from_vehicle.pose[i];
-        EXPECT_LT(glm::distance(pose.translation + found.world_offset_m, truth.translation), 1e-6);
+    const Sequence actual = load(data);
+    ASSERT_EQ(actual.world_from_vehicle.time_s.size(), std::size_t(TruckScenesFolder::kSweeps));
+    for (std::size_t i = 0; i < actual.world_from_vehicle.time_s.size(); ++i) {
+        const Pose truth = TruckScenesFolder::vehicle_at(actual.world_from_vehicle.time_s[i]),
+                   &pose = actual.world_from_vehicle.pose[i];
+        EXPECT_LT(glm::distance(pose.translation + actual.world_offset_m, truth.translation), 1e-6);
         EXPECT_NEAR(std::abs(glm::dot(pose.rotation, truth.rotation)), 1.0, 1e-9);
     }
-    ASSERT_EQ(found.boxes.size(), 1u);
-    const BoxTrack& box = found.boxes[0];
+    ASSERT_EQ(actual.boxes.size(), 1u);
+    const BoxTrack& box = actual.boxes[0];
     EXPECT_EQ(box.category, "vehicle.other");
     EXPECT_EQ(object_kind(box.category), ObjectKind::vehicle);
     EXPECT_EQ(box.size_m, glm::dvec3(5.5, 2.1, 2.4));
@@ -111,7 +112,7 @@ TEST(TruckScenes, PosesGoByTheirOwnTimesAndBoxesBySamples) {
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
         const Pose truth = TruckScenesFolder::box_at(box.world_from_box.time_s[i]);
         EXPECT_LT(
-            glm::distance(box.world_from_box.pose[i].translation + found.world_offset_m, truth.translation),
+            glm::distance(box.world_from_box.pose[i].translation + actual.world_offset_m, truth.translation),
             1e-6);
     }
 }
@@ -178,9 +179,10 @@ std::string replaced(std::string text, const std::string& from, const std::strin
     return text;
 }
 
-/// Makes a Lyft folder of it, as Kaggle has it: tables in train_data, files
-/// `lidar/NAME.bin` in train_lidar with 5 columns, of which the last two are the same
-/// everywhere; LIDAR_TOP; stamps with a fraction. @return ranges of the points by file
+/// Converts the folder to a Lyft folder as distributed on Kaggle: tables in train_data,
+/// files `lidar/NAME.bin` in train_lidar with 5 columns, of which the last two are
+/// constant; LIDAR_TOP; time stamps with a fraction.
+/// @return ranges of the points by file
 std::map<std::string, std::vector<float>> make_lyft(const TruckScenesFolder& data) {
     std::map<std::string, std::vector<float>> ranges;
     for (const TruckScenesFolder::Lidar& lidar : data.lidars)
@@ -217,24 +219,24 @@ TEST(Lyft, ReturnsOfBothLidars) {
     const TruckScenesFolder data("lyft");
     auto ranges = make_lyft(data);
     EXPECT_EQ(recognise_dataset(data.folder), "lyft");
-    const Sequence found = load(data);
-    EXPECT_EQ(found.name, "Lyft Level 5 scene-0044384af3d8494e913fb8b14915239e-3");
-    ASSERT_EQ(found.lidars.size(), 2u);
-    EXPECT_EQ(found.lidars[0].name, "LIDAR_TOP") << "comes first";
-    EXPECT_EQ(found.lidars[1].name, "LIDAR_LEFT");
-    ASSERT_EQ(found.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2))
+    const Sequence actual = load(data);
+    EXPECT_EQ(actual.name, "Lyft Level 5 scene-0044384af3d8494e913fb8b14915239e-3");
+    ASSERT_EQ(actual.lidars.size(), 2u);
+    EXPECT_EQ(actual.lidars[0].name, "LIDAR_TOP") << "comes first";
+    EXPECT_EQ(actual.lidars[1].name, "LIDAR_LEFT");
+    ASSERT_EQ(actual.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2))
         << "LIDAR_LEFT has a sweep that LIDAR_TOP lacks";
-    EXPECT_THAT(found.notes,
+    EXPECT_THAT(actual.notes,
                 testing::Contains("LIDAR_LEFT: 1 sweeps are left out: LIDAR_TOP has none beside them"));
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr(
-                                 "LIDAR_LEFT: points have no times, so its sweeps, up to 0.007 s from")));
-    for (const Lidar& lidar : found.lidars) {
+    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr(
+                                  "LIDAR_LEFT: points have no times, so its sweeps, up to 0.007 s from")));
+    for (const Lidar& lidar : actual.lidars) {
         EXPECT_NEAR(lidar.period_s(), 0.1, 1e-9);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);
     }
-    EXPECT_EQ(found.lidars[0].sensor.beams.size(), 24u);
-    EXPECT_EQ(found.lidars[1].sensor.beams.size(), 17u);
-    for (const Frame& frame : found.frames) {
+    EXPECT_EQ(actual.lidars[0].sensor.beams.size(), 24u);
+    EXPECT_EQ(actual.lidars[1].sensor.beams.size(), 17u);
+    for (const Frame& frame : actual.frames) {
         const int sweep = frame.index < TruckScenesFolder::kMissing ? frame.index : frame.index + 1;
         std::vector<float> read,
             &written =
@@ -249,15 +251,15 @@ TEST(Lyft, ReturnsOfBothLidars) {
         for (std::size_t i = 0; i < read.size(); ++i) ASSERT_NEAR(read[i], written[i], 1e-4f);
     }
     const Pose truth = TruckScenesFolder::vehicle_at(0.507);
-    EXPECT_LT(
-        glm::distance(found.world_from_vehicle.at(0.5).translation + found.world_offset_m, truth.translation),
-        1e-5);
+    EXPECT_LT(glm::distance(actual.world_from_vehicle.at(0.5).translation + actual.world_offset_m,
+                            truth.translation),
+              1e-5);
 }
 
 TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
     const TruckScenesFolder data("lyft_moved");
     make_lyft(data);
-    // as the truck drove during the sweep
+    // The truck moves during the sweep.
     const auto moved_s = [](std::size_t point) { return 0.1 * double(point % 400) / 400.0; };
     for (const fs::directory_entry& file : fs::directory_iterator(data.folder / "train_lidar")) {
         std::string bytes = test::read_text(file.path());
@@ -271,10 +273,10 @@ TEST(Lyft, PointsThatWereMovedHaveNoColumns) {
     }
     DatasetOptions options;
     options.lidars = {"LIDAR_TOP"};
-    const Sequence found = load(data, options);
-    EXPECT_EQ(found.frames[0].scan.rays.rows, 1) << "rays without order";
-    EXPECT_EQ(found.frames[0].scan.count_returns(), found.frames[0].scan.rays.size());
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("rays that were dropped are unknown")));
+    const Sequence actual = load(data, options);
+    EXPECT_EQ(actual.frames[0].scan.rays.rows, 1) << "rays without order";
+    EXPECT_EQ(actual.frames[0].scan.count_returns(), actual.frames[0].scan.rays.size());
+    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr("rays that were dropped are unknown")));
 }
 
 }  // namespace

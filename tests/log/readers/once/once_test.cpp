@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// ONCE: a sequence written here, whose every ray is known, with quaternions in both
-// orders, and what is wrong with its files.
+// Reads an ONCE sequence with known rays and quaternions in both orders, and checks the
+// errors for invalid files.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -18,25 +18,25 @@ namespace {
 namespace fs = std::filesystem;
 using test::OnceFolder;
 
-/// Every return lies on a surface of the yard, its ray starts where the LiDAR was, and
-/// none is lost.
-void expect_once_truth(const OnceFolder& data, const Sequence& found) {
-    const PoseTrack track = found.world_from_sensor(0);
+/// Checks that every return is on a surface of the yard, that its ray starts at the
+/// LiDAR, and that no return is lost.
+void expect_once_truth(const OnceFolder& data, const Sequence& sequence) {
+    const PoseTrack track = sequence.world_from_sensor(0);
     const Pose yard_from_once{data.drive.lidar_at(0.0)};
-    for (const Frame& frame : found.frames) {
+    for (const Frame& frame : sequence.frames) {
         EXPECT_NEAR(frame.time_s, frame.index * 0.5, 1e-9);
         EXPECT_EQ(frame.scan.count_returns(), data.drive.count_returns(frame.index));
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             if (frame.scan.range_m[i] == 0.0f) continue;
             const WorldRay ray = world_ray(track, frame.time_s, frame.scan.rays, i, true);
             const double fired_s = frame.time_s + double(frame.scan.rays.time_offset_s[i]);
-            const glm::dvec3 origin = yard_from_once * (ray.origin_m + found.world_offset_m);
-            // straight for half a second at 8 m/s and 0.1 rad/s: 14 mm beside it half a
-            // scan before the first
+            const glm::dvec3 origin = yard_from_once * (ray.origin_m + sequence.world_offset_m);
+            // Poses are interpolated linearly over half a second. At 8 m/s and 0.1 rad/s
+            // the error is 14 mm, half a scan before the first pose.
             ASSERT_LT(glm::distance(origin, data.drive.lidar_at(fired_s).translation), 0.015)
                 << frame.index << " " << i;
             const glm::dvec3 point =
-                ray.origin_m + double(frame.scan.range_m[i]) * ray.direction + found.world_offset_m;
+                ray.origin_m + double(frame.scan.range_m[i]) * ray.direction + sequence.world_offset_m;
             ASSERT_LT(test::off_yard_m(yard_from_once * point - data.drive.world_m), 0.02)
                 << frame.index << " " << i;
             ASSERT_FLOAT_EQ(frame.scan.intensity[i], 0.25f);
@@ -47,38 +47,39 @@ void expect_once_truth(const OnceFolder& data, const Sequence& found) {
 TEST(Once, EveryReturnIsOnTheYard) {
     const OnceFolder data("000076");
     EXPECT_EQ(recognise_dataset(data.folder), "once");
-    const Sequence found = load_sequence(data.folder.string(), {});
-    EXPECT_EQ(found.name, "ONCE 000076");
-    ASSERT_EQ(found.frames.size(), std::size_t(OnceFolder::kScans));
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    EXPECT_EQ(sequence.name, "ONCE 000076");
+    ASSERT_EQ(sequence.frames.size(), std::size_t(OnceFolder::kScans));
     EXPECT_THAT(
-        found.notes,
+        sequence.notes,
         testing::Contains("1 boxes of 1 labelled frames are left out: nothing says which are of one thing"));
-    EXPECT_THAT(found.notes,
+    EXPECT_THAT(sequence.notes,
                 testing::Contains(
                     "40 beams x 900 columns are fitted to its points, which have no rings: each is taken for "
                     "one of the nominal beam that passes nearest"));
-    EXPECT_TRUE(found.boxes.empty());
-    const SpinningSensor& sensor = found.lidars[0].sensor;
+    EXPECT_TRUE(sequence.boxes.empty());
+    const SpinningSensor& sensor = sequence.lidars[0].sensor;
     EXPECT_EQ(sensor.period_s, 0.1) << "a turn, not the time between scans";
     ASSERT_EQ(sensor.beams.size(), 40u);
     for (std::size_t b = 0; b < 40; ++b)
         EXPECT_NEAR(sensor.beams[b].elevation_rad, data.drive.beams[b].elevation_rad, 1e-5);
-    expect_once_truth(data, found);
-    // x looks forward, in a world whose x is to the left and y to the back
-    const glm::dvec3 ahead = found.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
+    expect_once_truth(data, sequence);
+    // x points forward, in a world whose x points left and y backward
+    const glm::dvec3 ahead = sequence.world_from_vehicle.pose[0].rotation * glm::dvec3(1, 0, 0);
     EXPECT_LT(glm::distance(ahead, glm::dvec3(0, -1, 0)), 1e-9);
 }
 
 TEST(Once, QuaternionsWithWFirst) {
     const OnceFolder data("w-first", true);
-    const Sequence found = load_sequence(data.folder.string(), {});
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("quaternions of poses have w first")));
-    expect_once_truth(data, found);
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr("quaternions of poses have w first")));
+    expect_once_truth(data, sequence);
 }
 
 TEST(Once, PointsOfAnotherLidar) {
     const OnceFolder data("other");
-    for (int s = 0; s < OnceFolder::kScans; ++s) {  // tilted by up to a degree: no beams at all
+    // tilted by up to a degree, so that the points do not form beams
+    for (int s = 0; s < OnceFolder::kScans; ++s) {
         std::string bytes = test::read_text(data.scan(s));
         for (std::size_t at = 0; at < bytes.size(); at += 16) {
             float p[3];
@@ -88,9 +89,9 @@ TEST(Once, PointsOfAnotherLidar) {
         }
         test::write_text(data.scan(s), bytes);
     }
-    const Sequence found = load_sequence(data.folder.string(), {});
-    EXPECT_EQ(found.frames[0].scan.rays.rows, 1) << "rays without order";
-    EXPECT_THAT(found.notes, testing::Contains(testing::HasSubstr("rays that were dropped are unknown")));
+    const Sequence sequence = load_sequence(data.folder.string(), {});
+    EXPECT_EQ(sequence.frames[0].scan.rays.rows, 1) << "rays without order";
+    EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr("rays that were dropped are unknown")));
 }
 
 TEST(Once, FramesOtherPosesAndMissingScans) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// People of the synthetic street who swing their legs and arms: limbs against stepping
-// along rays, and steps that go by distance.
+// Checks people of the synthetic street with swinging legs and arms. Compares hits on
+// limbs with a search in small steps along rays. Steps must depend on the walked
+// distance.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -21,8 +22,8 @@ double distance_to_segment(const glm::dvec3& p, const glm::dvec3& a, const glm::
     return glm::distance(p, a + along * (b - a));
 }
 
-/// A limb against steps of its distance along rays from all sides: its axis hangs from
-/// the joint, swung forward by swing sin(stride).
+/// Compares a limb with small steps along rays from all sides. Its axis hangs from the
+/// joint, swung forward by swing sin(stride).
 TEST(Gait, LimbsAreMetWhereTheySwing) {
     const street::Limb limb{{0.1, 0.3, 0.2}, 0.7, 0.08, 0.5, 0.4, 0.5};
     street::MovingCar walker;
@@ -50,7 +51,7 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
         double t = 0.0, gap = 1.0;
         for (int step = 0; step < 400 && gap > 1e-9 && t < 8.0; ++step, t += gap)
             gap = distance_to_segment(origin + t * ray.direction, joint, end) - limb.radius_m;
-        if (gap > 1e-9 && gap < 1e-3) continue;  // it passes by a hair
+        if (gap > 1e-9 && gap < 1e-3) continue;  // nearly touches the limb
         const std::optional<street::Hit> hit = caster.cast(ray, t_s, 20.0);
         const bool on_limb = hit && std::abs(glm::distance(origin + hit->range_m * ray.direction, box)) < 2.0;
         ASSERT_EQ(on_limb, gap <= 1e-9) << i;
@@ -61,8 +62,8 @@ TEST(Gait, LimbsAreMetWhereTheySwing) {
     EXPECT_GT(hits, 1500);
 }
 
-/// Who walks his way at half the speed sets his feet where he did: seen when he comes to
-/// the same place, he looks the same.
+/// A person on the same path at half the speed must step on the same places and look the
+/// same at the same position.
 TEST(Gait, GoesByDistance) {
     const SyntheticOptions options{.n_frames = 9, .people = true, .gait = true};
     const Sequence street = make_synthetic_street(options);
@@ -72,7 +73,7 @@ TEST(Gait, GoesByDistance) {
     const BoxTrack& box = street.boxes[walker];
     const glm::dvec3 at = box.world_from_box.pose[4].translation;
     constexpr int kSide = 60;
-    RayTable rays;  // all at one moment
+    RayTable rays;  // all fired at the same time
     rays.rows = rays.columns = kSide;
     constexpr std::size_t kRays = std::size_t(kSide) * kSide;
     for (int i = 0; i < int(kRays); ++i)

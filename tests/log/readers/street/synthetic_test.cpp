@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street: casts against closed forms, determinism, moving cars in their
-// boxes, the file and its messages.
+// Checks the synthetic street: ray casts against closed forms, determinism, moving cars
+// within their boxes, and the settings file with its error messages.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -33,7 +33,8 @@ RayTable one_ray(const glm::vec3& direction) {
 
 TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     const SyntheticOptions options = small();
-    const PoseTrack level{{0.2}, {Pose{}}};  // relidar's origin: the sensor in the middle frame, 1.8 m up
+    // origin of relidar's world: the sensor in the middle frame, 1.8 m up
+    const PoseTrack level{{0.2}, {Pose{}}};
     for (const double elevation : {-0.8, -0.5, -0.4}) {
         const glm::vec3 d(0.0f, std::cos(elevation), std::sin(elevation));
         const Scan scan = cast_synthetic_street(options, one_ray(d), level, 0.2);
@@ -43,7 +44,7 @@ TEST(Synthetic, GroundLiesAtHeightOverSineOfTheElevation) {
     EXPECT_EQ(cast_synthetic_street(options, one_ray({0, 0, 1}), level, 0.2).range_m[0], 0.0f);
 }
 
-/// Boxes of the street's own cars, as edits start from them.
+/// Returns the boxes of the street's cars, with which edits start.
 std::vector<StreetCar> own_cars(const SyntheticOptions& options) {
     std::vector<StreetCar> cars;
     for (const BoxTrack& box : make_synthetic_street(options).boxes) cars.push_back({cars.size(), box});
@@ -85,10 +86,10 @@ TEST(Synthetic, EditedCarsAreMetWhereTheirTracksPutThem) {
 }
 
 TEST(Synthetic, MovingCarIsMetWhereItsSpeedPutsIt) {
-    // At the middle frame the car ahead has its centre 12 m ahead; it drives 1.05 times
-    // as fast as the sensor.
+    // At the middle frame the centre of the car ahead is 12 m ahead. The car drives 1.05
+    // times as fast as the sensor.
     const SyntheticOptions options = small();
-    // 0.6 m above the ground, in the car's body
+    // 0.6 m above the ground, at the height of the car's body
     PoseTrack still{{0.2}, {Pose{{1, 0, 0, 0}, {0, 0, -1.2}}}};
     const double rear = 12.0 - 0.5 * 4.3;
     const double t = 0.05;
@@ -165,7 +166,7 @@ TEST(Synthetic, TakesPosesFromAFileAndBoxesGoAlong) {
     {
         std::ofstream out(file);
         out.precision(17);
-        // the same places, but 0.5 m further left in the street's world
+        // The same positions, but 0.5 m further left in the street's world.
         for (const Pose& pose : exact.world_from_vehicle.pose) {
             const glm::dmat4 m = to_matrix(pose);
             const glm::dvec3 t = pose.translation + exact.world_offset_m + glm::dvec3(0.0, 0.5, 0.0);
@@ -217,7 +218,7 @@ TEST(Synthetic, SizesAreBoundedByTheirProductToo) {
     fs::remove_all(folder);
 }
 
-/// A street logged through a rig.
+/// Returns the options of a street logged with a rig.
 SyntheticOptions rig_street() {
     SyntheticOptions options{.n_frames = 4, .range_noise_m = 0.0};
     options.rig = test::write_rig(fs::path(testing::TempDir()) / "relidar_synthetic_rig");
@@ -280,7 +281,7 @@ TEST(SyntheticRig, SecondReturnsLieOnSurfacesThatExactRaysOfTheBeamMeet) {
         const auto [low, high] = std::ranges::minmax(scan.range_m);
         const bool near =
             std::ranges::any_of(scan.range_m, [&](float r) { return std::abs(r - second_m) < 0.3f; });
-        // a slope's mean
+        // mean range of a slope
         met += near || (low < second_m && second_m < high && high - low > 2.0f && second_m > 10.0f);
     }
     EXPECT_GE(n, 100u);
@@ -400,8 +401,8 @@ TEST(Synthetic, SavedAndLoadedAgain) {
     ASSERT_EQ(read.frames.size(), 2u);
     EXPECT_EQ(read.frames[1].index, 2);
     EXPECT_EQ(read.world_offset_m, made.world_offset_m);
-    const Scan whole = load_sequence(folder.string(), {}).frames[2].scan;
-    EXPECT_EQ(whole.range_m, made.frames[2].scan.range_m);
+    const Scan original = load_sequence(folder.string(), {}).frames[2].scan;
+    EXPECT_EQ(original.range_m, made.frames[2].scan.range_m);
     EXPECT_TRUE(read.rolling_shutter);
     range.rolling_shutter = false;
     EXPECT_FALSE(load_sequence(folder.string(), range).rolling_shutter)
@@ -431,7 +432,7 @@ TEST(Synthetic, WrongFilesAreNamed) {
     EXPECT_THAT(message("n_frames = 0\n"), HasSubstr("n_frames is 0"));
     EXPECT_THAT(message("gait = true\n"), HasSubstr("gait is true without people"));
     EXPECT_THAT(message("rows = \n"), HasSubstr("street.toml line 1: malformed TOML"));
-    // libFuzzer: casts of what no integer holds
+    // found by fuzzing: conversions of values that no integer can hold
     for (const char* real : {"16.0", "4.4e38", "-1e308", "nan"})
         EXPECT_THAT(
             message(std::string("rows = ") + real + "\n"),
@@ -441,8 +442,8 @@ TEST(Synthetic, WrongFilesAreNamed) {
     EXPECT_THROW(make_synthetic_street(options), UsageError);
 }
 
-/// People's boxes hold their returns, whose number falls with range as it does on a
-/// street.
+/// The boxes of people must contain their returns, and the number of returns must
+/// decrease with the range.
 class SyntheticPeople : public testing::TestWithParam<bool> {};
 INSTANTIATE_TEST_SUITE_P(Gait, SyntheticPeople, testing::Bool());
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A yard of four walls without a roof, in which the logs that tests write are recorded:
-// where a ray meets it is a closed form.
+// A yard of four walls without a roof, in which tests record logs. The hit of a ray has a
+// closed form.
 #pragma once
 
 #include <algorithm>
@@ -10,8 +10,8 @@
 
 namespace relidar::test {
 
-/// First point of the ground (z = -0.35) or of a wall along a ray from inside; metres,
-/// origin within the yard.
+/// Returns the first point of the ground (z = -0.35) or of a wall along a ray, in metres.
+/// The ray must start in the yard.
 inline glm::dvec3 yard_hit(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double t = std::numeric_limits<double>::infinity();
     const auto plane = [&](double from, double along, double at) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the segment with protozero and zlib; geometry by 4x4 products of its own.
+// Writes the Waymo segment with protozero and zlib; computes its geometry independently
+// with 4x4 products.
 #include "log/readers/waymo/waymo_segment.hpp"
 
 #include <cmath>
@@ -24,13 +25,13 @@ glm::dmat4 turned(const glm::dmat4& m, double angle, const glm::dvec3& axis) {
     return glm::rotate(m, angle, axis);
 }
 
-/// Rz Ry Rx at a place.
+/// Returns Rz Ry Rx with a translation.
 glm::dmat4 euler(double roll, double pitch, double yaw, const glm::dvec3& at) {
     return turned(turned(turned(glm::translate(glm::dmat4(1.0), at), yaw, {0, 0, 1}), pitch, {0, 1, 0}), roll,
                   {1, 0, 0});
 }
 
-/// roll, pitch, yaw, x, y, z of the vehicle.
+/// Returns roll, pitch, yaw, x, y, z of the vehicle.
 std::vector<double> vehicle_state(double time_us) {
     const double t = 1e-6 * (time_us - WaymoSegment::kStart_us);
     return {0.01 * std::sin(3 * t),    0.02 * std::cos(2 * t), 2.0 + 0.3 * t + 0.4 * t * t,
@@ -41,8 +42,8 @@ constexpr glm::dvec3 kRoomMiddle{1203, -3399, 22}, kRoomHalf{40, 25, 4};
 constexpr glm::dvec3 kParkedSize{4.6, 2.0, 1.6};
 constexpr double kFarthest_m = 35.0;
 
-/// Where a ray leaves a box about the origin (inside) or enters it (outside); 0: it does
-/// not.
+/// Returns the range at which a ray leaves a box around the origin (inside) or enters it
+/// (outside); 0 if it does not.
 double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const glm::dvec3& half, bool inside) {
     double enters = -1e9, leaves = 1e9;
     for (int a = 0; a < 3; ++a) {
@@ -54,7 +55,7 @@ double box_range(const glm::dvec3& origin, const glm::dvec3& direction, const gl
     return inside ? leaves : std::max(enters, 0.0);
 }
 
-/// First surface along a ray of the world; 0 where it is too far.
+/// Returns the range of the first surface along a ray of the world; 0 if it is too far.
 double cast(const glm::dvec3& origin, const glm::dvec3& direction) {
     double range = box_range(origin - kRoomMiddle, direction, kRoomHalf, true);
     const glm::dmat4 to_parked = glm::inverse(WaymoSegment::world_from_parked());
@@ -68,7 +69,7 @@ double cast(const glm::dvec3& origin, const glm::dvec3& direction) {
 struct Rig {
     int laser, rows, columns;
     glm::dmat4 extrinsic;
-    std::vector<double> elevations;  ///< of the rows, the highest first
+    std::vector<double> elevations;  ///< elevations of the rows, highest first
 };
 
 glm::dmat4 side_extrinsic() { return euler(0.02, 0.01, 1.5, {3.2, 1.0, 0.7}); }
@@ -90,7 +91,8 @@ Rig side_rig() {
     return {3, WaymoSegment::kSideRows, WaymoSegment::kSideColumns, side_extrinsic(), rows};
 }
 
-/// Direction of a pixel in the LiDAR's frame, as the dataset's tool has it.
+/// Returns the direction of a pixel in the LiDAR's frame, computed like the dataset's
+/// tool.
 glm::dvec3 pixel_direction(const Rig& rig, int row, int column) {
     const double yaw = std::atan2(rig.extrinsic[0][1], rig.extrinsic[0][0]);
     const double azimuth = kPi64 * (2.0 * (rig.columns - column - 0.5) / rig.columns - 1.0) - yaw,
@@ -117,7 +119,8 @@ std::vector<WaymoPixel> make_image(const Rig& rig, int frame) {
     std::vector<WaymoPixel> pixels;
     for (int row = 0; row < rig.rows; ++row)
         for (int column = 0; column < rig.columns; ++column) {
-            // a pixel of TOP was fired within five columns of where its column's mean was
+            // A pixel of TOP is fired within five columns of the mean position of its
+            // column.
             const double fired = column + 0.5 + 5.0 * std::sin(double(row));
             const double time_us =
                 WaymoSegment::kStart_us + WaymoSegment::kPeriod_us * (frame + fired / rig.columns);
@@ -161,7 +164,7 @@ std::string WaymoFrame::encoded() const {
     frame.add_message(1, context);
     frame.add_int64(2, timestamp_us);
     if (!pose.empty()) frame.add_message(3, pose);
-    frame.add_message(4, std::string("\x08\x01"));  // images: of the cameras, not read
+    frame.add_message(4, std::string("\x08\x01"));  // camera images, which are not read
     for (const std::string& laser : lasers) frame.add_message(5, laser);
     for (const std::string& label : labels) frame.add_message(6, label);
     return text;
@@ -273,7 +276,7 @@ glm::dmat4 WaymoSegment::top_extrinsic() { return euler(0.005, -0.008, 2.58, {1.
 
 std::vector<double> WaymoSegment::top_inclinations() {
     std::vector<double> rows;
-    // denser at the top
+    // rows are denser at the top
     for (int r = 0; r < kTopRows; ++r) rows.push_back(-0.31 + 0.35 * std::sqrt((r + 0.5) / kTopRows));
     return rows;
 }

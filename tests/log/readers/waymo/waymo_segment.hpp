@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A small segment of Waymo Open written by the tests, message by message: TOP of 16 x 400
-// pixels and SIDE_LEFT of 12 x 60, cast into a room with a parked vehicle. The vehicle
-// accelerates and turns; every pixel of TOP has a firing time, so a pose, of its own.
+// Writes a small segment of Waymo Open, message by message: TOP with 16 x 400 pixels and
+// SIDE_LEFT with 12 x 60, cast into a room with a parked vehicle. The recording vehicle
+// accelerates and turns. Every pixel of TOP has a separate firing time and therefore a
+// separate pose.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +14,7 @@
 
 namespace relidar::test {
 
-/// Fields of a Frame, encoded.
+/// Encoded fields of a Frame.
 struct WaymoFrame {
     std::int64_t timestamp_us = 0;
     std::string context, pose;
@@ -22,33 +23,34 @@ struct WaymoFrame {
     std::string encoded() const;
 };
 
-/// Messages, by the public dataset.proto and label.proto.
+/// Encodes messages of the public dataset.proto and label.proto.
 std::string waymo_transform(const glm::dmat4& a_from_b);
 std::string waymo_calibration(int laser, const std::vector<double>& inclinations, double low, double high,
                               const glm::dmat4& extrinsic);
 std::string waymo_context(const std::vector<std::string>& calibrations);
-/// A MatrixFloat, and the same as a zlib stream.
+/// Encodes a MatrixFloat, uncompressed or as a zlib stream.
 std::string waymo_unpacked_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string waymo_matrix(const std::vector<float>& values, const std::vector<int>& dims);
 std::string deflated(const std::string& bytes);
-/// @param second  empty: no such return @param poses  empty: none
+/// @param second second returns; empty: none
+/// @param poses poses of the pixels; empty: none
 std::string waymo_laser(int laser, const std::string& first, const std::string& second,
                         const std::string& poses);
 std::string waymo_label(const std::string& id, int type, const glm::dvec3& centre,
                         const glm::dvec3& length_width_height, double heading);
 
-/// Length, data and their masked CRC-32C.
+/// Returns a TFRecord: length, data and their masked CRC-32C.
 std::string tfrecord(const std::string& data);
-/// CRC-32C bit by bit.
+/// Computes CRC-32C bit by bit.
 std::uint32_t plain_crc32c(const std::string& bytes);
 
-/// What a pixel was made of.
+/// Exact content of a pixel.
 struct WaymoPixel {
-    glm::dvec3 point_m{0.0};  ///< in the world; where it did not return, on its ray 10 m away
+    glm::dvec3 point_m{0.0};  ///< in the world; for a dropped pixel, on its ray at 10 m
     double time_us = 0.0;
     float range_m = 0.0f;  ///< 0: no return
     float second_m = 0.0f;
-    float intensity = 0.0f;  ///< as Waymo has it, above 1 too
+    float intensity = 0.0f;  ///< as in Waymo, also above 1
 };
 
 struct WaymoSegment {
@@ -59,18 +61,18 @@ struct WaymoSegment {
     std::vector<WaymoFrame> frames;
     std::vector<std::vector<WaymoPixel>> top, side;  ///< [frames][pixels]
 
-    /// Writes it as folder/segment-1083056_0001_with_camera_labels.tfrecord.
+    /// Writes folder/segment-1083056_0001_with_camera_labels.tfrecord.
     explicit WaymoSegment(const std::string& name);
     ~WaymoSegment();
     WaymoSegment(const WaymoSegment&) = delete;
     WaymoSegment& operator=(const WaymoSegment&) = delete;
 
-    void write() const;  ///< what frames hold now
+    void write() const;  ///< writes the current frames
 
     static glm::dmat4 top_extrinsic();
     static std::vector<double> top_inclinations();  ///< ascending
     static glm::dmat4 world_from_vehicle(double time_us);
-    static double label_time_us(int frame);  ///< of Frame.pose: not quite the middle of the sweep
+    static double label_time_us(int frame);  ///< time of Frame.pose: not exactly the middle of the sweep
     static glm::dmat4 world_from_parked();   ///< the vehicle "parked", 4.6 x 2 x 1.6 m
 };
 

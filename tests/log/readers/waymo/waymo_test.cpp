@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Waymo Open: what the reader makes of a small segment against the room it was cast into.
+// Reads a small segment of Waymo Open and compares it with the room that it was cast
+// into.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -57,7 +58,7 @@ TEST(Waymo, MissingPartsAreErrorsOfUsage) {
     EXPECT_THROW(load_sequence(segment.folder.string(), part), UsageError) << "another segment";
 }
 
-/// Compares every pixel of a frame with what it was cast from.
+/// Compares every pixel of a frame with its exact content.
 void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<WaymoPixel>& truth) {
     ASSERT_EQ(frame.scan.rays.size(), truth.size());
     std::size_t n = 0;
@@ -67,8 +68,8 @@ void expect_pixels(const Sequence& log, const Frame& frame, const std::vector<Wa
         ASSERT_EQ(frame.scan.rays.channel[i], i / std::size_t(frame.scan.rays.columns));
         if (truth[i].range_m == 0.0f) continue;
         ++n;
-        const WorldReturn found = world_return(log, frame, i);
-        ASSERT_LT(glm::distance(found.point_m + log.world_offset_m, truth[i].point_m), 1e-3) << i;
+        const WorldReturn actual = world_return(log, frame, i);
+        ASSERT_LT(glm::distance(actual.point_m + log.world_offset_m, truth[i].point_m), 1e-3) << i;
         if (frame.scan.second_returns.empty()) continue;
         ASSERT_EQ(frame.scan.second_returns[0].range_m[i], truth[i].second_m) << i;
     }
@@ -212,7 +213,7 @@ TEST(Waymo, OthersDecodeWhatTheWriterWrites) {
     EXPECT_THAT(test::read_text(text), HasSubstr("\n2: 1557240134600000\n"));
 }
 
-/// What a file of these bytes is refused with.
+/// Returns the error message for a file with these bytes.
 std::string refusal(const WaymoSegment& segment, const std::string& bytes) {
     test::write_text(segment.file, bytes);
     try {
@@ -226,25 +227,25 @@ std::string refusal(const WaymoSegment& segment, const std::string& bytes) {
 
 TEST(Waymo, DamagedFilesAreRefused) {
     const WaymoSegment segment("waymo_damage");
-    const std::string whole = test::read_text(segment.file),
+    const std::string original = test::read_text(segment.file),
                       second = test::tfrecord(segment.frames[1].encoded());
     const std::size_t first_size = test::tfrecord(segment.frames[0].encoded()).size();
     const auto flipped = [&](std::size_t at) {
-        std::string bytes = whole;
+        std::string bytes = original;
         bytes[at] = char(bytes[at] ^ 0x10);
         return bytes;
     };
     EXPECT_THAT(refusal(segment, ""), HasSubstr(".tfrecord: empty, expected records"));
-    EXPECT_THAT(refusal(segment, whole.substr(0, first_size + 5)),
+    EXPECT_THAT(refusal(segment, original.substr(0, first_size + 5)),
                 HasSubstr("record 1: truncated: 5 bytes of its header, expected 12"));
-    EXPECT_THAT(refusal(segment, whole.substr(0, whole.size() - 1)),
+    EXPECT_THAT(refusal(segment, original.substr(0, original.size() - 1)),
                 HasSubstr("record 2: truncated: a length of "));
     EXPECT_THAT(refusal(segment, flipped(first_size + 100)),
                 HasSubstr("record 1: the CRC of its data is wrong"));
     EXPECT_THAT(refusal(segment, flipped(first_size)), HasSubstr("record 1: the CRC of its length is wrong"));
     const std::string absurd("\xff\xff\xff\xff\xff\xff\xff\x7f", 8);
     const std::string header = absurd + test::tfrecord(absurd).substr(20, 4);  // the CRC of these 8 bytes
-    EXPECT_THAT(refusal(segment, header + whole),
+    EXPECT_THAT(refusal(segment, header + original),
                 HasSubstr("record 0: truncated: a length of 9223372036854775807 bytes with"));
     EXPECT_THAT(refusal(segment, test::tfrecord("not a message")), HasSubstr("record 0: "));
     EXPECT_THAT(refusal(segment, test::tfrecord("")), HasSubstr("record 0: no pose, expected a Frame"));

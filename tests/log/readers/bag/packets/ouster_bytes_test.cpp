@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of an Ouster written by hand, a byte at a time, from its firmware user manual.
+// Decodes packets of an Ouster that were written byte by byte from its firmware user
+// manual.
 #include <array>
 #include <string>
 #include <string_view>
@@ -21,11 +22,11 @@ std::string of_hex(std::string_view text) {
     return bytes;
 }
 
-/// Two beams, the lower one first, that start 10 mm from the axis; two columns a packet
-/// of four a turn, of which the last two are these.
+/// Two beams, the lower first, with origins 10 mm from the axis. Two columns per packet
+/// and four per turn; these are the last two columns.
 struct Written {
-    const char *profile, *head, *first, *second, *foot;  ///< columns without their timestamps
-    std::array<packets::Echo, 2> lower, upper;           ///< of the first column
+    const char *profile, *head, *first, *second, *foot;  ///< columns without their time stamps
+    std::array<packets::Echo, 2> lower, upper;           ///< echoes of the first column
 };
 // 28 bytes
 constexpr std::string_view kZeros = "00000000 00000000 00000000 00000000 00000000 00000000 00000000";
@@ -94,7 +95,7 @@ TEST(OusterBytes, ByHandAreWhatTheManualSays) {
             EXPECT_NEAR(packet.echoes[0][k].range_m, written.upper[k].range_m, 1e-6);
             EXPECT_NEAR(packet.echoes[0][k].intensity, written.upper[k].intensity, 1e-6);
         }
-        EXPECT_NEAR(packet.echoes[2][0].range_m, 1.99, 1e-6);  // of the second column, the upper beam
+        EXPECT_NEAR(packet.echoes[2][0].range_m, 1.99, 1e-6);  // second column, upper beam
     }
 }
 

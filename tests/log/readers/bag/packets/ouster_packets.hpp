@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of an Ouster as its firmware user manual has them ("Lidar Data", "Lidar Data
-// Legacy"), made of range images, and a capture of them.
+// Makes packets of an Ouster from range images as its firmware user manual describes
+// ("Lidar Data", "Lidar Data Legacy"), and a capture of the packets.
 #pragma once
 
 #include <cstdint>
@@ -14,35 +14,36 @@ namespace relidar::test {
 inline constexpr const char *kLegacy = "LEGACY", *kSingle = "RNG19_RFL8_SIG16_NIR16",
                             *kDual = "RNG19_RFL8_SIG16_NIR16_DUAL", *kLowRate = "RNG15_RFL8_NIR8";
 
-/// Staggered range images: a column is what all beams measured at once.
+/// Staggered range images: a column holds simultaneous measurements of all beams.
 struct OusterImages {
     std::string product = "OS-1-16", profile = kSingle;
     std::size_t frames = 0, rows = 0, columns = 0, per_packet = 16;
     std::vector<double> altitude_deg, azimuth_deg;  ///< [rows]
     double n_mm = 0.0;
-    /// [frames, rows, columns]; second ones may be empty
+    /// [frames, rows, columns]; the second returns may be empty
     std::vector<std::uint32_t> range_mm, reflectivity, range_2_mm, reflectivity_2;
     std::vector<std::uint64_t> time_ns;  ///< [frames, columns]
-    std::vector<bool> is_valid;          ///< [frames, columns]; empty: all
+    std::vector<bool> is_valid;          ///< [frames, columns]; empty: all valid
     std::size_t first = 0, last = 0;     ///< column_window; 0 and 0: all
 
     std::size_t at(std::size_t frame, std::size_t row, std::size_t column) const {
         return (frame * rows + row) * columns + column;
     }
     bool is_in_window(std::size_t column) const { return last == 0 || (column >= first && column <= last); }
-    /// What the packets have of a range: low data rates are in steps of 8 mm.
+    /// Returns the range stored in packets. The low data rate profile uses steps of 8 mm.
     std::uint32_t written_mm(std::uint32_t mm) const { return profile == kLowRate ? mm / 8 * 8 : mm; }
 };
 
-/// A packet, and when its last column was measured.
+/// A packet with the measurement time of its last column.
 struct OusterPacket {
     std::uint64_t time_ns;
     std::string bytes;
 };
-/// Those in which a column of the window is, one after the other.
+/// Returns the packets that contain a column of the window, in order.
 std::vector<OusterPacket> ouster_packets(const OusterImages& images);
 
-/// The metadata. @param is_nested  as newer tools write it, else flat
+/// Returns the metadata as JSON.
+/// @param is_nested true: nested, as newer tools write it; false: flat
 std::string ouster_metadata(const OusterImages& images, int port, bool is_nested = false);
 
 /// A UDP datagram of a capture.
@@ -51,12 +52,12 @@ struct Datagram {
     std::string bytes;
     int port = 7502;
 };
-/// The packets as they were received, 0.2 ms after their last columns, every third one up
-/// to 0.4 ms later.
-/// @param ahead_ns  the recorder's clock less the sensor's
+/// Returns the received datagrams: 0.2 ms after the last column, every third up to 0.4 ms
+/// later.
+/// @param ahead_ns clock of the recorder minus clock of the sensor
 std::vector<Datagram> received(const std::vector<OusterPacket>& packets, int port = 7502,
                                std::int64_t ahead_ns = 1700000000000000000);
-/// Frames of Ethernet, in nanoseconds.
+/// Writes Ethernet frames with time stamps in nanoseconds.
 void write_pcap(const std::filesystem::path& file, const std::vector<Datagram>& datagrams);
 
 }  // namespace relidar::test

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of Ousters: of real range images, in every profile that is decoded, against the
-// scans that a plain folder makes of the same images (skipped where RELIDAR_SHARED does
-// not hold them); and what may be wrong with a capture or its metadata.
+// Decodes packets of Ouster sensors. Packets made from real range images, in every
+// supported profile, must give the same scans as a plain folder of the same images
+// (skipped if RELIDAR_SHARED does not contain them). Also checks the errors for invalid
+// captures and metadata.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -44,7 +45,8 @@ void write_bytes(const fs::path& file, const std::string& bytes) {
     std::ofstream(file, std::ios::binary) << bytes;
 }
 
-/// Second returns 1.5 m behind every fifth first one, some brighter than it.
+/// Adds second returns 1.5 m behind every fifth first return; some are brighter than the
+/// first.
 void add_second_returns(OusterImages& images) {
     images.range_2_mm.assign(images.range_mm.size(), 0);
     images.reflectivity_2 = images.range_2_mm;
@@ -54,7 +56,7 @@ void add_second_returns(OusterImages& images) {
             images.reflectivity_2[i] = std::uint32_t(3 + i % 200);
 }
 
-/// Real scans; nothing where they are not there.
+/// Returns real scans, or no value if they are not available.
 std::optional<OusterImages> real_images(const std::string& name, const std::string& product,
                                         const std::string& profile) {
     const char* shared = std::getenv("RELIDAR_SHARED");
@@ -73,7 +75,7 @@ std::optional<OusterImages> real_images(const std::string& name, const std::stri
     images.altitude_deg = array("alt").as_double(), images.azimuth_deg = array("az").as_double();
     images.n_mm = array("n_mm").as_double()[0];
     for (const double mm : array("range_mm").as_double())
-        // 15 bits of 8 mm
+        // 15 bits in units of 8 mm
         images.range_mm.push_back(profile == test::kLowRate && mm > 262136.0 ? 0 : std::uint32_t(mm));
     for (const double v : array("refl").as_double()) images.reflectivity.push_back(std::uint32_t(v));
     for (const double ns : array("ts").as_double()) images.time_ns.push_back(std::uint64_t(ns));
@@ -81,11 +83,11 @@ std::optional<OusterImages> real_images(const std::string& name, const std::stri
     return images;
 }
 
-/// A few beams in a room, some without a return.
+/// Makes a few beams in a room; some have no return.
 OusterImages small_images(const std::string& profile) {
     OusterImages images;
     images.profile = profile, images.frames = 4, images.rows = 16, images.columns = 128, images.n_mm = 15.8;
-    for (std::size_t row = 0; row < images.rows; ++row)  // not in the order of their altitudes
+    for (std::size_t row = 0; row < images.rows; ++row)  // not ordered by altitude
         images.altitude_deg.push_back(15.0 - 2.0 * double(row ^ 1)),
             images.azimuth_deg.push_back(row % 2 == 0 ? 2.8125 : -2.8125);
     for (std::size_t frame = 0; frame < images.frames; ++frame)
@@ -102,7 +104,7 @@ OusterImages small_images(const std::string& profile) {
     return images;
 }
 
-/// x y z intensity ring time return of each return, float64.
+/// Returns x y z intensity ring time return of each return, as float64.
 std::string points_of(const OusterImages& images, std::size_t frame) {
     std::vector<std::size_t> ring(images.rows);
     for (std::size_t row = 0; row < images.rows; ++row)
@@ -114,7 +116,7 @@ std::string points_of(const OusterImages& images, std::size_t frame) {
         for (std::size_t column = 0; column < images.columns; ++column) {
             const std::size_t i = images.at(frame, row, column);
             const auto add = [&](double mm, double reflectivity, double number) {
-                // Ouster's equation, its LiDAR frame turned by 180 degrees about z
+                // Ouster's equation, with its LiDAR frame turned by 180 degrees about z.
                 const double encoder = 2.0 * kPi * (1.0 - double(column) / double(images.columns)) + kPi;
                 const double theta = encoder - images.azimuth_deg[row] * kPi / 180.0,
                              phi = images.altitude_deg[row] * kPi / 180.0;
@@ -176,7 +178,7 @@ Sequence read_folder(const OusterImages& images, const RangeLimits& limits) {
     return load_sequence(folder.string(), options);
 }
 
-/// A capture with its metadata beside it.
+/// Writes a capture and its metadata to a new folder.
 fs::path write_capture(const OusterImages& images, const std::vector<test::Datagram>& datagrams,
                        const std::string& name = "drive") {
     const fs::path folder = fresh_folder("capture_" + name);
@@ -188,8 +190,8 @@ fs::path write_capture(const OusterImages& images) {
     return write_capture(images, test::received(test::ouster_packets(images)));
 }
 
-/// As load_sequence(), or why not. A relidar without the reader of captures skips the
-/// test that calls it.
+/// Result of load_sequence(), or its error message. Tests are skipped if relidar was
+/// built without the reader of captures.
 struct Loaded {
     Sequence log;
     std::string error;
@@ -213,7 +215,7 @@ struct Loaded {
     }
 };
 
-/// Column at which the head stood for a ray, and its ring.
+/// Returns the column of a ray (the encoder position at its firing) and its ring.
 std::pair<std::size_t, int> cell_of(const Scan& scan, std::size_t ray, const SpinningSensor& sensor) {
     const std::size_t ring = scan.rays.channel[ray];
     const glm::vec3 d = scan.rays.direction[ray];
@@ -229,31 +231,30 @@ std::map<std::pair<std::size_t, int>, std::size_t> rays_by_cell(const Scan& scan
     return cells;
 }
 
-/// Every ray of one is one of the other: where it starts, its direction, its time, and
-/// what it measured.
-void expect_same_scan(const Scan& found, const Scan& expected, const SpinningSensor& sensor) {
-    ASSERT_EQ(found.rays.rows, expected.rays.rows);
-    ASSERT_EQ(found.rays.columns, expected.rays.columns);
-    EXPECT_EQ(found.count_returns(), expected.count_returns());
-    ASSERT_EQ(found.second_returns.size(), expected.second_returns.size());
-    const auto cells = rays_by_cell(found, sensor), others = rays_by_cell(expected, sensor);
-    ASSERT_EQ(cells.size(), found.rays.size());
+/// Checks that two scans have the same rays: origin, direction, time and measurement.
+void expect_same_scan(const Scan& actual, const Scan& expected, const SpinningSensor& sensor) {
+    ASSERT_EQ(actual.rays.rows, expected.rays.rows);
+    ASSERT_EQ(actual.rays.columns, expected.rays.columns);
+    EXPECT_EQ(actual.count_returns(), expected.count_returns());
+    ASSERT_EQ(actual.second_returns.size(), expected.second_returns.size());
+    const auto cells = rays_by_cell(actual, sensor), others = rays_by_cell(expected, sensor);
+    ASSERT_EQ(cells.size(), actual.rays.size());
     ASSERT_EQ(others.size(), cells.size());
     std::size_t n_wrong = 0;
     for (const auto& [cell, a] : cells) {
         const std::size_t b = others.at(cell);
-        bool is_same = std::abs(found.range_m[a] - expected.range_m[b]) < 1e-4f &&
-                       found.intensity[a] == expected.intensity[b] &&
-                       std::abs(found.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
-                       glm::distance(found.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
-        // the folder finds the phase of the columns in the points
-        is_same = is_same && glm::distance(found.rays.direction[a], expected.rays.direction[b]) <
-                                 (found.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
-        for (std::size_t k = 0; k < found.second_returns.size(); ++k)
+        bool is_same = std::abs(actual.range_m[a] - expected.range_m[b]) < 1e-4f &&
+                       actual.intensity[a] == expected.intensity[b] &&
+                       std::abs(actual.rays.time_offset_s[a] - expected.rays.time_offset_s[b]) < 1e-6f &&
+                       glm::distance(actual.rays.origin[a], expected.rays.origin[b]) < 1e-5f;
+        // The folder reader estimates the phase of the columns from the points.
+        is_same = is_same && glm::distance(actual.rays.direction[a], expected.rays.direction[b]) <
+                                 (actual.range_m[a] > 0.0f ? 2e-6f : 1e-4f);
+        for (std::size_t k = 0; k < actual.second_returns.size(); ++k)
             is_same = is_same &&
-                      std::abs(found.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) <
+                      std::abs(actual.second_returns[k].range_m[a] - expected.second_returns[k].range_m[b]) <
                           1e-4f &&
-                      found.second_returns[k].intensity[a] == expected.second_returns[k].intensity[b];
+                      actual.second_returns[k].intensity[a] == expected.second_returns[k].intensity[b];
         n_wrong += !is_same;
     }
     EXPECT_EQ(n_wrong, 0u) << "of " << cells.size();
@@ -324,7 +325,7 @@ TEST(OusterPackets, ReflectivitiesOf16BitsCountAsThoseOfClouds) {
     EXPECT_EQ(most, 1.0f);
 }
 
-/// Rays of a frame by column, and which are there at all.
+/// Rays and returns of a frame by column.
 struct Columns {
     std::vector<std::size_t> rays, returns;
 
@@ -346,10 +347,10 @@ TEST(OusterPackets, ColumnsThatWereNotMeasuredWereNotFired) {
         const Loaded loaded(write_capture(images));
         if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
         ASSERT_EQ(loaded.log.frames.size(), 4u) << loaded.error;
-        const Columns columns(loaded.log, 1), whole(loaded.log, 2);
+        const Columns columns(loaded.log, 1), complete(loaded.log, 2);
         for (const std::size_t column : {0, 20, 21, 127}) EXPECT_EQ(columns.rays[column], 0u) << column;
-        EXPECT_EQ(columns.rays[19], 3u * images.rows);  // its neighbour stands in for them
-        EXPECT_EQ(std::ranges::count(whole.rays, images.rows), std::ptrdiff_t(images.columns));
+        EXPECT_EQ(columns.rays[19], 3u * images.rows);  // also has the rays of missing columns
+        EXPECT_EQ(std::ranges::count(complete.rays, images.rows), std::ptrdiff_t(images.columns));
         EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("missing")));
     }
 }
@@ -374,7 +375,7 @@ TEST(OusterPackets, RaysOfMissingPacketsAreDropped) {
 TEST(OusterPackets, ATurnWithoutMostOfItsPacketsIsLeftOut) {
     const OusterImages images = small_images(test::kDual);
     auto datagrams = test::received(test::ouster_packets(images));
-    datagrams.erase(datagrams.begin() + 9, datagrams.begin() + 15);  // of frame 1
+    datagrams.erase(datagrams.begin() + 9, datagrams.begin() + 15);  // packets of frame 1
     const Loaded loaded(write_capture(images, datagrams));
     if (loaded.is_left_out()) GTEST_SKIP() << loaded.error;
     ASSERT_EQ(loaded.log.frames.size(), 3u) << loaded.error;
@@ -422,7 +423,7 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
     for (std::uint32_t& mm : other.range_mm) mm += mm > 0 ? 1000 : 0;
     auto datagrams = test::received(test::ouster_packets(one));
     std::ranges::copy(test::received(test::ouster_packets(other), 7504), std::back_inserter(datagrams));
-    // of the IMU
+    // packets of the IMU
     for (int k = 0; k < 40; ++k)
         datagrams.push_back({datagrams[0].stamp_ns + k * 10000000, std::string(48, '\1'), 7503});
     std::ranges::stable_sort(datagrams, {}, &test::Datagram::stamp_ns);
@@ -440,14 +441,14 @@ TEST(OusterPackets, TwoSensorsHaveTheirOwnMetadata) {
         expect_same_log(*images, loaded.log);
         EXPECT_THAT(loaded.notes(), testing::Not(HasSubstr("expected")));
     }
-    // both say that they send to one port
+    // Both metadata files name the same port.
     write_bytes(folder / "rear.json", test::ouster_metadata(other, 7502));
     const Loaded ambiguous(folder / "drive.pcap");
     EXPECT_THAT(
         ambiguous.error,
         HasSubstr("packets of 3328 bytes on port 7502, expected one metadata that tells of them there"));
     fs::remove(folder / "rear.json");
-    // the other sensor's packets are not read by the first one's metadata
+    // Packets of the other sensor must not be decoded with the metadata of the first.
     const Loaded half(folder / "drive.pcap");
     EXPECT_THAT(
         half.notes(),
@@ -498,7 +499,7 @@ TEST(OusterPackets, WhatIsWrongIsSaidInOneLine) {
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 2;
     EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
                 HasSubstr("a packet of type 2, expected 1: an Ouster's LiDAR data"));
-    // column 1024 and more
+    // column 1024 and above
     for (test::Datagram& datagram : datagrams) datagram.bytes[0] = 1, datagram.bytes[32 + 9] = 4;
     EXPECT_THAT(Loaded(write_capture(images, datagrams)).error,
                 HasSubstr("expected less than the 128 of lidar_mode"));
