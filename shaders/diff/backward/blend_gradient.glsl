@@ -17,7 +17,7 @@ struct BlendState {
     float lost;       // rounding error of `remaining`
 };
 
-/// Whether any blended value has a gradient.
+/// Returns true if any blended value has a gradient.
 bool has_gradient(RayGradient g) {
     bool any_gradient = false;
 #define RELIDAR_HAS(name, built, value, input, slope, meaning) \

@@ -1,22 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 // Traversal backend: a two-level tree of wide nodes with quantised boxes (shared/bvh.h).
 // The walk uses a stack and visits near children first. The top tree holds instances. An
-// instance entry transforms the ray into the frame of its model. The ray stays there
-// until the walk returns to an entry of the top tree.
+// instance entry transforms the ray into the frame of its model. The ray stays in this
+// frame until the walk returns to an entry of the top tree.
 //
-// A specialisation constant selects one of two walks: each ray alone, or all rays of a
+// A specialisation constant selects the walk: each ray separately, or all rays of a
 // subgroup together. In the joint walk the subgroup opens a node if any of its rays needs
-// the node, and tests its surfels in all lanes. Every ray still has its own stack and its
-// own distances. All rays process the same entry at a time: the top entry of the first
-// active ray. A ray whose stack differs waits. So no hit is lost, however the driver lets
-// lanes diverge and reconverge. All lanes load from the same address, and the broadcast
-// lets the compiler use one load.
+// the node, and tests its surfels in all lanes. Every ray still keeps a separate stack
+// and separate distances. All rays process the same entry at a time: the top entry of the
+// first active ray. A ray with a different stack waits. So no hit is lost, however the
+// driver lets lanes diverge and reconverge. All lanes load from the same address, and the
+// broadcast lets the compiler use a single load.
 //
-// The compiler of a CPU does not do this, so there the lanes load cooperatively
-// (kSharesLoads, shared_load.glsl). On a CPU the lanes are those of one vector and cannot
-// diverge. If all lanes are active at the start, they have the same stack until the end.
-// This compiler also runs each loop once more, without an active lane, to find its end.
-// Loops with few iterations therefore test their condition at the end.
+// The compiler of a CPU does not do this, so on a CPU the lanes load cooperatively
+// (kSharesLoads, shared_load.glsl). The lanes of a CPU are the lanes of a vector and
+// cannot diverge. If all lanes are active at the start, they have the same stack until
+// the end. This compiler also runs each loop once more, without an active lane, to detect
+// its end. Loops with few iterations therefore test their condition at the end.
 //
 // No hit is lost:
 // - The slab test uses the same ray as intersect(): entered_origin, entered_direction. t
