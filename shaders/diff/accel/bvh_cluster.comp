@@ -2,14 +2,13 @@
 // Builds binary trees by agglomerative clustering (Benthin et al., "H-PLOC: Hierarchical
 // Parallel Locally-Ordered Clustering", 2024). A radix tree over the sorted keys (as in
 // Apetrei 2014, with the ends of ranges exchanged at splits) determines which ranges are
-// joined. When two ranges are joined, their at most 32 clusters are merged to at most 16.
-// Each cluster looks for its nearest neighbour among 8 on either side, and mutual
-// neighbours are merged. One thread per sorted position. The second thread that reaches a
-// split continues upwards. All lanes of its subgroup then work on one range together. A
-// workgroup is one subgroup, because on lavapipe a subgroup barrier stops all subgroups
-// of a workgroup. Nodes are numbered by sorted positions, so that builds are repeatable.
-// Input: boxes, keys, surfels, models. Output: tree, roots. At least 36 B read per
-// surfel, 68 B written and read per node, 500 box unions per surfel.
+// joined. A join merges the at most 32 clusters of two ranges to at most 16, as pairs of
+// mutual nearest neighbours among 8 on either side. One thread per sorted position. The
+// second thread that reaches a split continues upwards, and all lanes of its subgroup
+// join one range together. A workgroup is one subgroup, because on lavapipe a subgroup
+// barrier stops the full workgroup. Nodes are numbered by sorted positions, so that
+// builds are repeatable. Input: boxes, keys, surfels, models. Output: tree, roots. At
+// least 36 B read per surfel, 68 B written and read per node, 500 box unions per surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -94,14 +93,14 @@ uint load_clusters(int from, int to, uint n) {
 uint nearest_to(uint i, uint n) {
     Box own = box_of(i);
     float least = BOX_HUGE;
-    uint found = i;
+    uint neighbour = i;
     for (uint j = i - min(i, RADIUS); j < min(i + RADIUS + 1u, n); ++j) {
         float area = half_area(joined(own, box_of(j)));
         if (j == i || !(area < least)) continue;
         least = area;
-        found = j;
+        neighbour = j;
     }
-    return found;
+    return neighbour;
 }
 
 /// Creates a node above two clusters.
@@ -145,9 +144,9 @@ void join_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
     synchronise();
-    bool whole = task.w >= 0;
-    while (n > (whole ? 1u : KEPT)) n = merge_mutual(n);
-    if (whole) {
+    bool covers_model = task.w >= 0;
+    while (n > (covers_model ? 1u : KEPT)) n = merge_mutual(n);
+    if (covers_model) {
         if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = root_of[0];
         return;
     }
@@ -185,16 +184,17 @@ void main() {
         memoryBarrierBuffer();
         if (climbing) climbing = meet_neighbour(from, to, split, first, last);
         memoryBarrierBuffer();
-        bool whole = from == first && to == last, waiting = climbing && (whole || to - from >= int(KEPT));
+        bool covers_model = from == first && to == last,
+             waiting = climbing && (covers_model || to - from >= int(KEPT));
         while (subgroupAny(waiting)) {
             uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
             bool next = gl_SubgroupInvocationID == first_lane;
-            if (next) task = ivec4(from, split, to, whole ? model : -1);
+            if (next) task = ivec4(from, split, to, covers_model ? model : -1);
             synchronise();
             join_ranges();
             synchronise();
             if (next) waiting = false;
         }
-        if (whole) climbing = false;
+        if (covers_model) climbing = false;
     }
 }

@@ -37,9 +37,9 @@ struct NodeGrid {
 };
 
 /// Returns the quantisation grid of a node.
-/// @param whole  box of the node
-NodeGrid grid_of(Box whole) {
-    Box frame = is_empty(whole) ? Box(vec3(0.0), vec3(0.0)) : whole;
+/// @param bounds  box of the node
+NodeGrid grid_of(Box bounds) {
+    Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
     return NodeGrid(frame.low,
                     uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y),
                           exponent_for(frame.low.z, frame.high.z)));
@@ -73,9 +73,9 @@ void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
 /// Writes the origin, the exponents, the inner mask and the child boxes of a node.
 /// @return box of the node
 Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
-    Box whole = empty_box();
-    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) whole = joined(whole, children[s]);
-    NodeGrid grid = grid_of(whole);
+    Box bounds = empty_box();
+    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = joined(bounds, children[s]);
+    NodeGrid grid = grid_of(bounds);
     uvec3 low[2] = uvec3[](uvec3(0u), uvec3(0u)), high[2] = uvec3[](uvec3(0u), uvec3(0u));
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         uvec3 steps = steps_of(grid, children[s]);
@@ -84,6 +84,6 @@ Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR
     }
     store_grid(nodes, node, grid, inner_mask);
     for (uint word = 0u; word < 2u; ++word) store_word(nodes, node, word, low[word], high[word]);
-    return whole;
+    return bounds;
 }
 #endif

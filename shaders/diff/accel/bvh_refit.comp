@@ -56,14 +56,14 @@ Box child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
 /// Computes the boxes of one node per group of lanes. Groups without a node only take
 /// part in the shuffles.
 void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
-    Box children[2], whole = empty_box();
+    Box children[2], bounds = empty_box();
     for (uint k = 0u; k < OF_LANE; ++k) {
         children[k] = empty_box();
         if (has_node) children[k] = child_box(node, slot_of(k), first_surfel, inner_mask);
-        whole = joined(whole, children[k]);
+        bounds = joined(bounds, children[k]);
     }
-    whole = joined_over_node(whole);
-    NodeGrid grid = grid_of(whole);
+    bounds = joined_over_node(bounds);
+    NodeGrid grid = grid_of(bounds);
     for (uint k = 0u; k < OF_LANE; ++k) {
         uint slot = slot_of(k);
         uvec3 steps = steps_of(grid, children[k]);
@@ -73,7 +73,7 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     }
     if (!has_node || lane() != 0u) return;
     store_grid(params.wide.nodes, node, grid, inner_mask);
-    store_shared_box(params.wide.boxes, node, whole);
+    store_shared_box(params.wide.boxes, node, bounds);
 }
 
 /// Counts the arrival of a child at its parent node. Makes all earlier writes visible

@@ -18,9 +18,9 @@ void main() {
     // Each thread processes consecutive nodes, which fill two cache lines.
     const uint RUN = RELIDAR_BVH_TILE / RELIDAR_BVH_WORKGROUP;
     uint first = tile * RELIDAR_BVH_TILE + scan_thread() * RUN, end = min(first + RUN, params.n_surfels);
-    uvec2 own = uvec2(0u), total;
-    for (uint node = first; node < end; ++node) own += sums_of(params.demands.at[node]);
-    uvec2 before = workgroup_exclusive_add(own, total);
+    uvec2 sums = uvec2(0u), total;
+    for (uint node = first; node < end; ++node) sums += sums_of(params.demands.at[node]);
+    uvec2 before = workgroup_exclusive_add(sums, total);
     for (uint node = first; node < end; ++node) {
         params.offsets.at[node] = before;
         before += sums_of(params.demands.at[node]);

@@ -23,13 +23,13 @@ float sum[kOut * kIn * TAPS];  // [out, in, tap]
 // [in, line] The LANES columns that start one column before the lane's column, and the
 // LANES columns after them.
 float before[kIn * kLines], next[kIn * kLines];
-float asked[kOut];  // d_to of the lane's column
+float d_out[kOut];  // d_to of the lane's column
 
 /// Adds the contribution of LANES columns of a row.
 void add_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
         float seen = kx == 0u ? before[k] : from_lane(before[k], next[k], kx);
-        [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += asked[o] * seen;
+        [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += d_out[o] * seen;
     }
 }
 
@@ -69,7 +69,7 @@ void main() {
                 uint channel = params.d_to.first + min(first_out + o, params.n_out - 1u);
                 uint plane = (image * params.d_to.channels + channel) * n_pixels;
                 float d = params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)];
-                asked[o] = there ? d : 0.0;
+                d_out[o] = there ? d : 0.0;
             }
             add_columns();
         }

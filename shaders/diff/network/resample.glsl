@@ -16,9 +16,9 @@ uint small_at(uint channels, uint first, uint image, uint channel, uint y, uint 
 /// that upsampling and its derivative get the same result on every device.
 void neighbours(int at, uint n_large, uint n_small, out int left, out float share) {
     // in units of half a large entry
-    int whole = 2 * int(n_large), place = (2 * at + 1) * int(n_small) - int(n_large);
-    left = place < 0 ? -1 : place / whole;
-    share = float(place - left * whole) / float(whole);
+    int unit = 2 * int(n_large), place = (2 * at + 1) * int(n_small) - int(n_large);
+    left = place < 0 ? -1 : place / unit;
+    share = float(place - left * unit) / float(unit);
 }
 
 /// Rows outside the image are clamped to the first or last row. Columns wrap around.

@@ -111,22 +111,22 @@ void insert(Key key, float alpha, float alpha_max) {
         float t = placed_t[nearer];
         if (!(t >= key.t)) break;
         if (t == key.t) {  // rare
-            Key known = placed_key(nearer);
+            Key present_key = placed_key(nearer);
             // The surfel is in the buffer already, because the ray also hit its other
             // triangle or the driver reported its box twice.
-            if (known == key) return;
-            if (before(known, key)) break;
+            if (present_key == key) return;
+            if (before(present_key, key)) break;
         }
         farther = nearer;
         nearer = next_nearer[nearer];
     }
-    uint own = take_place(alpha_max);
-    if (own == farther) farther = CHUNK;  // the slot belonged to the farthest hit, which was dropped
-    place_hit(own, Hit(key.t, alpha, key.instance, key.surfel));
-    latest = own;
+    uint slot = take_place(alpha_max);
+    if (slot == farther) farther = CHUNK;  // the slot belonged to the farthest hit, which was dropped
+    place_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
+    latest = slot;
     latest_t = key.t;
-    next_nearer[own] = nearer;
-    next_nearer[farther] = own;
+    next_nearer[slot] = nearer;
+    next_nearer[farther] = slot;
     ++n_hits;
     hits_transmittance *= 1.0 - min(alpha, alpha_max);
     if (n_hits == CHUNK) hits_closed = true;

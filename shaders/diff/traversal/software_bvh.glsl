@@ -249,13 +249,14 @@ void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
 
 /// Visits a node: offers its leaf entries and pushes its inner slots.
 /// @param tree  instance whose model has the node; RELIDAR_BVH_NO_NODE: the top tree
-/// @param whole  result of shares_loads()
+/// @param full_subgroup  result of shares_loads()
 /// @return number of tested surfels
-uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool whole, inout BoxRay walked) {
+uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
+               inout BoxRay walked) {
     bool in_model = tree != RELIDAR_BVH_NO_NODE;
     BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
     BvhNode node;
-    if (whole) node = load_node(nodes, index);
+    if (full_subgroup) node = load_node(nodes, index);
     else node = nodes.at[index];
     float t[RELIDAR_BVH_WIDTH];
     uint met = meet_boxes(node, walked, t);
@@ -272,7 +273,7 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool
     }
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
-    if (whole) {
+    if (full_subgroup) {
         offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
     } else if (TOGETHER != 0u) {
         while (entries != 0u)
@@ -292,7 +293,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     // instance whose model is walked; RELIDAR_BVH_NO_NODE: the top tree
     uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
-    bool whole = shares_loads();
+    bool full_subgroup = shares_loads();
     enter_tree(scene, ray, instance, walked);
     stack_size = 0u;
     stack_full = false;
@@ -306,8 +307,8 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             if (own_entry != entry || instance != tree) continue;  // this ray waits for its turn
         }
         --stack_size;
-        bool wanted = stack_t[stack_size] <= walked.end;
-        if (!(TOGETHER != 0u ? subgroupAny(wanted) : wanted)) continue;
+        bool is_needed = stack_t[stack_size] <= walked.end;
+        if (!(TOGETHER != 0u ? subgroupAny(is_needed) : is_needed)) continue;
         if ((entry & kInstanceEntry) != 0u) {
             tree = entry & ~kInstanceEntry;
             entry = scene.bvh.roots.at[tree];
@@ -318,7 +319,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         if (tree != instance) enter_tree(scene, ray, tree, walked);
         instance = tree;
         ++n_nodes;
-        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, whole, walked);
+        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, full_subgroup, walked);
     }
     if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
     if (COUNT_VISITS != 0u) {

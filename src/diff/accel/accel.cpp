@@ -49,7 +49,7 @@ struct Accel::Impl {
 
 namespace {
 
-std::vector<SurfelRange> those_that_bend(const std::vector<Model>& models) {
+std::vector<SurfelRange> find_bending_ranges(const std::vector<Model>& models) {
     std::vector<SurfelRange> ranges;
     for (const Model& model : models) {
         if (model.count == 0 || model.stride_m <= 0.0f) continue;
@@ -88,7 +88,7 @@ void Accel::bend(Stream& stream, const DeviceScene& scene) {
     if (!a.built) return update(stream, scene);
     // Does not count as a refit. Gaits return to earlier poses, so the tree does not
     // degrade.
-    a.refit(stream, scene, those_that_bend(scene.layout().models));
+    a.refit(stream, scene, find_bending_ranges(scene.layout().models));
     ++a.n_updates;
 }
 

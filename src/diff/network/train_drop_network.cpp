@@ -35,7 +35,7 @@ std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, b
 /// Progress of a training between two steps.
 struct Course {
     const std::size_t batch, n_steps;  ///< images per step, steps per epoch
-    RefineProgress told;
+    RefineProgress report;
     double entropy, accuracy;  ///< sums over the steps of the epoch
     const double before_s;     ///< seconds of earlier sessions
     const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
@@ -46,42 +46,42 @@ struct Course {
           entropy(start.entropy),
           accuracy(start.accuracy),
           before_s(start.seconds) {
-        told.step = start.step;
-        told.n_epochs = options.epochs;
-        told.n_steps = options.epochs * int(n_steps);
-        if (told.step < 0 || told.step > told.n_steps)
+        report.step = start.step;
+        report.n_epochs = options.epochs;
+        report.n_steps = options.epochs * int(n_steps);
+        if (report.step < 0 || report.step > report.n_steps)
             throw DataError(fmt::format("resuming the ray-drop network: found step {}, expected at most {}",
-                                        told.step, told.n_steps));
+                                        report.step, report.n_steps));
     }
 
     /// Advances to the next step, and to the next epoch after the last step of an epoch.
     /// @return index of the step in the epoch
     std::size_t advance() {
-        const std::size_t k = std::size_t(told.step++) % n_steps;
+        const std::size_t k = std::size_t(report.step++) % n_steps;
         if (k == 0) entropy = accuracy = 0.0;
         return k;
     }
-    int epoch() const { return int(std::size_t(told.step - 1) / n_steps); }
+    int epoch() const { return int(std::size_t(report.step - 1) / n_steps); }
 
     void add(const refine::DropScore& score, std::size_t k) {
         entropy += score.entropy;
         accuracy += score.accuracy;
-        told.epoch = epoch() + 1;
-        told.entropy = entropy / double(k + 1);
-        told.accuracy = accuracy / double(k + 1);
-        told.seconds =
+        report.epoch = epoch() + 1;
+        report.entropy = entropy / double(k + 1);
+        report.accuracy = accuracy / double(k + 1);
+        report.seconds =
             before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
             throw DataError(
                 fmt::format("training the ray-drop network: the loss is {} in step {}, expected a number; "
                             "try a smaller refine.rate",
-                            score.entropy, told.step));
+                            score.entropy, report.step));
     }
     RefineState put_into(RefineState state) const {
-        state.step = told.step;
+        state.step = report.step;
         state.entropy = entropy;
         state.accuracy = accuracy;
-        state.seconds = told.seconds;
+        state.seconds = report.seconds;
         return state;
     }
 };
@@ -96,14 +96,14 @@ DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& ima
     if (start) training.restore(*start);
     const auto state = [&] { return course.put_into(training.state()); };
     std::vector<refine::DropInputs::Chosen> order;
-    while (course.told.step < course.told.n_steps) {
+    while (course.report.step < course.report.n_steps) {
         const std::size_t k = course.advance();
         if (k == 0 || order.empty())
             order = draw_epoch(images.size(), images[0].columns, refine::regularisation_of(options).turns,
                                seed, course.epoch());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
-        course.add(training.step(chosen, course.told.step, course.told.n_steps), k);
-        if (progress && !progress(course.told, state)) break;
+        course.add(training.step(chosen, course.report.step, course.report.n_steps), k);
+        if (progress && !progress(course.report, state)) break;
     }
     return training.download();
 }

@@ -246,15 +246,15 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
 
 }  // namespace
 
-Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
+    const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
                                  sweeps = in_range(all, options.frames);
-    const PoseTrack own = read_way(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
+    const PoseTrack vehicle_track = read_way(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     Sequence sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "vehicle x forward, y left, z up, origin at the rear axle; metres; time = name of the sweep, seconds "
         "after the log's first; world: "
@@ -263,11 +263,11 @@ Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (path_exists(folder / "annotations.feather"))
-        sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, own);
+        sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, vehicle_track);
     else sequence.notes.push_back("no annotations.feather: nothing in this log is labelled");
     BrokenScans broken(options.skip_broken);
-    SweepPairs read = read_sweeps(sweeps, sequence.lidars, own, options.progress, broken);
-    add_sweeps(sequence, sweeps, own, std::move(read), options.progress, broken);
+    SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
+    add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
     kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     return sequence;

@@ -126,22 +126,22 @@ LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const 
                        double time_s) {
     const std::array<LaserPlace, kLasers> places = laser_places();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
-    LidarSweep found;
+    LidarSweep result;
     std::vector<double> first_pair_ns;
     for (std::size_t i = 0; i < raw.point_m.size(); ++i) {
         if (raw.laser[i] / kLasers != half) continue;
         const LaserPlace& laser = places[std::size_t(raw.laser[i] % kLasers)];
-        found.points.point_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
-        found.points.intensity.push_back(float(raw.intensity[i] / 255.0));
-        found.points.ring.push_back(laser.row);
-        found.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));
+        result.points.point_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
+        result.points.intensity.push_back(float(raw.intensity[i] / 255.0));
+        result.points.ring.push_back(laser.row);
+        result.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));
         first_pair_ns.push_back(double(raw.offset_ns[i]) - laser.after_first_ns);
     }
-    if (found.points.size() == 0) return found;
-    undo_compensation(found.points, world_from_sensor, time_s);
+    if (result.points.size() == 0) return result;
+    undo_compensation(result.points, world_from_sensor, time_s);
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
-    found.sweep = arrange_firings(found.points, firing_numbers(first_pair_ns), lidar.sensor, step_rad);
-    return found;
+    result.sweep = arrange_firings(result.points, firing_numbers(first_pair_ns), lidar.sensor, step_rad);
+    return result;
 }
 
 }  // namespace relidar::argoverse2

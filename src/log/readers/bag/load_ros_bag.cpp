@@ -47,7 +47,7 @@ public:
     Sequence load() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
         is_deskewed_ = bag_.points_in() == "sensor at the stamp";
-        tell_topics();
+        note_topics();
         find_frames();
         add_lidars();
         add_frames();
@@ -99,7 +99,7 @@ private:
         if (!text.empty()) sequence_.notes.push_back(text);
     }
 
-    void tell_topics() {
+    void note_topics() {
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)

@@ -129,7 +129,7 @@ public:
 
     void each(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
-        tell_correction(topics, pass);
+        emit_correction(topics, pass);
         std::vector<std::string> broken;
         ousters_ = packets::ouster_metadata_beside(path_, broken);
         for (const std::string& text : broken) pass.note(text);
@@ -149,7 +149,7 @@ public:
         }
         for (auto& [key, stream] : streams_)
             if (stream.n > 0) flush(stream, pass);
-        if (broken.empty() || !ousters_.empty()) tell_strange_ousters(pass);
+        if (broken.empty() || !ousters_.empty()) note_unread_ousters(pass);
         if (n_cut_ > 0)
             pass.note(fmt::format("{}: the capture cut {} frames short: what they held is missing",
                                   path_.string(), n_cut_));
@@ -253,7 +253,7 @@ private:
     /// Adds notes about packets of each port that may come from an Ouster, or have the
     /// size in its metadata, but are not read. Also notes two senders with the same
     /// metadata.
-    void tell_strange_ousters(const Pass& pass) const {
+    void note_unread_ousters(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
             for (const auto& [size, n] : stream.n_of_bytes) {
@@ -296,7 +296,7 @@ private:
     }
 
     /// Reads Hesai's angle correction from a file next to the capture.
-    void tell_correction(TopicTable& topics, const Pass& pass) const {
+    void emit_correction(TopicTable& topics, const Pass& pass) const {
         const std::filesystem::path file = std::filesystem::path(path_).replace_extension(".csv");
         if (!path_exists(file)) return;
         const std::string text = read_text(file);

@@ -124,13 +124,13 @@ void turn_to_front(PoseTrack& track, double forward_rad) {
 
 }  // namespace
 
-Sequence load_boreas(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a Boreas sequence (lidar/, applanix/, calib/)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
+    const fs::path folder = fs::canonical(log_folder);
     Sequence sequence;
     const std::string name = folder.filename().string();
     sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.notes = {"nothing in this log is labelled"};
     stamped::StampedLog log{kMicrosecond,
                             stamped::list_scans(folder / "lidar"),

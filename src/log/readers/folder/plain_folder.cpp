@@ -78,13 +78,13 @@ void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, con
 
 }  // namespace
 
-Sequence load_plain_folder(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a folder with sequence.json");
-    const fs::path folder = fs::canonical(given);
+Sequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a folder with sequence.json");
+    const fs::path folder = fs::canonical(log_folder);
     const folder::Head head = folder::read_head(folder, options.max_range_m);
     Sequence sequence;
     sequence.name = head.name;
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions = head.conventions;
     sequence.notes = head.notes;
     sequence.lidars.clear();

@@ -143,16 +143,16 @@ void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
 
 }  // namespace
 
-Sequence load_kitti_360(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
+    const fs::path folder = fs::canonical(log_folder);
     const Drive drive = choose_drive(folder / "data_3d_raw", options);
     const fs::path points = folder / "data_3d_raw" / drive.name / "velodyne_points";
     const std::vector<int> frames = list_scans(points / "data", drive.frames.begin, drive.frames.end);
 
     Sequence sequence;
     sequence.name = drive.name;
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the drive's first "
         "sweep; world: x east, y north, "

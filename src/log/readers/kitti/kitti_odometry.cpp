@@ -61,16 +61,16 @@ std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<
 
 }  // namespace
 
-Sequence load_kitti_odometry(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
+    const fs::path folder = fs::canonical(log_folder);
     const std::vector<int> frames =
         kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
     const std::vector<double> time_s = read_seconds(folder / "times.txt", frames);
     const std::vector<Pose> poses = read_odometry_poses(folder, frames, options.poses_file);
     Sequence sequence;
     sequence.name = "KITTI odometry " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "sensor x forward, y left, z up; metres; seconds of times.txt; world: the LiDAR of frame 0; scans "
         "motion-compensated; no boxes";

@@ -60,9 +60,9 @@ double end_azimuth_deg(const RawScan& scan) {
 
 /// Detects scans that lack most of their points or complete rings. Such files are
 /// damaged, and their missing points must not count as dropped rays.
-class WholeScans {
+class ScanSizes {
 public:
-    explicit WholeScans(const std::vector<RawScan>& raw) {
+    explicit ScanSizes(const std::vector<RawScan>& raw) {
         for (const RawScan& scan : raw) {
             n_points_.push_back(count_points(scan));
             n_rings_.push_back(scan.n_rings);
@@ -75,7 +75,7 @@ public:
     std::string note(std::size_t i, const std::string& file) const {
         // on a real drive, the ends of rings differ by up to 20 degrees
         constexpr double kEarly_deg = 60.0;
-        const double usual_deg = median_beside(end_deg_, i);
+        const double usual_deg = median_of_neighbours(end_deg_, i);
         if (n_points_[i] == 0 || end_deg_[i] + kEarly_deg > usual_deg) return "";
         return fmt::format(
             "{}: its last ring ends at azimuth {:.0f} degrees, those of the scans beside it at {:.0f}: the "
@@ -92,17 +92,17 @@ public:
         if (n_points_[i] == 0)
             throw DataError(
                 fmt::format("{}: all {} points are at the sensor, expected returns", file, n_in_file));
-        const std::size_t usual = median_beside(n_points_, i);
+        const std::size_t usual = median_of_neighbours(n_points_, i);
         if (2 * n_points_[i] < usual)
             throw DataError(fmt::format(
                 "{}: {} points where the scans beside it have {}, expected a whole sweep: is the file "
                 "cut short?",
                 file, n_points_[i], usual));
-        if (n_rings_[i] + kMissingRings <= median_beside(n_rings_, i))
+        if (n_rings_[i] + kMissingRings <= median_of_neighbours(n_rings_, i))
             throw DataError(fmt::format(
                 "{}: its points end in ring {}, those of the scans beside it in ring {}, expected a whole "
                 "sweep: is the file cut short?",
-                file, n_rings_[i], median_beside(n_rings_, i)));
+                file, n_rings_[i], median_of_neighbours(n_rings_, i)));
     }
 
 private:
@@ -113,15 +113,15 @@ private:
     /// Returns the median of the values of up to five scans before and five scans after
     /// scan i.
     template <class T>
-    static T median_beside(const std::vector<T>& values, std::size_t i) {
+    static T median_of_neighbours(const std::vector<T>& values, std::size_t i) {
         constexpr std::size_t kReach = 5;
         const std::size_t begin = i < kReach ? 0 : i - kReach, end = std::min(values.size(), i + kReach + 1);
-        std::vector<T> beside;
+        std::vector<T> neighbours;
         for (std::size_t k = begin; k < end; ++k)
-            if (k != i && values[k] > 0) beside.push_back(values[k]);
-        if (beside.empty()) return values[i];
-        std::ranges::sort(beside);
-        return beside[beside.size() / 2];
+            if (k != i && values[k] > 0) neighbours.push_back(values[k]);
+        if (neighbours.empty()) return values[i];
+        std::ranges::sort(neighbours);
+        return neighbours[neighbours.size() / 2];
     }
 };
 
@@ -180,11 +180,11 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) {
         broken.attempt(at, [&] { raw[at] = split_rings(read_scan(file_of(at))); });
     });
-    const WholeScans whole(raw);
+    const ScanSizes scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
         broken.attempt(at, [&] {
-            whole.check(at, raw[at].points.size(), file_of(at).string());
-            if (std::string note = whole.note(at, file_of(at).string()); !note.empty())
+            scan_sizes.check(at, raw[at].points.size(), file_of(at).string());
+            if (std::string note = scan_sizes.note(at, file_of(at).string()); !note.empty())
                 sequence.notes.push_back(std::move(note));
         });
     for (std::size_t at = 0; at < raw.size(); ++at)

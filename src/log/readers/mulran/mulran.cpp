@@ -161,12 +161,12 @@ stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::
 
 }  // namespace
 
-Sequence load_mulran(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
+    const fs::path folder = fs::canonical(log_folder);
     Sequence sequence;
     sequence.name = "MulRan " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.notes = {"nothing in this log is labelled"};
     sequence.conventions =
         "vehicle x forward, y left, z up; LiDAR likewise (MulRan: x backward); metres; seconds after the "

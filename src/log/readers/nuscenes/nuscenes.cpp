@@ -77,21 +77,21 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
 
 /// Chooses a scene by its name, by nuScenes' number, or by a unique beginning of its
 /// name.
-SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& wanted) {
-    if (wanted.empty()) return scenes[0];
-    const std::optional<int> number = file_number(wanted);
-    const std::string named = number ? fmt::format("scene-{:04}", *number) : wanted;
+SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& scene_name) {
+    if (scene_name.empty()) return scenes[0];
+    const std::optional<int> number = file_number(scene_name);
+    const std::string named = number ? fmt::format("scene-{:04}", *number) : scene_name;
     std::string names;
     std::vector<const SceneName*> begin_so;
     for (const SceneName& scene : scenes) {
         if (scene.name == named) return scene;
-        if (scene.name.starts_with(wanted) || scene.name.starts_with("scene-" + wanted))
+        if (scene.name.starts_with(scene_name) || scene.name.starts_with("scene-" + scene_name))
             begin_so.push_back(&scene);
         if (names.size() < 400) names += (names.empty() ? "" : ", ") + excerpt(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
     throw UsageError(
-        fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(wanted),
+        fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(scene_name),
                     begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin so", begin_so.size()),
                     scenes.size(), names));
 }
@@ -143,14 +143,14 @@ public:
             format_.conventions);
         choose_lidars();
         find_frames();
-        const PoseTrack own = add_frames();
+        const PoseTrack vehicle_track = add_frames();
         if (scene_.labels.empty()) note("no annotations of this scene: nothing in it is labelled");
-        sequence_.boxes = boxes_at(scene_.labels, own.time_s, kBeyondLabels * step_s_);
+        sequence_.boxes = boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::take_given_poses(sequence_, options_.poses_file);
         recentre(sequence_);
         std::vector<fs::path> files;
         for (const NumberedSweep& frame : frames_) files.push_back(file_of(*frame.record));
-        if (format_.is_compensated) read_hdl32e_sweeps(sequence_, files, own, options_);
+        if (format_.is_compensated) read_hdl32e_sweeps(sequence_, files, vehicle_track, options_);
         else read_clouds(files);
         return std::move(sequence_);
     }
@@ -230,13 +230,13 @@ private:
             const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
             std::vector<double> times_s;
             for (const SweepRecord& record : records) times_s.push_back(scene_.seconds(record.time_us));
-            const auto beside = match_sweeps(main_s_, times_s, kBeside * step_s_);
+            const auto matches = match_sweeps(main_s_, times_s, kBeside * step_s_);
             std::size_t n_left = records.size();
             double apart_s = 0.0;
-            for (std::size_t k = 0; k < beside.size(); ++k) {
-                if (!beside[k]) continue;
-                apart_s = std::max(apart_s, std::abs(times_s[*beside[k]] - main_s_[k]));
-                sweeps.push_back({int(k), l, &records[*beside[k]]});
+            for (std::size_t k = 0; k < matches.size(); ++k) {
+                if (!matches[k]) continue;
+                apart_s = std::max(apart_s, std::abs(times_s[*matches[k]] - main_s_[k]));
+                sweeps.push_back({int(k), l, &records[*matches[k]]});
                 --n_left;
             }
             if (!format_.has_times && apart_s > kStampsApart_s)

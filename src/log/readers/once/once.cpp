@@ -56,34 +56,36 @@ OncePose read_once_pose(const JsonField& field, std::int64_t stamp) {
     return pose;
 }
 
-void count_boxes(const JsonField& frame, OnceFile& found) {
+void count_boxes(const JsonField& frame, OnceFile& content) {
     if (!frame.has("annos") || !frame.at("annos").has("boxes_3d")) return;
-    found.n_boxes += frame.at("annos").at("boxes_3d").size();
-    ++found.n_labelled;
+    content.n_boxes += frame.at("annos").at("boxes_3d").size();
+    ++content.n_labelled;
 }
 
 OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_poses) {
     const std::string where = file.string();
     const nlohmann::json json = parse_json(read_text(file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
-    OnceFile found;
+    OnceFile content;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
         const std::string name = id.text(20);
         const auto stamp = stamped::parse_stamp(name);
         if (!stamp) id.fail(fmt::format("'{}'", excerpt(name)), "expected a time in milliseconds");
-        if (!found.scans.empty() && *stamp <= found.scans.back().stamp)
-            id.fail(fmt::format("{} after {}", *stamp, found.scans.back().stamp), "expected times that rise");
-        found.scans.push_back({int(i), *stamp, lidar / (name + ".bin")});
-        if (needs_poses || frame.has("pose")) found.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
-        count_boxes(frame, found);
+        if (!content.scans.empty() && *stamp <= content.scans.back().stamp)
+            id.fail(fmt::format("{} after {}", *stamp, content.scans.back().stamp),
+                    "expected times that rise");
+        content.scans.push_back({int(i), *stamp, lidar / (name + ".bin")});
+        if (needs_poses || frame.has("pose"))
+            content.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
+        count_boxes(frame, content);
     }
-    found.n_missing =
-        std::erase_if(found.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
-    if (found.scans.empty())
+    content.n_missing = std::erase_if(
+        content.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
+    if (content.scans.empty())
         throw DataError(fmt::format("{}: no scan of its {} frames is in {}, expected MILLISECONDS.bin", where,
                                     frames.size(), lidar.string()));
-    return found;
+    return content;
 }
 
 /// Returns the poses of the LiDAR in ONCE's axes.
@@ -100,10 +102,10 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
 }
 
 /// Returns the poses of the LiDAR in relidar's axes.
-PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& log,
+PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
-    const PoseTrack w_last = once_track(found.poses, log, false),
-                    w_first = once_track(found.poses, log, true);
+    const PoseTrack w_last = once_track(content.poses, log, false),
+                    w_first = once_track(content.poses, log, true);
     const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
@@ -117,29 +119,29 @@ PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& lo
 
 }  // namespace
 
-Sequence load_once(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a ONCE sequence (lidar_roof/ and its JSON file)");
-    const fs::path folder = fs::canonical(given), json = folder / (folder.filename().string() + ".json");
-    const OnceFile found = read_once_file(json, folder / "lidar_roof", options.poses_file.empty());
+Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
+    const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
+    const OnceFile content = read_once_file(json, folder / "lidar_roof", options.poses_file.empty());
     Sequence sequence;
     sequence.name = "ONCE " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the log's first scan; "
         "points as "
         "they are; world: the LiDAR of the first frame, x left, y back";
     sequence.notes = {
-        found.n_boxes == 0
+        content.n_boxes == 0
             ? std::string("nothing in this log is labelled")
             : fmt::format("{} boxes of {} labelled frames are left out: nothing says which are of one thing",
-                          found.n_boxes, found.n_labelled)};
-    if (found.n_missing > 0 && !options.allow_missing_scans)
+                          content.n_boxes, content.n_labelled)};
+    if (content.n_missing > 0 && !options.allow_missing_scans)
         throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one each",
-                                    json.string(), found.n_missing));
-    if (found.n_missing > 0)
-        sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", found.n_missing));
-    stamped::StampedLog log{kMillisecond, found.scans, {}, json, 0.0};
-    if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(found, log, sequence.notes);
+                                    json.string(), content.n_missing));
+    if (content.n_missing > 0)
+        sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", content.n_missing));
+    stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
+    if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);

@@ -211,12 +211,12 @@ StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
         clusters_.push_back({sphere_around(shapes.subspan(begin, end - begin)), end});
     }
     for (MovingCar& car : street.cars) {
-        Car& own = cars_.emplace_back(Car{std::move(car), {}});
-        own.solids = solids_of(own.moving.shapes);
-        for (const Solid& s : own.solids)
-            own.reach_m = std::max(own.reach_m, glm::length(s.around.centre) + s.around.radius_m);
-        for (const Limb& l : own.moving.limbs)
-            own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
+        Car& new_car = cars_.emplace_back(Car{std::move(car), {}});
+        new_car.solids = solids_of(new_car.moving.shapes);
+        for (const Solid& s : new_car.solids)
+            new_car.reach_m = std::max(new_car.reach_m, glm::length(s.around.centre) + s.around.radius_m);
+        for (const Limb& l : new_car.moving.limbs)
+            new_car.reach_m = std::max(new_car.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
     }
 }
 
