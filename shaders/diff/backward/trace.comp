@@ -23,7 +23,7 @@ RELIDAR_PARAMS(BackwardParams);
 
 RELIDAR_CONSTANT(uint, GATHER, 0u);
 
-vec3 d_ray_origin;  // world
+vec3 d_ray_origin;  // gradient of the ray's origin, world frame
 vec3 d_ray_direction;
 
 /// Adds the gradient of a hit to the gradient of its surfel.
@@ -47,7 +47,7 @@ struct BlendedHit {
     uint slot;  // slot of its record
     uint instance;
     uint surfel;
-    float alpha;          // sigma G
+    float alpha;          // sigma G, the opacity at the hit
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
     float shade;          // g . c minus the shift

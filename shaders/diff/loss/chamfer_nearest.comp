@@ -43,7 +43,7 @@ void visit_point(uint i, inout Nearest best) {
 
 /// Position of items in a rectangle: the points of a tile, or the tiles of a group.
 struct Cells {
-    uvec2 begin, end;  // row, column
+    uvec2 begin, end;  // first and one past the last row and column
     uint across;       // items per row of the image
 };
 

@@ -20,7 +20,7 @@ const float kC2 = 9e-4;  // (0.03)^2
 
 struct Window {
     float sum;  // sum of weights
-    vec2 mean;  // of x and y
+    vec2 mean;  // means of x and y
     vec2 variance;
     float covariance;
 };

@@ -19,7 +19,7 @@ RELIDAR_PARAMS(ConvWeightsParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
-float sum[kOut * kIn * TAPS];  // [out, in, tap]
+float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
 // [in, line] The LANES columns that start one column before the lane's column, and the
 // LANES columns after them.
 float before[kIn * kLines], next[kIn * kLines];

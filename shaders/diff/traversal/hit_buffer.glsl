@@ -110,7 +110,7 @@ void insert(Key key, float alpha, float alpha_max) {
     for (;;) {
         float t = placed_t[nearer];
         if (!(t >= key.t)) break;
-        if (t == key.t) {  // rare
+        if (t == key.t) {  // equal distances are rare
             Key present_key = placed_key(nearer);
             // The surfel is in the buffer already, because the ray also hit its other
             // triangle or the driver reported its box twice.

@@ -6,8 +6,8 @@
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
 // Measurement of this thread's ray, if LIKELIHOOD is set.
-float measured_range = 0.0;      // in m; 0: dropped or unknown
-float measured_per_scale = 0.0;  // in 1/m
+float measured_range = 0.0;      // measured range in m; 0: dropped or unknown
+float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
 /// Loads the measurement of a ray of the batch.
 void take_measured(TraceScene scene, uint ray) {

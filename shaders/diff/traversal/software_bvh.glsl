@@ -57,7 +57,7 @@ const uint kInstanceEntry = 0x80000000u;  // flag of entries that are instances
 // Flag of nodes of the top tree. Other nodes belong to the last entered instance.
 const uint kTopEntry = 0x40000000u;
 const float kNever = 1e30;
-const float kSlack = 5e-7;  // 8 roundings of 2^-24
+const float kSlack = 5e-7;  // relative rounding error of a slab distance: 8 roundings of 2^-24
 const float kLeastSlope = 1e-12;
 
 uint stack_entry[SLOTS];  // SLOTS is one more than the used size
@@ -68,7 +68,7 @@ bool stack_full;
 /// A ray prepared for box tests, in the frame of the current tree.
 struct BoxRay {
     vec3 origin;
-    vec3 inverse;  // 1 / direction
+    vec3 inverse;  // 1 / direction, per axis
     float start;   // m along the ray: boxes before `start` and behind `end` are skipped
     float end;
 };

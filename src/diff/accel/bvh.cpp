@@ -87,21 +87,25 @@ struct Bvh::Impl {
     Kernel<shared::BvhRefitParams> refit_kernel;
     Kernel<shared::BvhTopParams> top;
     Kernel<shared::BvhCostParams> cost_kernel;
-    Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances]
-    Array<float, shared::SurfelBoxes> boxes;                ///< [n,6]
-    Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6]
+    Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
+    Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
+    Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
     Array<std::uint32_t> scratch;                           ///< binary trees, and keys during the sort
     Array<std::uint32_t, shared::BinaryRoots> queue;        ///< [bound] binary nodes that become wide
     Array<std::uint32_t, shared::LevelSizes> level_sizes;   ///< entries of the queue per level
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
-    Array<shared::BvhNode> nodes;                       ///< [bound]
-    Array<std::uint32_t, shared::LeafOrder> order;      ///< [n]
-    Array<glm::uvec2, shared::WideLinks> links;         ///< [bound]
-    Array<float, shared::WideBoxes> node_boxes;         ///< [bound,6]
-    Array<std::uint32_t, shared::Arrivals> arrivals;    ///< [bound]
-    Array<std::uint32_t, shared::WideCount> count;      ///< [1]
-    Array<std::uint32_t, shared::InstanceRoots> roots;  ///< [n_instances]
-    Array<std::uint32_t, shared::TopOrder> top_order;   ///< [n_instances]
+    Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
+    Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
+    /// [bound] parent of each node, and first surfel of its model
+    Array<glm::uvec2, shared::WideLinks> links;
+    Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
+    /// [bound] number of children that have been refitted
+    Array<std::uint32_t, shared::Arrivals> arrivals;
+    Array<std::uint32_t, shared::WideCount> count;  ///< [1] number of nodes in use
+    /// [n_instances] root node of each instance's model
+    Array<std::uint32_t, shared::InstanceRoots> roots;
+    /// [n_instances] instances in the order of the leaves
+    Array<std::uint32_t, shared::TopOrder> top_order;
     Array<shared::BvhNode> top_node_array;
     Array<float, shared::InstanceBoxes> top_boxes;
     Array<glm::uvec2> top_keys;

@@ -23,10 +23,10 @@ namespace relidar {
 /// Copy of a structure on the host, for tests and measurements.
 struct BvhOnHost {
     std::vector<shared::BvhNode> nodes;  ///< nodes in use
-    std::vector<std::uint32_t> order;    ///< [n]
-    std::vector<std::uint32_t> roots;    ///< [n_instances]
+    std::vector<std::uint32_t> order;    ///< [n] surfels in the order of the leaves
+    std::vector<std::uint32_t> roots;    ///< [n_instances] root node of each instance's model
     std::vector<shared::BvhNode> top_nodes;
-    std::vector<std::uint32_t> top_order;  ///< [n_instances]
+    std::vector<std::uint32_t> top_order;  ///< [n_instances] instances in the order of the leaves
     /// [n,6] m: boxes of the surfels; low above high for surfels that are never hit
     std::vector<float> boxes;
 };

@@ -96,7 +96,7 @@ void record_builds(Stream::Impl& stream, const std::string& name, std::vector<Bu
 /// Triangles between the corners that diff/accel/proxies writes.
 struct Mesh {
     std::uint32_t n_corners;
-    std::vector<std::uint32_t> corners;  ///< [triangles,3]
+    std::vector<std::uint32_t> corners;  ///< [triangles,3] indices of the corners
 
     std::uint32_t n_triangles() const { return static_cast<std::uint32_t>(corners.size() / 3); }
 };
@@ -132,7 +132,7 @@ struct HardwareAccel::Impl {
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
     Kernel<shared::ModelRadiiParams> model_radii;
-    Array<std::uint32_t, shared::ModelRadii> radii;  ///< [models]
+    Array<std::uint32_t, shared::ModelRadii> radii;  ///< [models] radius of each model
     Array<shared::MovingInstance> moving;            ///< [instances] capacity for all instances
     std::uint32_t n_moving = 0;
     Buffer scratch;

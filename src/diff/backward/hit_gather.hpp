@@ -42,7 +42,7 @@ private:
     Array<std::uint32_t, shared::FirstHits> first_hit_;
     Array<shared::HitRecord> hits_;
     Array<float, shared::RowParts> parts_;
-    Array<std::uint32_t, shared::HitRows> rows_[2];    ///< sort keys
+    Array<std::uint32_t, shared::HitRows> rows_[2];    ///< row of each hit, the sort keys
     Array<std::uint32_t, shared::HitSlots> slots_[2];  ///< slots of the hits in sorted order
     PrefixSum prefix_sum_;                             ///< prefix sum over rays
     std::unique_ptr<RadixSort> sort_;                  ///< sorts by row

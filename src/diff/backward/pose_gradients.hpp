@@ -13,8 +13,8 @@ namespace relidar {
 /// Blocks of surfels of all instances, and the sum of each block.
 struct Gradients::PoseSums {
     Array<shared::PoseBlock> blocks;
-    Array<std::uint32_t> first_block;            ///< [instances + 1]
-    Array<float, shared::PoseSums> sums;         ///< [blocks, RELIDAR_POSE_SUMS]
+    Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
+    Array<float, shared::PoseSums> sums;         ///< [blocks, RELIDAR_POSE_SUMS] sum of each block
     Array<float, shared::ViewGradients> d_view;  ///< [n,3] output of activate_vjp
 
     PoseSums(Device& device, const DeviceScene& scene);

@@ -47,7 +47,8 @@ struct Densifier::Impl {
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
-    Array<std::uint32_t, shared::DensifyCounters> counters;  ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    /// [n_models, RELIDAR_DENSIFY_COUNTERS] counters of each model
+    Array<std::uint32_t, shared::DensifyCounters> counters;
     Kernel<shared::ObserveParams> observe;
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;

@@ -52,7 +52,7 @@ private:
     Array<std::uint32_t, shared::OverflowCount> n_overflows_;
     Readback overflows_;
     std::uint64_t counted_until_ = 0;     ///< ticket of the submission that reads the count
-    std::uint32_t overflows_before_ = 0;  ///< previous count
+    std::uint32_t overflows_before_ = 0;  ///< overflow count that was read before
 
     void make_hits(std::size_t n_lists);
     shared::HitLists make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept);

@@ -66,7 +66,7 @@ Renderer::~Renderer() = default;
 void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
-    r.scene.place(r.stream, placed);  // Eq. 4-5
+    r.scene.place(r.stream, placed);  // Eq. 4-5 of the paper
     r.scene.activate(r.stream, r.model, view_origin_m);
     r.accel->update(r.stream, r.scene);
     r.placed = true;
@@ -96,7 +96,7 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.make_kept_hits(trace_threads(rays));
     }
     r.batch.rays = rays;
-    // Eq. 2-4
+    // Eq. 2-4 of the paper
     r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr,
                   r.batch.surfaces);
 }

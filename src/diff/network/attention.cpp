@@ -10,7 +10,7 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kAttentionThreads = 64;  // workgroup size
+constexpr std::uint32_t kAttentionThreads = 64;  // threads per workgroup
 
 std::vector<Constant> attention_constants(std::uint32_t lanes) {
     return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kAttentionThreads}};

@@ -18,8 +18,8 @@ struct DropLossArrays {
     Address<float, shared::DropLogits> logit;
     Address<float, shared::StartLogits> start = {};              ///< added to the logits
     Address<float, shared::DropTargets> target = {};             ///< 1 dropped, 0 returned, negative: unknown
-    Address<float, shared::DropLogitGradients> d_logit = {};     ///< output
-    Address<float, shared::DropProbabilities> probability = {};  ///< output
+    Address<float, shared::DropLogitGradients> d_logit = {};     ///< output: gradient of the logits
+    Address<float, shared::DropProbabilities> probability = {};  ///< output: drop probabilities
 };
 
 class DropLoss {

@@ -10,7 +10,7 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kNormThreads = 64;  // workgroup size
+constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
 /// Returns the number of parts whose sums are computed separately. A part lies within one

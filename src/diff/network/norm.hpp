@@ -10,7 +10,7 @@ namespace relidar::refine {
 
 /// Parameters of a normalisation layer.
 struct NormWeights {
-    Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels]
+    Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
     /// [channels] Running mean and variance of the batches, for evaluation.
     Address<glm::vec2, shared::RunningMoments> running;
 };
@@ -24,8 +24,8 @@ struct NormGradient {
 
 /// Results of a layer's forward pass that its backward pass needs.
 struct NormState {
-    Array<glm::vec2, shared::NormMoments> moments;     ///< [channels]
-    Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels]
+    Array<glm::vec2, shared::NormMoments> moments;     ///< [channels] mean and 1 / deviation of each channel
+    Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels] scale and shift of each channel
     std::uint32_t dropout_key = 0;
     float dropout = 0.0f;
 

@@ -88,7 +88,7 @@ RenderedBatch DifferentiableRenderer::batch() {
 
 void DifferentiableRenderer::record_backward() {
     impl_->backward.set_sh_degree(model().sh_degree);
-    // Eq. 9
+    // Eq. 9 of the paper
     impl_->backward.run(stream(), scene(), accel(), batch(), view_origin_m(), *impl_->gradients);
 }
 

@@ -16,9 +16,9 @@ namespace relidar {
 struct CollectedHits {
     std::uint32_t max_hits = 0;
     std::vector<std::uint32_t> counts;    ///< [n_rays] may exceed max_hits
-    std::vector<float> t;                 ///< [n_rays, max_hits] metres
-    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits]
-    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits]
+    std::vector<float> t;                 ///< [n_rays, max_hits] distance of each hit in metres
+    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits] instance of each hit
+    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
 /// A scene with the poses of its instances, and the options of its tracing.

@@ -27,7 +27,7 @@ constexpr double kBoxReach_m =
     // than the distance to the origin of map coordinates.
     1e5;
 constexpr double kLargestOrigin_m = 1000.0;  // maximum distance of a ray's origin from its sensor
-constexpr double kWidestBeam_rad = 6.3;      // full angle
+constexpr double kWidestBeam_rad = 6.3;      // limit of the divergence, as a full angle
 
 [[noreturn]] void fail(const std::string& where, const std::string& found, const std::string& expected) {
     throw DataError(fmt::format("{}: {}, expected {}", where, found, expected));

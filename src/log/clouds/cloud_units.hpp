@@ -24,7 +24,7 @@ struct CloudUnits {
     double time_unit_s = 1.0;
     bool is_deskewed = false;  ///< all points of a cloud have the same time
     double intensity_max = 1.0;
-    std::string about;  ///< description
+    std::string about;  ///< description of the units for the log's notes
 };
 
 /// Determines the units.

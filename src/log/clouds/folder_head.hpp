@@ -18,7 +18,8 @@ inline constexpr const char* kPosesFile = "poses.txt";
 inline constexpr const char* kBoxesFile = "boxes.json";
 inline constexpr const char* kFormat = "relidar log";
 inline constexpr int kVersion = 1;
-inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;  // in bytes
+// limits of texts, in bytes
+inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;
 
 /// Units of point values.
 struct PointUnits {

@@ -147,7 +147,7 @@ private:
     const ScanSource& source_;
     const bool has_poses_;
     BrokenScans& broken_;
-    std::vector<Plan> plans_;                    ///< [lidars]
+    std::vector<Plan> plans_;                    ///< [lidars] plan of each LiDAR
     std::map<std::size_t, ScanPoints> samples_;  ///< [frames] samples from which the plans were made
     std::vector<std::size_t> left_out_;          ///< [frames] number of ignored points
     std::vector<std::size_t> n_first_;           ///< [frames] number of first returns

@@ -36,7 +36,7 @@ std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
         float range_m;
         double elevation_rad;
     };
-    std::vector<std::vector<Seen>> seen(181);  // by degree
+    std::vector<std::vector<Seen>> seen(181);  // one list per degree of elevation
     for (const ScanPoints& scan : scans)
         for (const glm::vec3& p : scan.point_m) {
             const double elevation = elevation_of(glm::dvec3(p));
@@ -55,7 +55,7 @@ std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
 
 struct Band {
     int first, last;       ///< first and last bin
-    double elevation_rad;  ///< median elevation
+    double elevation_rad;  ///< median elevation of the band
 };
 
 /// Returns the runs of bins that are not empty.

@@ -109,7 +109,7 @@ std::vector<ScanPoints> sample_points(const StampedPoints& source, std::size_t n
             samples.push_back(source.points(k * n_scans / n));
             if (samples.back().size() == 0) samples.pop_back();
         } catch (const DataError&) {
-            continue;  // reported later, when the scan is read
+            continue;  // the error is reported later, when the scan is read
         }
     }
     return samples;
@@ -195,7 +195,7 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trimmed(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = csv_cells(lines[l]);
-        if (l == 0 && !parse_number(cells[0])) continue;  // column names
+        if (l == 0 && !parse_number(cells[0])) continue;  // skips a line of column names
         StampedRow row = row_of(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
@@ -306,7 +306,7 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
                 "one of the nominal beam that passes nearest",
                 sensor.beams.size(), sensor.columns));
         } else {
-            format.beams.clear();  // the source uses them
+            format.beams.clear();  // `source` reads the beams
         }
     }
     head.name = sequence.name;
@@ -324,7 +324,7 @@ Brightness find_brightness(const std::vector<fs::path>& files, const std::vector
         try {
             samples.push_back(folder::read_point_file(files[k * files.size() / n], columns));
         } catch (const DataError&) {
-            continue;  // reported later, when the scan is read
+            continue;  // the error is reported later, when the scan is read
         }
     }
     const bag::CloudUnits units = bag::find_units(samples, std::vector<double>(samples.size(), 0.0), 0.0);

@@ -20,7 +20,7 @@ namespace relidar::stamped {
 
 /// A scan of the log.
 struct StampedScan {
-    int number = 0;          ///< frame number
+    int number = 0;          ///< number of the scan's frame
     std::int64_t stamp = 0;  ///< time in the unit of the dataset
     std::filesystem::path file;
 };

@@ -29,8 +29,9 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-constexpr std::int64_t kLongestOffset_ns = 200'000'000;  // two revolutions
-constexpr double kFarthestHit_m = 1e4;                   // limit of a point's distance
+// limit of a point's time offset: two revolutions
+constexpr std::int64_t kLongestOffset_ns = 200'000'000;
+constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
 /// File of a sweep, and the number of the sweep in the log.
 struct SweepFile {

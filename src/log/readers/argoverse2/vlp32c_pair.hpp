@@ -16,8 +16,8 @@ constexpr int kLasers = 32;  ///< lasers per LiDAR
 /// A sweep as stored in its file.
 struct RawSweep {
     std::vector<glm::dvec3> point_m;      ///< [n] in the vehicle frame at the sweep's time
-    std::vector<double> intensity;        ///< [n] 0..255
-    std::vector<std::int64_t> laser;      ///< [n] 0..63
+    std::vector<double> intensity;        ///< [n] intensity of each point, 0..255
+    std::vector<std::int64_t> laser;      ///< [n] laser number of each point, 0..63
     std::vector<std::int64_t> offset_ns;  ///< [n] time of measurement, relative to the sweep's time
 };
 

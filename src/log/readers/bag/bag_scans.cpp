@@ -122,7 +122,7 @@ LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s)
         try {
             samples.push_back(read_table(bag, clouds, entry.place));
         } catch (const DataError&) {
-            continue;  // reported later, when the scan is read
+            continue;  // the error is reported later, when the scan is read
         }
         stamps_s.push_back(1e-9 * double(entry.stamp_ns));
         topic.samples.emplace(entry.place, samples.back());

@@ -17,7 +17,7 @@ namespace relidar::bag {
 
 /// A cloud and the time of its frame.
 struct FrameCloud {
-    int number = 0;        ///< frame number
+    int number = 0;        ///< number of the frame
     double time_s = 0.0;   ///< time of the frame
     double cloud_s = 0.0;  ///< time of the cloud on the same clock
     std::size_t lidar = 0;

@@ -52,16 +52,16 @@ void add_box(BoxList& list, const Draft& draft) {
 /// these fields.
 struct DetectionLayout {
     bool has_text;      ///< classes are strings instead of numbers
-    bool has_cloud;     ///< source_cloud
-    bool is_flagged;    ///< is_tracking
+    bool has_cloud;     ///< the message has the field source_cloud
+    bool is_flagged;    ///< the message has the flag is_tracking
     bool has_identity;  ///< id, formerly tracking_id
 };
 constexpr DetectionLayout kDetectionLayouts[] = {
     {true, false, false, true},   // versions 3 and 4, ROS 2
-    {true, true, true, true},     // version 2, ROS 2
-    {true, true, false, false},   // version 1, ROS 2
-    {false, true, false, false},  // ROS 1
-    {false, true, true, true},    // ROS 1, newer
+    {true, true, true, true},     // version 2 for ROS 2
+    {true, true, false, false},   // version 1 for ROS 2
+    {false, true, false, false},  // older version for ROS 1
+    {false, true, true, true},    // newer version for ROS 1
 };
 
 /// Returns the most likely class.
@@ -90,7 +90,8 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
                   read_class(reader, layout),
                   read_pose_numbers(reader),
                   read_vector(reader)};
-        if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();  // is_dense
+        // the flag is_dense
+        if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();
         if (layout.is_flagged) reader.number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.text();
         if (box.header.frame.empty()) box.header = list.header;
@@ -173,14 +174,14 @@ BoxList read_objects(MessageReader& reader, bool is_auto) {
     const std::size_t n = reader.length(kLeastObject);
     for (std::size_t i = 0; i < n; ++i) {
         Draft box{list.header, read_uuid(reader), {}, {}, {}};
-        reader.number<float>();  // existence probability
+        reader.number<float>();  // skips the existence probability
         box.category = read_label(reader);
         box.pose = read_pose_numbers(reader);
         pass_numbers(reader, kCovariance);
         if (is_auto) reader.number<std::uint8_t>();
-        pass_numbers(reader, 2 * kTwist);  // twist, acceleration
+        pass_numbers(reader, 2 * kTwist);  // skips twist and acceleration
         if (!is_auto) reader.number<std::uint8_t>();
-        reader.number<std::uint8_t>();  // flag: the object is stationary
+        reader.number<std::uint8_t>();  // skips the flag that the object is stationary
         read_shape(reader, box);
         add_box(list, box);
     }

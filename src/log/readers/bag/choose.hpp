@@ -11,7 +11,7 @@
 
 namespace relidar::bag {
 
-/// Selected clouds.
+/// Topics of point clouds that are read.
 struct CloudChoice {
     std::vector<std::size_t> lidars;  ///< indices in Survey::clouds, each in a different frame
     std::size_t main = 0;             ///< index in `lidars` of the LiDAR whose clouds number the sweeps
@@ -22,7 +22,7 @@ struct CloudChoice {
 /// @throws DataError if no topic has clouds, UsageError if a named topic has none
 CloudChoice choose_clouds(const Bag& bag, const Survey& survey, const std::vector<std::string>& wanted);
 
-/// Selected poses.
+/// Poses that are used for the log.
 struct PoseChoice {
     Clock clock = Clock::stamps;
     std::int64_t zero_ns = 0;  ///< time of the first cloud, used as 0 s
@@ -40,7 +40,7 @@ struct PoseChoice {
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
                         const std::string& wanted);
 
-/// Selected boxes.
+/// Topic of boxes that is used for the log.
 struct BoxChoice {
     const BoxTopic* topic = nullptr;  ///< a topic of Survey::boxes, or null
     std::vector<std::string> notes;

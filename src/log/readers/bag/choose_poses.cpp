@@ -15,7 +15,7 @@ namespace {
 /// A possible source of poses, before a clock is chosen.
 struct PoseSource {
     std::string outer;                 ///< an ancestor of the LiDAR's frame, or the frame of the topic
-    const PoseTopic* topic = nullptr;  ///< null: /tf
+    const PoseTopic* topic = nullptr;  ///< pose topic, or null for /tf
     std::string vehicle;
     std::string about;
 };

@@ -18,7 +18,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
-constexpr std::size_t kRecordHead = 9;  // code, length
+constexpr std::size_t kRecordHead = 9;  // bytes of a record's code and length
 enum McapCode : std::uint8_t {
     kMcapFooter = 2,
     kMcapSchema = 3,
@@ -48,15 +48,15 @@ struct McapMessage {
 McapMessage message_of(std::string_view body) {
     ByteReader reader(body);
     const auto channel = reader.number<std::uint16_t>();
-    reader.number<std::uint32_t>();  // sequence number in the channel
+    reader.number<std::uint32_t>();  // skips the sequence number in the channel
     const auto log_ns = reader.number<std::uint64_t>();
-    reader.number<std::uint64_t>();  // publication time
+    reader.number<std::uint64_t>();  // skips the publication time
     return {channel, std::int64_t(log_ns), reader.rest()};
 }
 
 SharedBytes records_of_chunk(const SharedBytes& chunk) {
     ByteReader reader(chunk.bytes);
-    reader.take(16);  // first and last time
+    reader.take(16);  // skips the first and last time
     const auto n = reader.number<std::uint64_t>();
     const auto sum = reader.number<std::uint32_t>();
     const std::string_view compression = reader.sized();

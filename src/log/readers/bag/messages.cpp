@@ -96,9 +96,9 @@ Cloud read_livox(MessageReader& reader) {
     constexpr std::size_t kPoint = 19;
     Cloud cloud;
     cloud.header = read_header(reader);
-    reader.number<std::uint64_t>();  // timebase: same as the stamp
-    reader.number<std::uint32_t>();  // number of points
-    reader.take(4);                  // LiDAR id, reserved
+    reader.number<std::uint64_t>();  // skips the timebase, which equals the stamp
+    reader.number<std::uint32_t>();  // skips the number of points
+    reader.take(4);                  // skips the LiDAR id and reserved bytes
     const std::size_t n = reader.length(kPoint);
     cloud.height = 1;
     cloud.width = std::uint32_t(n);
@@ -128,7 +128,7 @@ std::int64_t read_time(MessageReader& reader) {
 }
 
 Header read_header(MessageReader& reader) {
-    if (reader.is_ros1()) reader.number<std::uint32_t>();  // sequence number
+    if (reader.is_ros1()) reader.number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_time(reader);
     std::string frame(reader.text());
     // frames of ROS 1's tf exist with and without a leading slash

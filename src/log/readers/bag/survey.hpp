@@ -20,7 +20,7 @@ namespace relidar::bag {
 
 struct TopicFacts {
     std::size_t n = 0;                       ///< number of messages
-    std::int64_t first_ns = 0, last_ns = 0;  ///< recording times
+    std::int64_t first_ns = 0, last_ns = 0;  ///< recording times of the first and the last message
     std::size_t n_broken = 0;                ///< number of messages that could not be read
     std::string broken;                      ///< problem of the first of them
 
@@ -80,7 +80,7 @@ struct BoxTopic {
 };
 
 struct Survey {
-    std::vector<TopicFacts> facts;  ///< [Bag::topics()]
+    std::vector<TopicFacts> facts;  ///< facts of each topic, in the order of Bag::topics()
     std::vector<CloudTopic> clouds;
     std::vector<PoseTopic> poses;
     std::vector<BoxTopic> boxes;

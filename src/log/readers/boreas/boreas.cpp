@@ -60,7 +60,8 @@ struct AngleOrder {
     double sign;     ///< sign of the angles
     bool yaw_first;  ///< true: vectors are rotated by yaw first; false: by roll first
 };
-constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},  // as documented
+// the documented convention
+constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
                                        {"R_z(yaw) R_y(pitch) R_x(roll)", 1.0, false},
                                        {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                        {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};

@@ -28,7 +28,8 @@ constexpr double kMostGap_s = 0.5;  // maximum gap between poses, which are reco
 // from the axis.
 constexpr double kLeastRange_m = 2.0;
 constexpr double kMostSpread_rad = kPi / 180.0;  // maximum spread of the elevations of one beam
-constexpr double kForward = 0.9;                 // minimum of Driving::mean along x
+// minimum component of Driving::mean along x for a vehicle that drives forward
+constexpr double kForward = 0.9;
 
 /// Mounting of the LiDAR as published by the authors: metres; roll, pitch and yaw in
 /// degrees.
@@ -80,7 +81,7 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
             table = folder::read_point_file(file, {});
             check_points(table, file.string());
         } catch (const DataError&) {
-            continue;  // reported later, when the scan is read
+            continue;  // the error is reported later, when the scan is read
         }
         const double by_column = spread_of_beams(table, MulranOrder::by_column),
                      by_beam = spread_of_beams(table, MulranOrder::by_beam);

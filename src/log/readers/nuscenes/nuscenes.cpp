@@ -164,7 +164,7 @@ private:
     /// Possible prefix of file folders: for example, tables in train_data, files in
     /// train_lidar.
     const std::string split_;
-    std::vector<double> main_s_;       ///< [sweeps of the first LiDAR]
+    std::vector<double> main_s_;       ///< times of the first LiDAR's sweeps
     double step_s_ = 0.0;              ///< time between these sweeps
     std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
     std::vector<NumberedSweep> frames_;

@@ -29,7 +29,7 @@ struct SceneLidar {
     std::vector<SweepRecord> sweeps;  ///< in order of time
 };
 
-/// A scene.
+/// Data of a scene.
 struct SceneTables {
     std::string name;
     /// At least one: LIDAR_TOP, then the others by name. The first one numbers the

@@ -21,7 +21,7 @@ struct Shape {
     glm::dvec3 half{0.0};
     double yaw_rad = 0.0;
     Material material = Material::wall;
-    double reflectance = 0.5;  ///< 0..1
+    double reflectance = 0.5;  ///< reflectance from 0 to 1
 };
 
 /// A leg or an arm: a capsule that hangs from a joint and swings forward and backward,
@@ -86,7 +86,7 @@ struct Hit {
 struct CarPlaces {
     std::optional<double> time_s;
     std::vector<glm::dvec3> centre_m;  ///< [cars] centres of their boxes
-    std::vector<Pose> box_from_world;  ///< [cars]
+    std::vector<Pose> box_from_world;  ///< [cars] inverse poses of their boxes
 };
 
 /// Casts rays into a street.

@@ -39,7 +39,7 @@ double half_length_m(const SyntheticOptions& options) {
 
 /// One side of a street.
 struct Side {
-    double left;  ///< 1: left, -1: right
+    double left;  ///< sign of the side in y: 1: left, -1: right
     double kerb_m;
     double half_m;  ///< half the length of the street
 };

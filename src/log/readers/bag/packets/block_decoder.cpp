@@ -152,7 +152,7 @@ private:
     std::vector<BeamFiring> table_;
     std::vector<Angles> angles_;        ///< [lasers] angles of one unit, or empty
     std::vector<std::size_t> order_;    ///< [rings] rows of the table
-    std::vector<std::size_t> ring_of_;  ///< [lasers]
+    std::vector<std::size_t> ring_of_;  ///< [lasers] ring of each laser
 
     std::size_t laser_of(std::size_t line) const {
         return std::size_t(table_[line].channel - layout_.first_channel);

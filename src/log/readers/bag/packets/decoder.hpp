@@ -25,7 +25,7 @@ struct PacketView {
 /// Measurement of a beam.
 struct Echo {
     float range_m = 0.0f;    ///< relative to the beam's origin; 0: no return
-    float intensity = 0.0f;  ///< 0..1
+    float intensity = 0.0f;  ///< intensity from 0 to 1
 };
 
 /// One firing of all beams.

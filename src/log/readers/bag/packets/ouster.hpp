@@ -31,17 +31,17 @@ struct OusterProfile {
 
 /// Content of the metadata of one sensor.
 struct OusterFormat {
-    std::string text;     ///< the metadata
+    std::string text;     ///< text of the metadata
     std::string where;    ///< file or topic of the metadata
-    std::string product;  ///< "OS-1-128"
+    std::string product;  ///< name of the product, such as "OS-1-128"
     const OusterProfile* profile = nullptr;
     int columns_per_packet = 0;
     std::size_t packet_bytes = 0;
     int port = 0;                      ///< port to which packets are sent; 0: unknown
-    std::uint64_t serial = 0;          ///< 0: unknown
+    std::uint64_t serial = 0;          ///< serial number; 0: unknown
     std::vector<bool> fires;           ///< [columns per revolution] false: outside of column_window
     SpinningSensor sensor;             ///< highest ring first
-    std::vector<std::size_t> ring_of;  ///< [pixels of a column]
+    std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring of each pixel
 
     std::string about() const;  ///< "packets of 12544 bytes (profile, beams, columns a packet, port)"
 };

@@ -97,7 +97,7 @@ private:
         Column column;
         const auto time_ns = reader.number<std::uint64_t>();
         column.number = reader.number<std::uint16_t>();
-        if (format_->profile->is_legacy) reader.take(6);  // frame, encoder
+        if (format_->profile->is_legacy) reader.take(6);  // skips the frame number and the encoder angle
         else column.was_measured = (reader.number<std::uint16_t>() & 1) != 0;
         column.time_ns = std::int64_t(std::min(time_ns, kLatestClock_ns));
         return column;

@@ -33,7 +33,7 @@ constexpr OusterProfile kProfiles[] = {
 constexpr int kUsualColumns = 16;  // columns per packet
 constexpr std::size_t kMostMetadata = std::size_t(1) << 20, kMostFiles = 256, kMostDatagram = 65507,
                       kMostTold = 3;
-constexpr double kMostSerial = 1099511627776.0;  // 40 bits
+constexpr double kMostSerial = 1099511627776.0;  // serial numbers have 40 bits
 // Position in the packet header of older firmware, and of newer firmware.
 constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 

@@ -43,7 +43,7 @@ public:
     std::size_t size() const { return packets_.size(); }
     /// Returns the complete revolutions.
     std::vector<PacketTurn> turns() const;
-    /// A message.
+    /// Position and recording time of a message with packets.
     struct Source {
         bag::Place place;
         std::int64_t log_ns;

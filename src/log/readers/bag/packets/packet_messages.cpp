@@ -18,9 +18,9 @@ using bag::MessageReader;
 
 /// Layout of a packet in a message.
 enum class Form {
-    fixed,   ///< stamp, `n` bytes
+    fixed,   ///< a stamp and `n` bytes of packet
     padded,  ///< stamp, `n` bytes, number of bytes that belong to the packet
-    list,    ///< stamp, list of bytes
+    list,    ///< a stamp and a list of bytes
     bare,    ///< no header; stamp in nanoseconds, list of bytes
     alone,   ///< no header and no list of packets; the list of bytes of one packet
 };
