@@ -3,7 +3,7 @@
 //   partial[part, o, i, ky, kx] = sum_y,x d_to[o, y, x] from[i, y + ky - 1, x + kx - 1]
 // A subgroup computes RELIDAR_CONV_OUT output channels of one input channel (1x1: of
 // RELIDAR_CONV_IN input channels). Each lane sums its columns, and the lanes are added at
-// the end. Input: from, d_to. Output: partial, which refine/sum_parts sums. Work: at
+// the end. Input: from, d_to. Output: partial, which network/sum_parts sums. Work: at
 // least 2 n_in n_out TAPS operations per pixel.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -6,11 +6,11 @@
 #define RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #include "images.h"
 
-#define RELIDAR_CONV_OUT 8  // channels that a subgroup of refine/conv or refine/conv_weights computes
-// Input channels whose weights a workgroup of refine/conv holds at a time, or that a
-// subgroup of refine/conv_weights processes (1x1).
+#define RELIDAR_CONV_OUT 8  // channels that a subgroup of network/conv or network/conv_weights computes
+// Input channels whose weights a workgroup of network/conv holds at a time, or that a
+// subgroup of network/conv_weights processes (1x1).
 #define RELIDAR_CONV_IN 8
-// pixels of a channel that a thread of refine/norm or refine/norm_vjp computes
+// pixels of a channel that a thread of network/norm or network/norm_vjp computes
 #define RELIDAR_NORM_PIXELS 8
 
 RELIDAR_SHARED_BEGIN
@@ -53,7 +53,7 @@ struct SumPartsParams {
 // Parameters of the sums over the pixels of channels, split into parts.
 struct ChannelSumsParams {
     ImageSlice from;  // input
-    ImageSlice d_to;  // input, for kSums_norm_vjp: gradient of the output of refine/norm
+    ImageSlice d_to;  // input, for kSums_norm_vjp: gradient of the output of network/norm
     // Output [n_parts, channels, 2], or [n_parts, channels] for kSums_plain.
     RELIDAR_OF(Floats, PartSums) partial;
     RELIDAR_OF(Vec2s, ScaleShift) scale_shift;  // input [channels], for kSums_norm_vjp
@@ -119,8 +119,8 @@ struct NormVjpParams {
 
 struct ResampleParams {
     ImageSlice from;    // input
-    ImageSlice to;      // output; in place for refine/pool_vjp
-    ImageSlice pooled;  // input of the pooling; only for refine/pool_vjp
+    ImageSlice to;      // output; in place for network/pool_vjp
+    ImageSlice pooled;  // input of the pooling; only for network/pool_vjp
     uint n_images;
     uint n_channels;
     uint rows;  // size of the larger images

@@ -5,7 +5,7 @@
 #define RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #include "layers.h"
 
-#define RELIDAR_MATMUL_ROWS 8  // rows that a subgroup of refine/matmul computes
+#define RELIDAR_MATMUL_ROWS 8  // rows that a subgroup of network/matmul computes
 
 RELIDAR_SHARED_BEGIN
 

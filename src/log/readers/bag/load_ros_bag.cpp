@@ -80,7 +80,7 @@ private:
     BoxChoice boxes_;
     Sequence sequence_;
     std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
-    std::vector<FrameCloud> frames_;  ///< main cloud or other cloud of each frame
+    std::vector<FrameCloud> frames_;  ///< cloud of each frame
     bool has_poses_ = false;          ///< the recording has poses
     /// relidar wrote the points in the sensor's frame at the time of the stamp
     bool is_deskewed_ = false;
