@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traversal backend: a two-level tree of wide nodes with quantised boxes (relidar/diff/bvh.h).
+// Traversal backend: a two-level tree of wide nodes with quantised boxes
+// (relidar/diff/bvh.h).
 // The walk uses a stack and visits near children first. The top tree holds instances. An
 // instance entry transforms the ray into the frame of its model. The ray stays in this
 // frame until the walk returns to an entry of the top tree.

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The software acceleration structure (relidar/diff/bvh.h), which the device builds and refits.
+// The software acceleration structure (relidar/diff/bvh.h), which the device builds and
+// refits.
 // One forest holds the trees of all models, so the number of launches does not depend on
 // the number of models. The steps are: sort along a space-filling curve, cluster into
 // binary trees, collapse into wide nodes of eight children, compute boxes bottom up. Only

@@ -56,7 +56,7 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     });
 }
 
-/// Gives each object its most frequent category and its usual size, because trackers
+/// Gives each object its most frequent category and its median size, because trackers
 /// change both over time.
 void settle(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
