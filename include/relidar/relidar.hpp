@@ -28,6 +28,8 @@
 #include <relidar/score/evaluation.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/simulate/assets.hpp>
+#include <relidar/simulate/place_points.hpp>
+#include <relidar/simulate/point_files.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 #include <relidar/simulate/weather.hpp>

@@ -6,7 +6,7 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"
-#include "../base/rotation.glsl"
+#include "../base/shared/rotation.h"
 #include "shared/train.h"
 #include "knots.glsl"
 RELIDAR_PARAMS(MoveRaysParams);

@@ -32,6 +32,24 @@ class Render(TestCase):
                 # The tool adds the sensor's offset, the module goes by the dataset's world: 1e-9 m apart before the rounding to float.
                 np.testing.assert_allclose(scan[name], written[name], rtol=1e-4, atol=1e-4, err_msg=name)
 
+    def test_points_have_the_bits_of_the_files(self):
+        """The same poses by arrays and by a file: points of Python and of a PLY file are equal."""
+        time = run().times[3]
+        times, way = np.array([time - 0.1, time + 0.1]), FOLDER / "way.csv"
+        places = np.array([[3.25, 0.5, 1.73], [5.5, 0.25, 1.73]])
+        way.write_text("time_s,x,y,z,yaw_deg\n" + "".join(f"{float(t)!r},{x},{y},{z},0\n" for t, (x, y, z) in zip(times, places)))
+        tool("render", run().folder, "--out", FOLDER / "points", "--trajectory", way, "--times", f"{float(time)!r}:{float(time)!r}:1",
+             "--sensor", "VLP-16:90x10", "--deskew", "--format", "ply")
+        header, _, body = (FOLDER / "points" / "frame_000000.ply").read_bytes().partition(b"end_header\n")
+        names = [line.split()[1:] for line in header.decode().splitlines() if line.startswith("property")]
+        kinds = {"float": "<f4", "uint16": "<u2", "int": "<i4"}
+        vertices = np.frombuffer(body, [(name, kinds[kind]) for kind, name in names])
+        scan = run().render("VLP-16:90x10", time=time, pose=(times, np.stack([relidar.pose(*place) for place in places])), deskew=True)
+        returned = (scan["drop_prob"] < 0.5) & (scan["median_range"] > 0)
+        self.assertGreater(np.count_nonzero(returned), 100)
+        for axis, name in enumerate("xyz"):
+            self.assert_same(scan["points"][returned][:, axis], np.ascontiguousarray(vertices[name]))
+
     def test_a_ray_that_meets_nothing_gives_no_point(self):
         """README's recipe, with a network that says of every ray that it returns: its last bias is far below 0."""
         folder = FOLDER / "never_drops"
@@ -149,7 +167,7 @@ class Render(TestCase):
         name = next(iter(run().actors))
         scan = run().render(time=time, actors={name: ahead})
         met = (scan["instance"] > 0) & (scan["median_range"] > 0)
-        points = (scan["origin"] + scan["median_range"][..., None] * scan["directions"])[met]
+        points = scan["points"][met]
         self.assertGreater(len(points), 10)
         self.assertLess(np.abs(np.median(points, axis=0) - [8.0, 0.0, 0.0])[:2].max(), 3.0)
 

@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 # SPDX-License-Identifier: Apache-2.0
-"""Compares a scan of a running `relidar serve` with the npz that `relidar render --trajectory` wrote of the same poses: every bit of the
-images, and points where the npz has them.
+"""Compares a scan of a running `relidar serve` with the npz that `relidar render --trajectory --deskew` wrote of the same poses: every bit
+of the images and of the points, with and without an image beside them.
 
   compare_served.py SOURCE_ROOT HOST:PORT WAY.csv TIME_S SCAN.npz SENSOR [CERT.pem]
 
@@ -35,7 +35,10 @@ if len(sys.argv) > 7:
     channel = grpc.secure_channel(address, grpc.ssl_channel_credentials(open(sys.argv[7], "rb").read()))
 else:
     channel = grpc.insecure_channel(address)
-scan = v1_grpc.RenderServiceStub(channel).RenderLidar(request, timeout=60)
+service = v1_grpc.RenderServiceStub(channel)
+scan = service.RenderLidar(request, timeout=60)
+request.wanted.CopyFrom(v1.Wanted(points=True))
+alone = service.RenderLidar(request, timeout=60)   # a device makes these points itself
 truth = np.load(npz)
 
 shape = (scan.image.rows, scan.image.columns)
@@ -44,18 +47,15 @@ for name, data in (("range", scan.image.range_m), ("intensity", scan.image.inten
     check(f"{name}: shape {served.shape}, expected {truth[name].shape}", served.shape == truth[name].shape)
     check(f"{name}: {(served != truth[name]).sum()} of {served.size} values differ", np.array_equal(served, truth[name]))
 
-# Points: the npz has rays in the sensor's frame at their firing time, the sensor drives straight on.
 ranges = np.where(truth["median_range"] > 0, truth["median_range"], truth["range"])
 hit = (truth["drop_prob"] < 0.5) & (ranges > 0)
-begin, end = np.array(poses[0]), np.array(poses[-1])
-speed = (end[1:4] - begin[1:4]) / (end[0] - begin[0])
-expected = (truth["origin"] + ranges[..., None] * truth["directions"] + speed * truth["time"][..., None])[hit]
-points = np.frombuffer(scan.points.xyz_m, "<f4").reshape(-1, 3)
-check(f"{len(points)} points, expected {len(expected)}, more than 10", len(points) == len(expected) > 10)
-if len(points) == len(expected):
-    check(f"points are {abs(points - expected).max()} m off", np.allclose(points, expected, atol=1e-4))
-for name, data, kind in (("ring", scan.points.ring, "<u2"), ("time", scan.points.time_s, "<f4"), ("instance", scan.points.instance, "<i4")):
-    check(f"{name} of points differs", np.array_equal(np.frombuffer(data, kind), truth[name][hit]))
+for what, points in (("points beside an image", scan.points), ("points alone", alone.points)):
+    for name, data, kind, expected in (("position", points.xyz_m, "<f4", truth["points"]), ("intensity", points.intensity, "<f4", truth["intensity"]),
+                                       ("ring", points.ring, "<u2", truth["ring"]), ("time", points.time_s, "<f4", truth["time"]),
+                                       ("instance", points.instance, "<i4", truth["instance"])):
+        served, expected = np.frombuffer(data, kind), expected[hit].ravel()
+        check(f"{what}: {len(served)} numbers of {name}, expected {len(expected)}, more than 10", len(served) == len(expected) > 10)
+        check(f"{what}: {name} differs", np.array_equal(served, expected))
 
 print("\n".join(failures))
 sys.exit(1 if failures else 0)

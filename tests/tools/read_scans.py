@@ -78,7 +78,9 @@ def check_scan(folder, summary, scan):
     kept = (npz["drop_prob"] < 0.5) & (points_range > 0)
     for values in (points_range[kept], npz["range"][kept]):
         check(f"{stem}: range limits", values.max() <= summary["sensor"]["max_range_m"] and values.min() >= summary["sensor"]["min_range_m"])
-    points = (npz["origin"] + points_range[..., None] * npz["directions"])[kept]
+    points = npz["points"][kept]
+    rays = (npz["origin"] + points_range[..., None] * npz["directions"])[kept]
+    check(f"{stem}: points are {abs(points - rays).max()} m off the rays", np.allclose(points, rays, atol=1e-4))
     ply, notes = read_ply(stem + ".ply")
     pcd, viewpoint = read_pcd(stem + ".pcd")
     check(f"{stem}: points", len(points) == scan["points"] > 0)
@@ -88,7 +90,7 @@ def check_scan(folder, summary, scan):
         check(f"{stem}.{name}: fields", cloud.dtype.names == ("x", "y", "z", "intensity", "ring", "time", "instance") + of_normals + of_spread)
         for axis, field in enumerate(of_normals):
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz["normal"][kept][:, axis]))
-        check(f"{stem}.{name}: points", np.allclose(xyz(cloud), points, atol=1e-5))
+        check(f"{stem}.{name}: points", np.array_equal(xyz(cloud), points))
         for field in ("intensity", "ring", "time", "instance") + of_spread:
             check(f"{stem}.{name}: {field}", np.array_equal(cloud[field], npz[field][kept]))
     if "normal" in npz:
@@ -98,7 +100,7 @@ def check_scan(folder, summary, scan):
     check(f"{stem}.pcd: VIEWPOINT", np.allclose(matrix_of(viewpoint), npz["pose"], atol=1e-12))
     check(f"{stem}.ply: comments", float(notes["time_s"]) == npz["time_s"] and notes["sensor"] == summary["sensor"]["name"])
     check(f"{stem}.ply: pose", np.array_equal(np.array(notes["world_from_sensor"].split(), float).reshape(4, 4), npz["pose"]))
-    check(f"{stem}.bin", np.allclose(np.fromfile(stem + ".bin", "<f4").reshape(-1, 4)[:, :3], points, atol=1e-5))
+    check(f"{stem}.bin", np.array_equal(np.fromfile(stem + ".bin", "<f4").reshape(-1, 4)[:, :3], points))
 
 
 def check_frames(plain, world, deskewed, scan):

@@ -13,6 +13,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
 #include <relidar/run/edit.hpp>
+#include <relidar/simulate/place_points.hpp>
 #include "../support/device.hpp"
 #include "../support/drop_networks.hpp"
 
@@ -73,13 +74,13 @@ struct Read {
 void expect_same(const Read& live, const RenderedScan& scan, const Run& run) {
     const std::vector<float> range_m = point_ranges(scan, run.config);
     EXPECT_EQ(live.array<float>("range"), range_m);
+    const Pose world{{1.0, 0.0, 0.0, 0.0}, run.sequence.world_offset_m};
     const std::vector<glm::vec3> points = live.array<glm::vec3>("position");
-    ASSERT_EQ(points.size(), range_m.size());
-    for (std::size_t i = 0; i < points.size(); i += 97) {
-        const glm::dvec3 in_sensor(scan.image.origin[i] + range_m[i] * scan.image.direction[i]);
-        const glm::dvec3 expected = scan.world_from_firing(i) * in_sensor - run.sequence.world_offset_m;
-        EXPECT_LT(glm::distance(glm::dvec3(points[i]), expected), 1e-4) << i;
-    }
+    ASSERT_EQ(points, place_points(scan, run.config, world, PointsOf::rays).position_m);
+    std::vector<glm::vec3> returned_m;
+    for (std::size_t i = 0; i < range_m.size(); ++i)
+        if (returned(scan.image.drop_prob[i], range_m[i])) returned_m.push_back(points[i]);
+    EXPECT_EQ(returned_m, place_points(scan, run.config, world).position_m) << "as in files";
 }
 
 class LiveScan : public test::DeviceTest {
@@ -126,7 +127,7 @@ TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
     Scanner scans(run, {}, device());
     const Read live(scans.scan(tab, {.time_s = 0.2}));
     const auto drop = live.array<std::uint8_t>("drop");
-    const std::size_t n = returned_points(rendered(run, 0.2, {}), run.config, {}).points.size();
+    const std::size_t n = place_points(rendered(run, 0.2, {}), run.config, {}).size();
     EXPECT_LT(n, drop.size());
     EXPECT_EQ(std::size_t(std::ranges::count_if(drop, [](std::uint8_t d) { return d < 128; })), n);
 }

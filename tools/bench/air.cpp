@@ -48,7 +48,7 @@ struct Place {
 };
 
 /// Points of a scan and what the street has along their rays.
-struct Points {
+struct RayEnds {
     const RayTable& rays;
     const std::vector<float>& range_m;
     const Scan& truth;
@@ -61,7 +61,7 @@ struct Points {
 /// millimetres behind one. So it is asked from itself to all around, and from all around
 /// to itself, from as near as a surface counts as its own, and from as far as one counts
 /// at all.
-std::vector<float> distances(const Place& place, const Points& points,
+std::vector<float> distances(const Place& place, const RayEnds& points,
                              const std::vector<std::size_t>& chosen) {
     static const std::array<glm::vec3, kProbes> directions = all_around();
     std::vector<float> nearest(chosen.size(), std::numeric_limits<float>::infinity());
@@ -99,7 +99,7 @@ struct Count {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
     /// @param scan  whose rays return or not
-    void add(const Place& place, const Points& of, const RenderedScan& scan) {
+    void add(const Place& place, const RayEnds& of, const RenderedScan& scan) {
         const std::vector<float>& range_m = of.range_m;
         std::vector<std::size_t> doubtful;
         for (std::size_t i = 0; i < range_m.size(); ++i) {

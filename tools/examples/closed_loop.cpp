@@ -15,10 +15,9 @@ constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrak
 
 /// Distance to the nearest point ahead in the own lane, above the ground and beyond the
 /// own bonnet; 100 m where there is none.
-double gap_ahead(const PointScan& scan) {
+double gap_ahead(const Points& points) {
     double gap_m = 100.0;
-    for (const ScanPoint& point : scan.points) {
-        const glm::vec3& p = point.position_m;
+    for (const glm::vec3& p : points.position_m) {
         if (p.x > 3.0f && std::abs(p.y) < kLane_m && p.z > -1.2f && p.z < 0.5f)
             gap_m = std::min(gap_m, double(p.x));
     }
@@ -52,7 +51,7 @@ int main(int argc, char** argv) try {
         // in the sensor's frame at t; where nothing waits for a scan, ask for the next
         // one, too
         renderer.ask_points(sensor, request, t);
-        const double gap_m = gap_ahead(renderer.take_points());
+        const double gap_m = gap_ahead(renderer.take_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)
             ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
         if (t > 2.0) actor_mps = std::max(0.0, actor_mps - kActorBrakes_mps2 * kStep_s);

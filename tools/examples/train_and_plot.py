@@ -47,7 +47,7 @@ relidar.write_picture(folder / "simulated.png", scan)
 
 # %% Points, and a view from above where matplotlib is installed
 returned = (scan["drop_prob"] < 0.5) & (scan["median_range"] > 0)
-points = (scan["origin"] + scan["median_range"][..., None] * scan["directions"])[returned]
+points = scan["points"][returned]
 np.save(folder / "points.npy", points)
 print(f"{len(points)} points, the farthest {np.linalg.norm(points, axis=1).max():.1f} m away")
 try:

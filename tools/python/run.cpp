@@ -175,7 +175,7 @@ constexpr const char* kRenderHelp =
     "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, "
     "weight, time (seconds\n"
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; "
-    "directions, origin\n"
+    "directions, origin, points (the ends of the rays)\n"
     "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in "
     "time), instance_names, frame,\n"
     "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or of "

@@ -101,7 +101,7 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
     std::vector<double> scan_ms;
     const auto start = std::chrono::steady_clock::now();
     const double thread_begun_ms = thread_ms();
-    PointScan scan;
+    RenderedPoints scan;
     for (int first = 0, n_asked = ask(0); n_asked > 0;) {
         stop_if_interrupted();
         const auto begun = std::chrono::steady_clock::now();

@@ -3,9 +3,10 @@
 
 #include <algorithm>
 #include <bit>
-#include <cstring>
 
 #include <fmt/format.h>
+
+#include <relidar/simulate/place_points.hpp>
 
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
@@ -16,11 +17,6 @@ namespace {
 
 static_assert(std::endian::native == std::endian::little,
               "arrays of messages are sent as they lie in memory");
-
-template <class T>
-void append(std::string& bytes, const T& value) {
-    bytes.append(reinterpret_cast<const char*>(&value), sizeof(T));
-}
 
 template <class T>
 void set_array(std::string& bytes, const std::vector<T>& values) {
@@ -40,69 +36,21 @@ void write_channels(const std::vector<ScanChannel>& channels, Messages& messages
     }
 }
 
-/// Turns the last value of a channel of points into their frame, where it is a direction.
-void turn_last(ScanChannel& of_points, const Pose& points_from_firing) {
-    auto* vectors = std::get_if<std::vector<glm::vec3>>(&of_points.values);
-    if (vectors && of_points.info.turns)
-        vectors->back() = glm::vec3(points_from_firing.rotation * glm::dvec3(vectors->back()));
+void write_points(const Points& points, v1::Points& message) {
+    message.set_count(std::uint32_t(points.size()));
+    set_array(*message.mutable_xyz_m(), points.position_m);
+    set_array(*message.mutable_intensity(), points.intensity);
+    set_array(*message.mutable_ring(), points.ring);
+    set_array(*message.mutable_time_s(), points.time_offset_s);
+    set_array(*message.mutable_instance(), points.instance);
+    if (points.return_number.empty()) message.mutable_return_number()->assign(points.size(), 1);
+    else set_array(*message.mutable_return_number(), points.return_number);
+    write_channels(points.channels, *message.mutable_channels());
 }
 
-void write_points(const RenderedScan& scan, const Pose& dataset_from_points, const Config& config,
-                  v1::Points& points) {
-    FiringPoses firing(scan, inverse(dataset_from_points));
-    const std::vector<float>& range_m = point_ranges(scan, config);
-    std::vector<ScanChannel> channels = emptied(scan.channels);
-    std::uint32_t n = 0;
-    const auto add = [&](std::size_t ray, float range, float intensity, std::uint8_t number) {
-        const Pose& points_from_firing = firing.at(ray);
-        const glm::dvec3 seen_m =
-            glm::dvec3(scan.image.origin[ray]) + double(range) * glm::dvec3(scan.image.direction[ray]);
-        append(*points.mutable_xyz_m(), glm::vec3(points_from_firing * seen_m));
-        append(*points.mutable_intensity(), intensity);
-        append(*points.mutable_ring(), scan.ring[ray]);
-        append(*points.mutable_time_s(), scan.time_offset_s[ray]);
-        append(*points.mutable_return_number(), number);
-        append(*points.mutable_instance(), number == 1 ? scan.instance[ray] : std::int32_t(-1));
-        for (std::size_t k = 0; k < channels.size(); ++k) {
-            append_return(channels[k], scan.channels[k], ray, number);
-            turn_last(channels[k], points_from_firing);
-        }
-        ++n;
-    };
-    for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
-        if (!returned(scan.image.drop_prob[ray], range_m[ray])) continue;
-        add(ray, range_m[ray], scan.image.intensity[ray], 1);
-        std::uint8_t number = 1;
-        for (const SecondReturn& echo : scan.second_returns)
-            if (++number; echo.range_m[ray] > 0.0f) add(ray, echo.range_m[ray], echo.intensity[ray], number);
-    }
-    points.set_count(n);
-    write_channels(channels, *points.mutable_channels());
-}
-
-std::uint32_t count_returned(const RenderedScan& scan) {
-    std::uint32_t n = 0;
-    for (std::size_t ray = 0; ray < scan.image.range_m.size(); ++ray)
-        n += returned(scan.image.drop_prob[ray], scan.image.range_m[ray]);
-    return n;
-}
-
-/// What all answers say of a scan.
-struct ScanHead {
-    double time_s;
-    std::size_t rays, returned;
-    std::optional<double> unseen_share;
-};
-
-void write_head(const ScanHead& scan, const WantedScan& wanted, const Pose& dataset_from_points,
-                v1::LidarScan& message) {
-    message.set_sensor(wanted.sensor->name);
-    message.set_time_s(scan.time_s);
-    message.set_points_at_s(wanted.points_at_s);
-    write_pose(dataset_from_points, *message.mutable_dataset_from_points());
-    message.set_rays(std::uint32_t(scan.rays));
-    message.set_returned(std::uint32_t(scan.returned));
-    if (scan.unseen_share) message.set_unseen(*scan.unseen_share);
+std::size_t count_first_returns(const Points& points) {
+    if (points.return_number.empty()) return points.size();
+    return std::size_t(std::ranges::count(points.return_number, 1));
 }
 
 double length_m(const PoseTrack& track) {
@@ -130,12 +78,23 @@ void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
 
 }  // namespace
 
+void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarScan& message) {
+    message.set_sensor(wanted.sensor->name);
+    message.set_time_s(scan.points.time_s);
+    message.set_points_at_s(wanted.points_at_s);
+    write_pose(scan.points.world_from_points, *message.mutable_dataset_from_points());
+    message.set_rays(std::uint32_t(scan.n_rays));
+    message.set_returned(std::uint32_t(count_first_returns(scan.points)));
+    if (scan.unseen_share) message.set_unseen(*scan.unseen_share);
+    if (wanted.points) write_points(scan.points, *message.mutable_points());
+}
+
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
                 v1::LidarScan& message) {
     const Pose dataset_from_points = wanted.request.dataset_from_sensor.at(wanted.points_at_s);
-    write_head({scan.time_s, scan.image.range_m.size(), count_returned(scan), scan.unseen_share}, wanted,
-               dataset_from_points, message);
-    if (wanted.points) write_points(scan, dataset_from_points, config, *message.mutable_points());
+    write_scan(
+        {place_points(scan, config, dataset_from_points), scan.image.range_m.size(), scan.unseen_share},
+        wanted, message);
     if (!wanted.range_image && !wanted.drop_probability) return;
     v1::RangeImage& image = *message.mutable_image();
     image.set_rows(std::uint32_t(scan.image.rows));
@@ -145,27 +104,6 @@ void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config
     set_array(*image.mutable_range_m(), scan.image.range_m);
     set_array(*image.mutable_intensity(), scan.image.intensity);
     write_channels(scan.channels, *image.mutable_channels());
-}
-
-void write_scan(const PointScan& scan, const WantedScan& wanted, v1::LidarScan& message) {
-    write_head({scan.time_s, scan.n_rays, scan.points.size(), scan.unseen_share}, wanted,
-               scan.dataset_from_points, message);
-    v1::Points& points = *message.mutable_points();
-    const auto set = [&](std::string& bytes, const auto& value_of) {
-        using Value = decltype(value_of(scan.points[0]));
-        bytes.resize(scan.points.size() * sizeof(Value));
-        for (std::size_t i = 0; i < scan.points.size(); ++i) {
-            const Value value = value_of(scan.points[i]);
-            std::memcpy(bytes.data() + i * sizeof(Value), &value, sizeof(Value));
-        }
-    };
-    set(*points.mutable_xyz_m(), [](const ScanPoint& p) { return p.position_m; });
-    set(*points.mutable_intensity(), [](const ScanPoint& p) { return p.intensity; });
-    set(*points.mutable_ring(), [](const ScanPoint& p) { return std::uint16_t(p.ring); });
-    set(*points.mutable_time_s(), [](const ScanPoint& p) { return p.time_offset_s; });
-    set(*points.mutable_instance(), [](const ScanPoint& p) { return p.instance; });
-    points.mutable_return_number()->assign(scan.points.size(), 1);
-    points.set_count(std::uint32_t(scan.points.size()));
 }
 
 void write_scene(const std::string& name, const Run& run, v1::Scene& message) {

@@ -13,8 +13,8 @@ namespace relidar::serve {
 /// @param config  of the run: which ranges points have
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
                 v1::LidarScan& message);
-/// Of a scan of which points are wanted, and nothing else.
-void write_scan(const PointScan& scan, const WantedScan& wanted, v1::LidarScan& message);
+/// The same without an image.
+void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarScan& message);
 
 /// @param run  without surfels
 void write_scene(const std::string& name, const Run& run, v1::Scene& message);

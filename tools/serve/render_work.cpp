@@ -84,16 +84,16 @@ Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, con
     });
 }
 
-Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet& scenes,
-                                            std::span<const WantedScan> wanted,
-                                            const grpc::ServerContext& context) {
+Timed<std::vector<RenderedPoints>> render_points(RenderQueue::Place& place, SceneSet& scenes,
+                                                 std::span<const WantedScan> wanted,
+                                                 const grpc::ServerContext& context) {
     using Send = ScanRenderer::Send;
     std::size_t n_asked = 0;
     SceneSet::Load load{};
     // told when those before it have been taken: their places in the renderer's line are
     // theirs
     std::exception_ptr failure;
-    const auto begin = [&](std::vector<PointScan>&, bool is_last) {
+    const auto begin = [&](std::vector<RenderedPoints>&, bool is_last) {
         try {
             for (const WantedScan& scan : wanted) {
                 load = use(scenes, scan, [&](ScanRenderer& renderer) {
@@ -107,13 +107,13 @@ Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet&
             failure = std::current_exception();
         }
     };
-    const auto finish = [&](std::vector<PointScan>& scans) {
+    const auto finish = [&](std::vector<RenderedPoints>& scans) {
         scenes.use_again(wanted.front().scene, load, [&](ScanRenderer& renderer) {
             while (scans.size() < n_asked) scans.push_back(renderer.take_points());
         });
         if (failure) std::rethrow_exception(failure);
     };
-    return timed<std::vector<PointScan>>(place, context, begin, finish, wanted.front().scene);
+    return timed<std::vector<RenderedPoints>>(place, context, begin, finish, wanted.front().scene);
 }
 
 }  // namespace relidar::serve

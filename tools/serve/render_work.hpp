@@ -44,8 +44,8 @@ static_assert(2 * kCallsTogether * kMostAtOnce <= ScanRenderer::kScansInFlight);
 /// The points alone of scans of one scene, which go to the device at once, and perhaps
 /// with those of other calls.
 /// @param wanted  at most kMostAtOnce
-Timed<std::vector<PointScan>> render_points(RenderQueue::Place& place, SceneSet& scenes,
-                                            std::span<const WantedScan> wanted,
-                                            const grpc::ServerContext& context);
+Timed<std::vector<RenderedPoints>> render_points(RenderQueue::Place& place, SceneSet& scenes,
+                                                 std::span<const WantedScan> wanted,
+                                                 const grpc::ServerContext& context);
 
 }  // namespace relidar::serve

@@ -9,7 +9,6 @@
 
 #include <relidar/log/sensor_files.hpp>
 
-#include "answer_messages.hpp"
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
 #include "sensor_messages.hpp"
@@ -36,11 +35,6 @@ const WireLidar& find_wire_lidar(sensorsim::LidarType type) {
 }
 
 bool same(const Pose& a, const Pose& b) { return a.translation == b.translation && a.rotation == b.rotation; }
-
-void add_floats(const std::string& bytes, google::protobuf::RepeatedField<float>& values) {
-    values.Resize(int(bytes.size() / sizeof(float)), 0.0f);
-    std::memcpy(values.mutable_data(), bytes.data(), bytes.size());
-}
 
 void write_pose(const Pose& pose, PoseOrder order, sensorsim::Pose& message) {
     const glm::dvec3 t = order == PoseOrder::rotation_first ? pose.translation
@@ -136,15 +130,16 @@ WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
     return wanted;
 }
 
-void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
-                sensorsim::LidarRenderReturn& message) {
-    v1::LidarScan ours;
-    write_scan(scan, wanted, config, ours);
-    message.set_count(ours.points().count());
-    *message.mutable_xyz_buffer() = std::move(*ours.mutable_points()->mutable_xyz_m());
-    *message.mutable_intensity_buffer() = std::move(*ours.mutable_points()->mutable_intensity());
-    add_floats(message.xyz_buffer(), *message.mutable_xyz());
-    add_floats(message.intensity_buffer(), *message.mutable_intensities());
+void write_points(const Points& points, sensorsim::LidarRenderReturn& message) {
+    message.set_count(std::uint32_t(points.size()));
+    const auto write = [&](const auto& values, std::string& bytes,
+                           google::protobuf::RepeatedField<float>& numbers) {
+        bytes.assign(reinterpret_cast<const char*>(values.data()), values.size() * sizeof(values[0]));
+        numbers.Resize(int(bytes.size() / sizeof(float)), 0.0f);
+        std::memcpy(numbers.mutable_data(), bytes.data(), bytes.size());
+    };
+    write(points.position_m, *message.mutable_xyz_buffer(), *message.mutable_xyz());
+    write(points.intensity, *message.mutable_intensity_buffer(), *message.mutable_intensities());
 }
 
 void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message) {

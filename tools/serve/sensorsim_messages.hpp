@@ -52,8 +52,7 @@ private:
 };
 
 /// Points of a scan that has been rendered as read() says.
-void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
-                sensorsim::LidarRenderReturn& message);
+void write_points(const Points& points, sensorsim::LidarRenderReturn& message);
 
 /// Of the log's vehicle, then of its LiDARs. @throws Refusal for a log that began before
 /// time 0, which the wire cannot say

@@ -68,8 +68,7 @@ grpc::Status SensorsimService::get_available_ego_masks(grpc::ServerContext*, con
 
 void SensorsimService::render(RenderQueue::Place& place, const WantedScan& wanted,
                               const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer) {
-    const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
-    write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
+    write_points(render_points(place, scenes_, {&wanted, 1}, context).scan.front().points, answer);
 }
 
 grpc::Status SensorsimService::render_lidar(grpc::ServerContext* context,

@@ -18,6 +18,10 @@ std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place
     return names;
 }
 
+bool needs_image(const WantedScan& wanted) {
+    return wanted.range_image || wanted.drop_probability || !wanted.points;
+}
+
 template <class Scan>
 void tell_times(const Timed<Scan>& timed, v1::LidarScan& answer) {
     answer.set_queued_ms(timed.queued_ms);
@@ -26,33 +30,21 @@ void tell_times(const Timed<Scan>& timed, v1::LidarScan& answer) {
 
 }  // namespace
 
-/// Whether an answer is points and nothing that a PointScan lacks: images, channels,
-/// second returns.
-bool RenderService::points_are_all(const WantedScan& wanted) const {
-    const Config& config = scenes_.outlines()[wanted.scene].config;
-    const SensorChoice& sensor = *wanted.sensor;
-    return wanted.points && !wanted.range_image && !wanted.drop_probability &&
-           config.render.channels.empty() &&
-           wanted.weather.value_or(scenes_.sources()[wanted.scene].weather).clear() &&
-           std::max(sensor.returns, config.sensor.returns) < 2 && sensor.rays.size() > 0;
-}
-
 void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted,
                            const grpc::ServerContext& context, v1::LidarScan& answer) {
     const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
     write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
-    write_sparse_actors(wanted, {timed.scan.image.origin, timed.scan.image.direction}, answer);
+    write_sparse_actors(wanted, answer);
     tell_times(timed, answer);
 }
 
 void RenderService::render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted,
                                   const grpc::ServerContext& context,
                                   std::span<v1::LidarScan* const> answers) {
-    const Timed<std::vector<PointScan>> timed = serve::render_points(place, scenes_, wanted, context);
+    const Timed<std::vector<RenderedPoints>> timed = serve::render_points(place, scenes_, wanted, context);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
         write_scan(timed.scan[i], wanted[i], *answers[i]);
-        write_sparse_actors(wanted[i], {wanted[i].sensor->rays.origin, wanted[i].sensor->rays.direction},
-                            *answers[i]);
+        write_sparse_actors(wanted[i], *answers[i]);
         tell_times(timed, *answers[i]);
     }
 }
@@ -126,8 +118,8 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
     return answered([&] {
         RenderQueue::Place place = enter(queue_);
         const WantedScan wanted = reader_.read(*request);
-        if (points_are_all(wanted)) render_points(place, {&wanted, 1}, *context, {&answer, 1});
-        else render(place, wanted, *context, *answer);
+        if (needs_image(wanted)) render(place, wanted, *context, *answer);
+        else render_points(place, {&wanted, 1}, *context, {&answer, 1});
     });
 }
 
@@ -138,8 +130,7 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
         RenderQueue::Place place = enter(queue_);
         const std::vector<WantedScan> wanted = reader_.read(*request);
         for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {
-            for (n = 0; n < kMostAtOnce && first + n < wanted.size() && points_are_all(wanted[first + n]);)
-                ++n;
+            for (n = 0; n < kMostAtOnce && first + n < wanted.size() && !needs_image(wanted[first + n]);) ++n;
             const bool of_points = n > 0;
             n = std::max<std::size_t>(n, 1);
             std::vector<v1::RigScan> scans(n);

@@ -39,7 +39,6 @@ private:
     SceneSet& scenes_;
     RequestReader reader_;
 
-    bool points_are_all(const WantedScan& wanted) const;
     void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
                 v1::LidarScan& answer);
     void render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted,

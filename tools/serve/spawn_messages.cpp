@@ -35,8 +35,13 @@ void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::Spawne
     message.set_surfels(place.actor.surfels);
 }
 
-void write_sparse_actors(const WantedScan& wanted, const RaysOfScan& rays, v1::LidarScan& message) {
+void write_sparse_actors(const WantedScan& wanted, v1::LidarScan& message) {
+    if (wanted.placed.empty()) return;
+    const SensorChoice& sensor = *wanted.sensor;
     const double time_s = wanted.request.time_s;
+    const bool makes_rays = sensor.pattern && sensor.rays.size() == 0;  // other rays in every scan
+    const RayTable made = makes_rays ? make_rays(*sensor.pattern, time_s) : RayTable{};
+    const RayTable& rays = makes_rays ? made : sensor.rays;
     const Pose dataset_from_sensor = wanted.request.dataset_from_sensor.at(time_s);
     for (const PlacedActor& actor : wanted.placed) {
         const Pose dataset_from_actor = wanted.request.dataset_from_actor->at(actor.track).at(time_s);

@@ -2,8 +2,6 @@
 // Assets and spawned actors as messages.
 #pragma once
 
-#include <span>
-
 #include <relidar/simulate/assets.hpp>
 #include <relidar/simulate/render.hpp>
 
@@ -18,11 +16,7 @@ void write_asset(const AssetFacts& facts, v1::Asset& message);
 /// @param run  of the scene, without surfels
 void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message);
 
-/// [n] Rays of a scan, sensor frame.
-struct RaysOfScan {
-    std::span<const glm::vec3> origin, direction;
-};
 /// Says which actors that the request placed are too coarse for where they stand.
-void write_sparse_actors(const WantedScan& wanted, const RaysOfScan& rays, v1::LidarScan& message);
+void write_sparse_actors(const WantedScan& wanted, v1::LidarScan& message);
 
 }  // namespace relidar::serve

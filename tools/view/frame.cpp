@@ -10,7 +10,7 @@
 #include <nlohmann/json.hpp>
 
 #include <relidar/log/sequence.hpp>
-#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/place_points.hpp>
 
 namespace relidar::view {
 namespace {
@@ -66,17 +66,16 @@ private:
 
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
                               const glm::dvec3& world_offset_m) {
-    const RangeImage& image = scan.image;
-    ScanColumns result{image.rows, image.columns, {},           point_ranges(scan, config), {}, {},
-                       {},         scan.ring,     scan.channels};
-    const std::size_t n = result.range_m.size();
-    FiringPoses world_from_firing(scan);
-    for (std::size_t i = 0; i < n; ++i) {
-        const glm::dvec3 in_sensor =
-            glm::dvec3(image.origin[i]) + double(result.range_m[i]) * glm::dvec3(image.direction[i]);
-        result.position_m.push_back(glm::vec3(world_from_firing.at(i) * in_sensor - world_offset_m));
-        result.intensity.push_back(as_byte(image.intensity[i]));
-        result.drop.push_back(as_byte(image.drop_prob[i]));
+    Points points = place_points(scan, config, Pose{{1.0, 0.0, 0.0, 0.0}, world_offset_m}, PointsOf::rays);
+    ScanColumns result{.rows = scan.image.rows,
+                       .columns = scan.image.columns,
+                       .position_m = std::move(points.position_m),
+                       .range_m = point_ranges(scan, config),
+                       .ring = std::move(points.ring),
+                       .channels = std::move(points.channels)};
+    for (std::size_t i = 0; i < result.range_m.size(); ++i) {
+        result.intensity.push_back(as_byte(scan.image.intensity[i]));
+        result.drop.push_back(as_byte(scan.image.drop_prob[i]));
         const int instance = scan.instance[i];
         result.instance.push_back(static_cast<std::uint16_t>(instance < 0 ? 65535 : instance));
     }
@@ -86,14 +85,10 @@ ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
 ScanColumns measured_columns(const Sequence& sequence, const Frame& frame) {
     const Scan& scan = frame.scan;
     const PoseTrack world_from_sensor = sequence.world_from_sensor(frame.lidar);
-    ScanColumns result{scan.rays.rows,
-                       scan.rays.columns,
-                       {},
-                       to_vector(scan.range_m),
-                       {},
-                       {},
-                       {},
-                       to_vector(scan.rays.channel)};
+    ScanColumns result{.rows = scan.rays.rows,
+                       .columns = scan.rays.columns,
+                       .range_m = to_vector(scan.range_m),
+                       .ring = to_vector(scan.rays.channel)};
     for (std::size_t i = 0; i < scan.range_m.size(); ++i) {
         const WorldRay ray =
             world_ray(world_from_sensor, frame.time_s, scan.rays, i, sequence.rolling_shutter);

@@ -30,15 +30,15 @@ namespace relidar::view {
 /// Columns of one scan, entry i of each of ray i. Probabilities and intensities are in
 /// steps of 1/255.
 struct ScanColumns {
-    int rows = 0, columns = 0;            ///< rows = 1: no image
-    std::vector<glm::vec3> position_m;    ///< [n] relidar's world
-    std::vector<float> range_m;           ///< [n] 0 where nothing came back or was met
-    std::vector<std::uint8_t> intensity;  ///< [n]
-    std::vector<std::uint8_t> drop;       ///< [n] probability; a real scan has 0 and 255 alone
+    int rows = 0, columns = 0;                 ///< rows = 1: no image
+    std::vector<glm::vec3> position_m = {};    ///< [n] relidar's world
+    std::vector<float> range_m = {};           ///< [n] 0 where nothing came back or was met
+    std::vector<std::uint8_t> intensity = {};  ///< [n]
+    std::vector<std::uint8_t> drop = {};       ///< [n] probability; a real scan has 0 and 255 alone
     /// [n] index into the instances that the scan names, 65535 where there is none; or
     /// empty
-    std::vector<std::uint16_t> instance;
-    std::vector<std::uint16_t> ring;         ///< [n]
+    std::vector<std::uint16_t> instance = {};
+    std::vector<std::uint16_t> ring = {};    ///< [n]
     std::vector<ScanChannel> channels = {};  ///< [n] each; arrays "channel_NAME"
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Defines the pointer and vector types that C++ and GLSL share. All other shared headers
-// are plain struct definitions that both languages read unchanged. Structs use the scalar
+// are struct definitions, and a few functions, that both languages read unchanged. Structs use the scalar
 // block layout. A pointer is a buffer reference in GLSL and an 8-byte address in C++.
 #ifndef RELIDAR_INCLUDED_BASE_LANG_H
 #define RELIDAR_INCLUDED_BASE_LANG_H
@@ -9,6 +9,11 @@
 #include <glm/glm.hpp>
 #define RELIDAR_SHARED_BEGIN namespace relidar::shared {
 #define RELIDAR_SHARED_END }
+// Begins a function of both languages, and declares a variable that both compute by the
+// same operations. Files that call it are compiled without fused multiplications and
+// additions.
+#define RELIDAR_FUNCTION inline
+#define RELIDAR_EXACT
 #define RELIDAR_POINTER(name, type) using name = Address<type>
 #define RELIDAR_HANDLE(name)     \
     struct name {                \
@@ -67,6 +72,8 @@ using uint = std::uint32_t;
 #extension GL_EXT_control_flow_attributes : enable
 #define RELIDAR_SHARED_BEGIN
 #define RELIDAR_SHARED_END
+#define RELIDAR_FUNCTION
+#define RELIDAR_EXACT precise
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
 // Declares a pointer type that only the driver dereferences.

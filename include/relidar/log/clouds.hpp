@@ -8,24 +8,10 @@
 #include <string>
 #include <vector>
 
+#include <relidar/log/points.hpp>
 #include <relidar/log/sequence.hpp>
 
 namespace relidar {
-
-/// Points of one scan as a dataset lists them. The arrays after the first two may be
-/// empty: not known.
-struct ScanPoints {
-    std::vector<glm::vec3> point_m;           ///< [n] metres, sensor frame at the moment each was measured
-    std::vector<float> intensity;             ///< [n] 0..1; what lies outside is cut
-    std::vector<std::uint16_t> ring;          ///< [n] beam, 0 = highest
-    std::vector<float> time_offset_s;         ///< [n] from the reference time of the frame
-    std::vector<std::uint8_t> return_number;  ///< [n] of its ray, 0 = strongest
-    /// [n] index in Sweep::firings, where the dataset tells it; else the nearest in
-    /// azimuth
-    std::vector<std::uint32_t> firing;
-
-    std::size_t size() const { return point_m.size(); }
-};
 
 /// Head angles at which a spinning LiDAR may fire: the ticks of its encoder, or even
 /// steps.
@@ -50,7 +36,7 @@ struct Sweep {
 /// A sweep of even steps, sensor.columns of them, where the heads of the points
 /// (head_azimuth() of their beams) lie.
 /// @param points  with rings
-Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor);
+Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 
 /// The scan of a spinning LiDAR, a cell for every ray fired, image order as RayTable has
 /// it. Each point is put on the ray that took it: a return keeps its own direction, its
@@ -64,13 +50,13 @@ Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor);
 /// missing, then at its end.
 /// @param points  with rings @throws UsageError where the points have no rings, or one of
 /// no beam, or arrays of different lengths
-Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep);
+Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep);
 
 /// The scan of a LiDAR without image order: a ray from the sensor's origin to each point,
 /// in the given order, rows = 1. Which rays were dropped is not known. Further returns of
 /// a ray follow its first one in the list. @throws as spinning_scan, but rings are not
 /// needed
-Scan unordered_scan(const ScanPoints& points);
+Scan unordered_scan(const Points& points);
 
 /// Beams of a spinning LiDAR from points without rings: the elevations at which the
 /// farther points gather, highest first, each beam starting at the sensor's centre. A few
@@ -78,11 +64,11 @@ Scan unordered_scan(const ScanPoints& points);
 /// @return nothing where elevations do not gather in at least 4 narrow bands with nothing
 /// between them, as those of a LiDAR that scans in another way, or whose beams start so
 /// far from its centre that bands overlap (HDL-64E)
-std::vector<Beam> find_beams(const std::vector<ScanPoints>& scans);
+std::vector<Beam> find_beams(const std::vector<Points>& scans);
 
 /// Gives every point the ring of the beam that passes nearest to it. @param beams  at
 /// least one
-void recover_rings(ScanPoints& points, const std::vector<Beam>& beams);
+void recover_rings(Points& points, const std::vector<Beam>& beams);
 
 /// A spinning LiDAR as its points show it.
 struct FittedSensor {
@@ -101,12 +87,12 @@ inline constexpr std::uint16_t kNoBeam = 0xFFFF;
 /// without times
 /// @throws UsageError for points without rings, DataError where their azimuths have no
 /// steps
-FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s);
+FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s);
 
 /// Undoes motion compensation: points that a dataset has brought to the sensor at the
 /// frame's reference time go back to the sensor as it was when each was measured. @param
 /// points  with times @param world_from_sensor  of the LiDAR that measured them
-void undo_compensation(ScanPoints& points, const PoseTrack& world_from_sensor, double time_s);
+void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
 
 /// Rotation and translation as a pose. @param where  file and field, for the message
 /// @throws DataError where the matrix is no rotation within 1e-3

@@ -13,6 +13,7 @@
 #include <relidar/gpu/device.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/log/coverage.hpp>
+#include <relidar/log/points.hpp>
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/scatter.hpp>
 #include <relidar/log/sequence.hpp>
@@ -150,26 +151,12 @@ struct RaysInWeather {
 void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response,
                  const RaysInWeather& special, std::uint64_t seed);
 
-/// What came back along a ray.
-struct ScanPoint {
-    glm::vec3 position_m{0.0f};
-    float intensity = 0.0f;
-    float time_offset_s = 0.0f;  ///< of its ray, from the scan's reference time
-    std::uint32_t ring = 0;      ///< number of the beam, 0 = highest
-    std::int32_t instance = -1;  ///< index into Scene::instances, -1 where none was met
-};
-
-/// The points of a scan that returned, in one frame.
-struct PointScan {
-    std::vector<ScanPoint> points;  ///< in the order of their rays
-    Pose dataset_from_points;
-    double time_s = 0.0;                      ///< the scan's reference time
+/// The points of a scan, without the scan.
+struct RenderedPoints {
+    Points points;                            ///< all returns, see place_points()
     std::size_t n_rays = 0;                   ///< of the scan
     std::optional<double> unseen_share = {};  ///< see RenderedScan
 };
-
-/// The points of a rendered scan, first returns alone, where config.render.points says.
-PointScan returned_points(const RenderedScan& scan, const Config& config, const Pose& dataset_from_points);
 
 /// The sensor whose scan is wanted.
 struct SensorChoice {
@@ -295,11 +282,11 @@ public:
                         std::optional<std::uint64_t> sample = {});
     /// When the device is told of a scan that is asked for.
     enum class Send { now, with_next };
-    /// Asks for the points of a scan, first returns in the sensor's frame at a time of
-    /// its path, and does not wait for them: while the device renders one scan, another
-    /// can be asked for, and the points of an earlier one taken. Where a scan needs
-    /// nothing but its sensor's own rays (no sub-rays, grid, weather or sample) the
-    /// device makes the points too.
+    /// Requests the points of a scan, in the sensor's frame at a time of its path, and
+    /// does not wait for them: while the device renders one scan, the caller can request
+    /// another and take the points of an earlier one. The device also makes the points
+    /// if the scan needs nothing but its sensor's own rays (no sub-rays, grid, channels,
+    /// weather or sample). Otherwise place_points() makes them, with the same bits.
     /// @param when  with_next: scans of a rig, or of several requests, go to the device
     /// together with the next one that is asked for, and those it makes the points of are
     /// rendered side by side
@@ -320,7 +307,7 @@ public:
     void side_by_side(int n);
     /// The points that were asked for first. @param memory  of earlier ones, to be used
     /// again @throws UsageError where none are
-    PointScan take_points(std::vector<ScanPoint> memory = {});
+    RenderedPoints take_points(Points memory = {});
     const KernelTimes& times() const;
 
 private:

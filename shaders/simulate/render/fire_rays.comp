@@ -4,7 +4,6 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
-#include "../shared/render.h"
 #include "sensor_way.glsl"
 RELIDAR_PARAMS(FireRaysParams);
 
@@ -12,7 +11,8 @@ void main() {
     uint i = thread_index();
     if (i >= params.n_rays) return;
     SensorRay ray = params.rays.at[i];
-    Firing firing = firing_at(params.poses, params.n_poses, ray.time_offset_s);
-    params.fired.at[i] = DeviceRay(placed_point(firing, ray.origin), placed_direction(firing, ray.direction),
-                                   ray.time_offset_s);
+    SensorPose pose = pose_before(params.poses, params.n_poses, ray.time_offset_s);
+    vec3 direction = place_direction(pose, ray.time_offset_s, ray.direction);
+    params.fired.at[i] =
+        DeviceRay(place_point(pose, ray.time_offset_s, ray.origin), normalize(direction), ray.time_offset_s);
 }

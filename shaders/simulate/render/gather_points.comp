@@ -5,7 +5,6 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
-#include "../shared/render.h"
 #include "sensor_way.glsl"
 RELIDAR_PARAMS(GatherPointsParams);
 
@@ -21,10 +20,8 @@ void main() {
     if (params.marks.at[i] == 0u) return;
     SensorRay ray = params.rays.at[i];
     MeasuredRay m = params.measured.at[i];
-    Firing firing = firing_at(params.poses, params.n_poses, ray.time_offset_s);
-    float range_m = params.of_image != 0u ? m.range_m : m.median_range_m;
-    float intensity = params.step > 0.0 ? round(m.intensity / params.step) * params.step : m.intensity;
-    params.points.at[params.places.at[i]] =
-        ReturnedPoint(placed_point(firing, ray.origin + range_m * ray.direction), intensity,
-                      ray.time_offset_s, ray.channel, m.instance);
+    SensorPose pose = pose_before(params.poses, params.n_poses, ray.time_offset_s);
+    vec3 seen = ray_end(ray.origin, ray.direction, params.of_image != 0u ? m.range_m : m.median_range_m);
+    params.points.at[params.places.at[i]] = ReturnedPoint(
+        place_point(pose, ray.time_offset_s, seen), m.intensity, ray.time_offset_s, ray.channel, m.instance);
 }

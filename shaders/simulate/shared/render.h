@@ -16,14 +16,17 @@ struct SensorRay {
 };
 RELIDAR_POINTER(SensorRays, SensorRay);
 
-/// A pose of the sensor in the world frame, and the motion to the next pose.
+/// A pose of the sensor in a frame, and how it goes on to the next one.
 struct SensorPose {
-    vec4 rotation;        // quaternion (w, x, y, z)
+    vec3 x;  // axes of the sensor
+    vec3 y;
+    vec3 z;
     vec3 position;        // m
-    vec3 way;             // translation to the next pose, m
-    vec3 turn;            // rotation vector to the next pose, world frame, rad
-    float time_offset_s;  // relative to the sweep's reference time
-    float duration_s;     // time to the next pose; 0: there is no next pose
+    vec3 position_rest;   // m, what rounding took off `position`
+    vec3 way;             // m to the next pose
+    vec3 turn;            // rotation vector to the next pose, rad
+    float time_offset_s;  // from the sweep's reference time
+    float per_s;          // 1 / seconds to the next pose; 0: there is none
 };
 RELIDAR_POINTER(SensorPoses, SensorPose);
 
@@ -135,7 +138,6 @@ struct GatherPointsParams {
     uint n_poses;
     uint n_asked;  // at most n_rays and 65,536
     uint of_image;
-    float step;  // quantisation step of intensities; 0: none
 };
 
 RELIDAR_SHARED_END

@@ -14,13 +14,14 @@ namespace {
 constexpr int kTicks = 1 << 16;  // ticks per revolution: 0.0055 degrees
 
 /// Returns the head azimuth of each firing, from the first number to the last.
-std::map<int, double> head_azimuths(const ScanPoints& points, const std::vector<int>& numbers,
+std::map<int, double> head_azimuths(const Points& points, const std::vector<int>& numbers,
                                     const SpinningSensor& sensor, double step_rad) {
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     std::map<int, std::complex<double>> sums;  // sums over points, relative to an even rotation
     for (std::size_t i = 0; i < points.size(); ++i)
-        sums[numbers[i]] += std::polar(
-            1.0, beams[points.ring[i]].head_azimuth(glm::dvec3(points.point_m[i])) - numbers[i] * step_rad);
+        sums[numbers[i]] +=
+            std::polar(1.0, beams[points.ring[i]].head_azimuth(glm::dvec3(points.position_m[i])) -
+                                numbers[i] * step_rad);
     std::map<int, double> heads;
     for (auto at = sums.begin(); at != sums.end(); ++at) {
         const auto next = std::next(at) == sums.end() ? at : std::next(at);
@@ -35,7 +36,7 @@ std::map<int, double> head_azimuths(const ScanPoints& points, const std::vector<
 
 }  // namespace
 
-Sweep arrange_firings(ScanPoints& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
+Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
                       double step_rad) {
     std::vector<std::pair<double, int>> by_azimuth;
     for (const auto& [number, head] : head_azimuths(points, numbers, sensor, step_rad))

@@ -42,26 +42,26 @@ struct Ring {
 };
 using Rings = std::vector<Ring>;
 
-Rings rings_of(const ScanPoints& scan, std::size_t n_rings) {
+Rings rings_of(const Points& scan, std::size_t n_rings) {
     Rings rings(n_rings);
     for (std::size_t i = 0; i < scan.size(); ++i) {
-        if (!scan.return_number.empty() && scan.return_number[i] != 0) continue;
+        if (!scan.return_number.empty() && scan.return_number[i] != 1) continue;
         rings[scan.ring[i]].point.push_back(i);
-        rings[scan.ring[i]].azimuth_rad.push_back(azimuth_of(scan.point_m[i]));
+        rings[scan.ring[i]].azimuth_rad.push_back(azimuth_of(scan.position_m[i]));
     }
     return rings;
 }
 
 /// Returns the median elevation of the farther half of each ring, or nothing for a ring
 /// without points.
-std::vector<std::optional<double>> elevations_of(const std::vector<ScanPoints>& scans, std::size_t n_rings) {
+std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scans, std::size_t n_rings) {
     struct Seen {
         double range_m, elevation_rad;
     };
     std::vector<std::vector<Seen>> seen(n_rings);
-    for (const ScanPoints& scan : scans)
+    for (const Points& scan : scans)
         for (std::size_t i = 0; i < scan.size(); ++i) {
-            const glm::dvec3 p(scan.point_m[i]);
+            const glm::dvec3 p(scan.position_m[i]);
             seen[scan.ring[i]].push_back({glm::length(p), std::atan2(p.z, std::hypot(p.x, p.y))});
         }
     std::vector<std::optional<double>> elevations(n_rings);
@@ -80,7 +80,7 @@ std::vector<std::optional<double>> elevations_of(const std::vector<ScanPoints>& 
 /// Returns the number of columns per sweep, from the steps between neighbouring azimuths
 /// of a ring. Uses the lower quartile: if many rays were dropped, most steps span several
 /// columns.
-int columns_by_steps(const ScanPoints& scan, const Rings& rings) {
+int columns_by_steps(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {
         std::vector<double> azimuths = ring.azimuth_rad;
@@ -136,7 +136,7 @@ struct Lattice {
     std::vector<double> offset_rad;  ///< [rings] within half a step
 };
 
-Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
+Lattice find_lattice(const Points& scan, const Rings& rings) {
     Lattice lattice{columns_by_steps(scan, rings), std::vector<double>(rings.size(), 0.0)};
     const int reach = std::max(1, int(kTried * lattice.columns)),
               first = std::max(1, lattice.columns - reach);
@@ -156,7 +156,7 @@ Lattice find_lattice(const ScanPoints& scan, const Rings& rings) {
 /// Returns the rotation rate of the head in radians per second, positive for
 /// counter-clockwise, from the order of azimuths in time. Returns nothing if the points
 /// have no times.
-std::optional<double> turning_rate(const ScanPoints& scan, const Rings& rings) {
+std::optional<double> turning_rate(const Points& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
     for (const Ring& ring : rings) {
@@ -179,10 +179,10 @@ std::optional<double> turning_rate(const ScanPoints& scan, const Rings& rings) {
 
 }  // namespace
 
-FittedSensor fit_sensor(const std::vector<ScanPoints>& scans, double period_s) {
+FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
     std::size_t n_rings = 0;
-    const ScanPoints* fullest = nullptr;
-    for (const ScanPoints& scan : scans) {
+    const Points* fullest = nullptr;
+    for (const Points& scan : scans) {
         if (scan.ring.size() != scan.size())
             throw UsageError(
                 fmt::format("fitting a spinning LiDAR: {} rings of {} points, expected one a point",

@@ -95,7 +95,7 @@ void rearrange(std::vector<T>& values, const std::vector<std::size_t>& order) {
 /// Combines points with the same ring, time and direction to returns of one ray. The
 /// strongest is the first return.
 /// @param type  [n] return type of each point
-void number_returns(ScanPoints& points, const std::vector<double>& type) {
+void number_returns(Points& points, const std::vector<double>& type) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
     std::iota(order.begin(), order.end(), std::size_t(0));
@@ -106,14 +106,15 @@ void number_returns(ScanPoints& points, const std::vector<double>& type) {
     std::stable_sort(order.begin(), order.end(), [&](std::size_t a, std::size_t b) {
         return ray(a) != ray(b) ? ray(a) < ray(b) : strength(a) > strength(b);
     });
-    points.return_number.assign(n, 0);
+    points.return_number.assign(n, 1);
     for (std::size_t k = 1; k < n; ++k) {
         const std::size_t i = order[k], before = order[k - 1];
-        const glm::vec3 a = glm::normalize(points.point_m[i]), b = glm::normalize(points.point_m[before]);
+        const glm::vec3 a = glm::normalize(points.position_m[i]),
+                        b = glm::normalize(points.position_m[before]);
         if (ray(i) == ray(before) && 1.0f - glm::dot(a, b) < kOneRay)
-            points.return_number[i] = std::uint8_t(std::min(points.return_number[before] + 1, 7));
+            points.return_number[i] = std::uint8_t(std::min(points.return_number[before] + 1, 8));
     }
-    rearrange(points.point_m, order);
+    rearrange(points.position_m, order);
     rearrange(points.intensity, order);
     rearrange(points.ring, order);
     rearrange(points.time_offset_s, order);
@@ -128,8 +129,7 @@ std::uint8_t return_of(double number, const std::string& where) {
 
 }  // namespace
 
-ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
-                     const std::string& where) {
+Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where) {
     const auto *x = table.find(PointValue::x), *y = table.find(PointValue::y), *z = table.find(PointValue::z);
     if (!x || !y || !z)
         throw DataError(fmt::format("{}: no field {}, expected x, y and z", where,
@@ -137,8 +137,8 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
                                     : !y ? "y"
                                          : "z"));
     const Conversion convert{find_returns(table.n, {x, y, z}), where};
-    ScanPoints points;
-    points.point_m.resize(convert.kept.size());
+    Points points;
+    points.position_m.resize(convert.kept.size());
     // The error for an invalid point contains all of its coordinates.
     const auto coordinate = [&](double value, std::size_t i) {
         if (!(std::abs(value) <= kFarthestCoordinate_m))
@@ -148,7 +148,7 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
     };
     for (const auto& [axis, field] : {std::pair(0, x), std::pair(1, y), std::pair(2, z)})
         convert.each(*field, coordinate,
-                     [&points, a = axis](std::size_t k, float value) { points.point_m[k][a] = value; });
+                     [&points, a = axis](std::size_t k, float value) { points.position_m[k][a] = value; });
     const std::string of_point;  // Conversion adds the point's number
     const auto* intensity = table.find(PointValue::intensity);
     if (!intensity) points.intensity.assign(convert.kept.size(), 0.0f);
@@ -162,7 +162,7 @@ ScanPoints points_of(const PointTable& table, const PointUnits& units, double ti
     if (number) {
         const double first = first_return_number(*number, table.n);
         convert.to(points.return_number, number,
-                   [&](double value) { return return_of(value - first, of_point); });
+                   [&](double value) { return std::uint8_t(1 + return_of(value - first, of_point)); });
     } else if (type && !points.ring.empty() && !points.time_offset_s.empty()) {
         std::vector<double> types;
         convert.to(types, type, [](double value) { return value; });

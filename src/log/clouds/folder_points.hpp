@@ -17,8 +17,7 @@ namespace relidar::folder {
 /// one ray. A point with a NaN as x, or at the origin, is a ray without a return.
 /// @param time_s  subtracted from absolute times
 /// @throws DataError with the number of the invalid point
-ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
-                     const std::string& where);
+Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where);
 
 /// Source of the scans of a log's frames: files of a folder, or messages of a recording.
 /// All functions can be called from any thread.
@@ -28,7 +27,7 @@ public:
     virtual std::string name(std::size_t frame) const = 0;  ///< name for error messages
     /// true: the frame has points; false: it has rays
     virtual bool has_points(std::size_t frame) const = 0;
-    virtual ScanPoints points(std::size_t frame) const = 0;
+    virtual Points points(std::size_t frame) const = 0;
     virtual Scan rays(std::size_t frame) const = 0;
 };
 

@@ -28,12 +28,12 @@ constexpr double kUsualPeriod_s = 0.1;  // period of a sweep, if there is only o
 
 /// Counts the first returns for which spinning_scan() has a ray, if no two are on the
 /// same ray.
-std::size_t count_first_returns(const ScanPoints& points) {
+std::size_t count_first_returns(const Points& points) {
     constexpr float kLeastRange_m = 1e-3f;
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
-        const float range_m = glm::length(points.point_m[i]);
-        const bool is_first = points.return_number.empty() || points.return_number[i] == 0;
+        const float range_m = glm::length(points.position_m[i]);
+        const bool is_first = points.return_number.empty() || points.return_number[i] == 1;
         n += is_first && range_m >= kLeastRange_m;
     }
     return n;
@@ -55,7 +55,7 @@ public:
 
     std::string name(std::size_t i) const override { return files_[i].string(); }
     bool has_points(std::size_t i) const override { return !is_image_file(files_[i]); }
-    ScanPoints points(std::size_t i) const override {
+    Points points(std::size_t i) const override {
         const PointTable table = read_point_file(files_[i], head_.units.columns);
         check_deskewed(table.is_deskewed, head_, name(i));
         return points_of(table, head_.units, sequence_.frames[i].time_s, name(i));
@@ -111,7 +111,7 @@ public:
         const Plan& plan = plans_[std::size_t(frame.lidar)];
         const SpinningSensor& sensor = sequence_.lidar_of(frame).sensor;
         const auto sample = samples_.find(i);
-        ScanPoints points = sample == samples_.end() ? read_points(i, plan.undo) : std::move(sample->second);
+        Points points = sample == samples_.end() ? read_points(i, plan.undo) : std::move(sample->second);
         if (plan.has_rings == points.ring.empty() || plan.has_times == points.time_offset_s.empty())
             throw DataError(fmt::format(
                 "{}: its points {} rings and {} times, expected what the other scans of the LiDAR have",
@@ -147,11 +147,11 @@ private:
     const ScanSource& source_;
     const bool has_poses_;
     BrokenScans& broken_;
-    std::vector<Plan> plans_;                    ///< [lidars] plan of each LiDAR
-    std::map<std::size_t, ScanPoints> samples_;  ///< [frames] samples from which the plans were made
-    std::vector<std::size_t> left_out_;          ///< [frames] number of ignored points
-    std::vector<std::size_t> n_first_;           ///< [frames] number of first returns
-    std::vector<std::size_t> behind_;            ///< [frames] first returns on rays that already have one
+    std::vector<Plan> plans_;                ///< [lidars] plan of each LiDAR
+    std::map<std::size_t, Points> samples_;  ///< [frames] samples from which the plans were made
+    std::vector<std::size_t> left_out_;      ///< [frames] number of ignored points
+    std::vector<std::size_t> n_first_;       ///< [frames] number of first returns
+    std::vector<std::size_t> behind_;        ///< [frames] first returns on rays that already have one
 
     void note(const std::string& text) {
         if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end())
@@ -162,9 +162,9 @@ private:
         note(name.empty() ? text : fmt::format("LiDAR '{}': {}", name, text));
     }
 
-    ScanPoints read_points(std::size_t i, bool undo) const {
+    Points read_points(std::size_t i, bool undo) const {
         const Frame& frame = sequence_.frames[i];
-        ScanPoints points = source_.points(i);
+        Points points = source_.points(i);
         if (undo && !points.time_offset_s.empty())
             undo_compensation(points, sequence_.world_from_sensor(frame.lidar), frame.time_s);
         return points;
@@ -195,7 +195,7 @@ private:
 
     void make_plan(std::size_t l, const std::vector<std::size_t>& frames) {
         Plan& plan = plans_[l];
-        std::vector<ScanPoints> samples;
+        std::vector<Points> samples;
         std::vector<std::size_t> of_sample;  // frame of each sample
         const auto add_sample = [&](std::size_t i) {
             broken_.attempt(i, [&] {
@@ -240,7 +240,7 @@ private:
             note(l, "points have no rings: each is taken for one of the beam that passes nearest");
     }
 
-    void fit_beams(std::size_t l, std::vector<ScanPoints>& samples) {
+    void fit_beams(std::size_t l, std::vector<Points>& samples) {
         Plan& plan = plans_[l];
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (!plan.has_rings) {
@@ -252,7 +252,7 @@ private:
                      "image");
                 return;
             }
-            for (ScanPoints& sample : samples) recover_rings(sample, beams);
+            for (Points& sample : samples) recover_rings(sample, beams);
         }
         const double step_s = sensor.period_s;
         std::optional<SpinningSensor> found = fitted(l, samples, step_s);
@@ -273,8 +273,7 @@ private:
                             found->columns, plan.has_rings ? "" : ", which have no rings"));
     }
 
-    std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<ScanPoints>& samples,
-                                         double period_s) {
+    std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<Points>& samples, double period_s) {
         try {
             const FittedSensor fit = fit_sensor(samples, period_s);
             if (fit.sensor.beams.size() * std::size_t(fit.sensor.columns) > kMaxRays)
@@ -296,8 +295,8 @@ private:
     }
 
     /// Renumbers rings to relidar's convention.
-    ScanPoints renumbered(const ScanPoints& points, const Plan& plan, std::size_t i) {
-        ScanPoints kept;
+    Points renumbered(const Points& points, const Plan& plan, std::size_t i) {
+        Points kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
             const std::uint16_t ring = points.ring[p],
                                 beam = ring < plan.beam_of_ring.size() ? plan.beam_of_ring[ring] : kNoBeam;
@@ -308,7 +307,7 @@ private:
                 ++left_out_[i];
                 continue;
             }
-            kept.point_m.push_back(points.point_m[p]);
+            kept.position_m.push_back(points.position_m[p]);
             kept.intensity.push_back(points.intensity[p]);
             kept.ring.push_back(beam);
             if (!points.time_offset_s.empty()) kept.time_offset_s.push_back(points.time_offset_s[p]);

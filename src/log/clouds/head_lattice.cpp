@@ -20,14 +20,14 @@ double HeadLattice::azimuth_of(int tick) const {
     return std::remainder(zero_rad + tick * tick_rad(), 2.0 * kPi);
 }
 
-Sweep even_sweep(const ScanPoints& points, const SpinningSensor& sensor) {
+Sweep even_sweep(const Points& points, const SpinningSensor& sensor) {
     Sweep sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     const BeamGeometry ideal((Beam()));
     std::complex<double> sum = 0.0;  // its phase is the mean of the head azimuths within a step
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamGeometry& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
-        sum += std::polar(1.0, sensor.columns * beam.head_azimuth(glm::dvec3(points.point_m[i])));
+        sum += std::polar(1.0, sensor.columns * beam.head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
     // Ticks in descending order, from the one nearest to +pi.

@@ -24,11 +24,11 @@ double elevation_of(const glm::vec3& p) {
 }
 
 /// Returns the median spread of the rings.
-double spread_of_rings(const ScanPoints& scan) {
+double spread_of_rings(const Points& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
         if (scan.ring[i] >= rings.size()) rings.resize(std::size_t(scan.ring[i]) + 1);
-        rings[scan.ring[i]].emplace_back(glm::length(scan.point_m[i]), elevation_of(scan.point_m[i]));
+        rings[scan.ring[i]].emplace_back(glm::length(scan.position_m[i]), elevation_of(scan.position_m[i]));
     }
     std::vector<double> spreads;
     for (auto& ring : rings) {
@@ -45,11 +45,11 @@ double spread_of_rings(const ScanPoints& scan) {
 }
 
 /// Returns the widest range of azimuths without a point of any scan.
-double widest_gap(const std::vector<ScanPoints>& scans) {
+double widest_gap(const std::vector<Points>& scans) {
     constexpr std::size_t kBins = 360;
     std::array<bool, kBins> seen{};
-    for (const ScanPoints& scan : scans)
-        for (const glm::vec3& p : scan.point_m)
+    for (const Points& scan : scans)
+        for (const glm::vec3& p : scan.position_m)
             seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] =
                 true;
     std::size_t widest = 0, run = 0;
@@ -62,8 +62,8 @@ double widest_gap(const std::vector<ScanPoints>& scans) {
 
 }  // namespace
 
-std::string why_no_head(const std::vector<ScanPoints>& scans, const SpinningSensor& fitted, double step_s) {
-    const auto fullest = std::ranges::max_element(scans, {}, &ScanPoints::size);
+std::string why_no_head(const std::vector<Points>& scans, const SpinningSensor& fitted, double step_s) {
+    const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
     if (fullest == scans.end()) return "";
     if (const double spread = spread_of_rings(*fullest); spread > kMostSpread_rad)
         return fmt::format(

@@ -16,6 +16,6 @@ namespace relidar {
 /// @param scans  some scans, with rings
 /// @param fitted  sensor that was fitted to them
 /// @param step_s  time between scans
-std::string why_no_head(const std::vector<ScanPoints>& scans, const SpinningSensor& fitted, double step_s);
+std::string why_no_head(const std::vector<Points>& scans, const SpinningSensor& fitted, double step_s);
 
 }  // namespace relidar

@@ -31,14 +31,14 @@ double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x
 /// Returns the elevations of the farther half of the points within each degree,
 /// ascending. The origins of beams have the smallest effect there. Beams that point down
 /// have no far points.
-std::vector<double> far_elevations(const std::vector<ScanPoints>& scans) {
+std::vector<double> far_elevations(const std::vector<Points>& scans) {
     struct Seen {
         float range_m;
         double elevation_rad;
     };
     std::vector<std::vector<Seen>> seen(181);  // one list per degree of elevation
-    for (const ScanPoints& scan : scans)
-        for (const glm::vec3& p : scan.point_m) {
+    for (const Points& scan : scans)
+        for (const glm::vec3& p : scan.position_m) {
             const double elevation = elevation_of(glm::dvec3(p));
             seen[std::size_t((elevation / kPi + 0.5) * 180.0)].push_back({glm::length(p), elevation});
         }
@@ -97,7 +97,7 @@ bool are_apart(const std::vector<Band>& bands) {
 
 }  // namespace
 
-std::vector<Beam> find_beams(const std::vector<ScanPoints>& scans) {
+std::vector<Beam> find_beams(const std::vector<Points>& scans) {
     const std::vector<Band> bands = bands_of(far_elevations(scans));
     if (bands.size() < kFewestBands || !are_apart(bands)) return {};
     std::vector<Beam> beams;
@@ -106,7 +106,7 @@ std::vector<Beam> find_beams(const std::vector<ScanPoints>& scans) {
     return beams;
 }
 
-void recover_rings(ScanPoints& points, const std::vector<Beam>& beams) {
+void recover_rings(Points& points, const std::vector<Beam>& beams) {
     if (beams.empty() || beams.size() > kNoBeam)
         throw UsageError("recovering rings: found no beam or too many, expected 1 to 65535");
     std::vector<std::uint16_t> rising(beams.size());
@@ -116,7 +116,7 @@ void recover_rings(ScanPoints& points, const std::vector<Beam>& beams) {
                      [&](auto a, auto b) { return elevation(a) < elevation(b); });
     const std::vector<BeamGeometry> geometry = geometries_of(beams);
     points.ring.clear();
-    for (const glm::vec3& point : points.point_m) {
+    for (const glm::vec3& point : points.position_m) {
         const glm::dvec3 p(point);
         const double seen = elevation_of(p);
         const auto nearest =

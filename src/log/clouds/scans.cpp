@@ -29,13 +29,14 @@ struct ImageCells {
     int& at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
-std::size_t number_of(const ScanPoints& points, std::size_t point) {
-    return points.return_number.empty() ? 0 : points.return_number[point];
+/// Number of the return, counted from 0.
+std::size_t number_of(const Points& points, std::size_t point) {
+    return points.return_number.empty() ? 0 : std::size_t(points.return_number[point]) - 1;
 }
 
 /// Checks the sizes of the arrays and the rings.
 /// @param n_beams  number of beams; 0: rings are not needed
-void check_points(const ScanPoints& points, std::size_t n_beams) {
+void check_points(const Points& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t n, bool may_be_empty) {
         if (n != points.size() && !(may_be_empty && n == 0))
             throw UsageError(
@@ -51,9 +52,8 @@ void check_points(const ScanPoints& points, std::size_t n_beams) {
             throw UsageError(fmt::format("making a scan: point {} is of ring {}, expected one of {} beams", i,
                                          points.ring[i], n_beams));
         if (number_of(points, i) >= kMostReturns)
-            throw UsageError(
-                fmt::format("making a scan: point {} is return {} of its ray, expected numbers below {}", i,
-                            number_of(points, i), kMostReturns));
+            throw UsageError(fmt::format("making a scan: point {} is return {} of its ray, expected 1 to {}",
+                                         i, points.return_number[i], kMostReturns));
     }
 }
 
@@ -99,7 +99,7 @@ class Assignment {
 public:
     /// Assigns the points to cells.
     /// @param head_rad  [points] azimuth of the head at each point
-    Assignment(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep,
+    Assignment(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
         firing_of.reserve(points.size());
@@ -112,13 +112,15 @@ public:
     std::vector<int> firing_of;  ///< [points] kEmpty if the point is beyond the range
 
 private:
-    const ScanPoints& points_;
+    const Points& points_;
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
     const std::vector<double>& head_rad_;
     std::vector<int> nearest_;  ///< firing of each tick, if points have no firing numbers
 
-    float range_of(int point) const { return glm::length(points_.point_m[static_cast<std::size_t>(point)]); }
+    float range_of(int point) const {
+        return glm::length(points_.position_m[static_cast<std::size_t>(point)]);
+    }
 
     ImageCells& cells_of(std::size_t number) {
         while (by_return.size() <= number)
@@ -161,7 +163,7 @@ private:
 
 /// Returns the time of each firing: the mean time of its points. For a firing without
 /// points, extrapolates from the nearest firing with points.
-std::vector<double> firing_times(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep,
+std::vector<double> firing_times(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                                  const std::vector<int>& firing_of) {
     const std::size_t n = sweep.firings.size();
     const auto turning_time = [&](double azimuth_rad) {
@@ -211,9 +213,9 @@ void set_dropped(Scan& scan, std::size_t at, const BeamGeometry& beam, double he
 /// nothing, if the point is too near to the ray's origin to have a direction.
 /// @param head_rad  azimuth at the point, not of the lattice, so that its origin is exact
 /// even if the lattice has only even steps
-bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad,
-                  const ScanPoints& points, std::size_t i) {
-    const glm::dvec3 p(points.point_m[i]);
+bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad, const Points& points,
+                  std::size_t i) {
+    const glm::dvec3 p(points.position_m[i]);
     const glm::dvec3 origin = beam.ray(head_rad).origin_m;
     const double range = glm::length(p - origin);
     if (!(range > kLeastRange_m)) return false;
@@ -226,16 +228,16 @@ bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double h
 }
 
 /// Sets a second return of a ray, if the ray has a first return.
-void set_second_return(Scan& scan, std::size_t at, const ScanPoints& points, std::size_t i) {
+void set_second_return(Scan& scan, std::size_t at, const Points& points, std::size_t i) {
     if (scan.range_m[at] == 0.0f) return;
     SecondReturn& echo = scan.second_returns[number_of(points, i) - 1];
-    echo.range_m[at] = glm::distance(points.point_m[i], scan.rays.origin[at]);
+    echo.range_m[at] = glm::distance(points.position_m[i], scan.rays.origin[at]);
     echo.intensity[at] = glm::clamp(points.intensity[i], 0.0f, 1.0f);
 }
 
 }  // namespace
 
-Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const Sweep& sweep) {
+Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep) {
     check_points(points, sensor.beams.size());
     if (sensor.columns < 1 || sensor.beams.size() * std::size_t(sensor.columns) > kMaxRays ||
         sweep.lattice.n_ticks > kMostTicks)
@@ -252,7 +254,7 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     std::vector<double> head_rad(points.size());
     for (std::size_t i = 0; i < points.size(); ++i)
-        head_rad[i] = beams[points.ring[i]].head_azimuth(glm::dvec3(points.point_m[i]));
+        head_rad[i] = beams[points.ring[i]].head_azimuth(glm::dvec3(points.position_m[i]));
     Assignment assigned(points, sensor, sweep, head_rad);
     const std::vector<double> times = firing_times(points, sensor, sweep, assigned.firing_of);
     const std::vector<int> slot = fill_columns(sweep, sensor.columns);
@@ -282,7 +284,7 @@ Scan spinning_scan(const ScanPoints& points, const SpinningSensor& sensor, const
     return scan;
 }
 
-Scan unordered_scan(const ScanPoints& points) {
+Scan unordered_scan(const Points& points) {
     check_points(points, 0);
     std::vector<std::size_t> first;  // first return of each ray
     std::size_t n_second_returns = 0;
@@ -291,15 +293,15 @@ Scan unordered_scan(const ScanPoints& points) {
             fmt::format("making a scan: {} points, expected at most {}", points.size(), kMaxRays));
     for (std::size_t i = 0; i < points.size(); ++i) {
         n_second_returns = std::max(n_second_returns, number_of(points, i));
-        if (number_of(points, i) == 0 && glm::length(points.point_m[i]) > float(kLeastRange_m))
+        if (number_of(points, i) == 0 && glm::length(points.position_m[i]) > float(kLeastRange_m))
             first.push_back(i);
     }
     Scan scan;
     resize(scan, 1, static_cast<int>(first.size()), n_second_returns);
     for (std::size_t at = 0; at < first.size(); ++at) {
         const std::size_t i = first[at];
-        const float range = glm::length(points.point_m[i]);
-        scan.rays.direction[at] = glm::vec3(glm::normalize(glm::dvec3(points.point_m[i])));
+        const float range = glm::length(points.position_m[i]);
+        scan.rays.direction[at] = glm::vec3(glm::normalize(glm::dvec3(points.position_m[i])));
         scan.rays.time_offset_s[at] = points.time_offset_s.empty() ? 0.0f : points.time_offset_s[i];
         scan.rays.channel[at] = points.ring.empty() ? std::uint16_t(0) : points.ring[i];
         scan.range_m[at] = range;
@@ -310,12 +312,12 @@ Scan unordered_scan(const ScanPoints& points) {
     return scan;
 }
 
-void undo_compensation(ScanPoints& points, const PoseTrack& world_from_sensor, double time_s) {
+void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s) {
     const Pose world_from_reference = world_from_sensor.at(time_s);
     for (std::size_t i = 0; i < points.size(); ++i) {
         const Pose world_from_firing = world_from_sensor.at(time_s + double(points.time_offset_s[i]));
-        points.point_m[i] =
-            glm::vec3(inverse(world_from_firing) * (world_from_reference * glm::dvec3(points.point_m[i])));
+        points.position_m[i] =
+            glm::vec3(inverse(world_from_firing) * (world_from_reference * glm::dvec3(points.position_m[i])));
     }
 }
 

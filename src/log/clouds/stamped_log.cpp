@@ -78,12 +78,12 @@ public:
 
     std::string name(std::size_t i) const override { return files_[i].string(); }
     bool has_points(std::size_t) const override { return true; }
-    ScanPoints points(std::size_t i) const override {
+    Points points(std::size_t i) const override {
         folder::PointTable table = folder::read_point_file(files_[i], format_.units.columns);
         if (format_.complete) format_.complete(table, name(i));
-        ScanPoints points = folder::points_of(table, format_.units, sequence_.frames[i].time_s, name(i));
+        Points points = folder::points_of(table, format_.units, sequence_.frames[i].time_s, name(i));
         const double c = std::cos(format_.turned_rad), s = std::sin(format_.turned_rad);
-        for (glm::vec3& p : points.point_m) {
+        for (glm::vec3& p : points.position_m) {
             const glm::dvec3 own(p);
             p = glm::vec3(c * own.x - s * own.y, s * own.x + c * own.y, own.z);
         }
@@ -101,8 +101,8 @@ private:
 };
 
 /// Returns the points of a few readable scans.
-std::vector<ScanPoints> sample_points(const StampedPoints& source, std::size_t n_scans) {
-    std::vector<ScanPoints> samples;
+std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_scans) {
+    std::vector<Points> samples;
     const std::size_t n = std::min(kSamples, n_scans);
     for (std::size_t k = 0; k < n; ++k) {
         try {
@@ -117,17 +117,17 @@ std::vector<ScanPoints> sample_points(const StampedPoints& source, std::size_t n
 
 /// Returns true if points are near their beams, relative to the distance to the next
 /// beam. Points of another LiDAR have any distance.
-bool are_near_beams(const std::vector<ScanPoints>& samples, const FittedSensor& fit) {
+bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
     const std::vector<Beam>& beams = fit.sensor.beams;
     std::vector<double> off;  // in distances between beams
-    for (const ScanPoints& scan : samples)
+    for (const Points& scan : samples)
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const std::size_t b = fit.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
             for (const std::size_t next : {b - 1, b + 1})  // an index below 0 wraps to a large number
                 if (next < beams.size())
                     apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
-            const glm::dvec3 p(scan.point_m[i]);
+            const glm::dvec3 p(scan.position_m[i]);
             off.push_back(std::abs(std::atan2(p.z, std::hypot(p.x, p.y)) - beams[b].elevation_rad) / apart);
         }
     const auto middle = off.begin() + std::ptrdiff_t(off.size() / 2);
@@ -137,7 +137,7 @@ bool are_near_beams(const std::vector<ScanPoints>& samples, const FittedSensor& 
 
 /// Fits the nominal beams to the points. Returns nothing if the points come from another
 /// LiDAR, or if their azimuths have no steps, such as points that were moved to one time.
-std::optional<SpinningSensor> fit_nominal(const std::vector<ScanPoints>& samples, const PointFormat& format) {
+std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, const PointFormat& format) {
     if (samples.empty()) return std::nullopt;
     FittedSensor fit;
     try {

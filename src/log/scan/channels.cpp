@@ -145,7 +145,7 @@ void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size
 }
 
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, const std::string& what) {
-    std::set<std::string> taken = {"range_2", "intensity_2", "return", "x", "y", "z"};
+    std::set<std::string> taken = {"range_2", "intensity_2", "return", "points", "x", "y", "z"};
     for (const ChannelInfo& basic : file_channels()) taken.insert(basic.name);
     for (const auto& [info, values, second] : channels) {
         const bool is_word = !info.name.empty() && std::ranges::all_of(info.name, [](char c) {

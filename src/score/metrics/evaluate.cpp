@@ -21,7 +21,7 @@ namespace relidar {
 namespace {
 
 using namespace metrics_detail;
-using Points = std::vector<glm::dvec3>;
+using Positions = std::vector<glm::dvec3>;
 
 constexpr double kMinSquaredError = 1e-20;  // limits the PSNR of identical images to a finite value
 constexpr double kFineThreshold_m = 0.05;
@@ -30,8 +30,8 @@ constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
 constexpr int kLpipsEdge = 31;  // in smaller images, the poolings leave no pixel
 
-Points points(const RangeImage& image, const Mask& mask) {
-    Points result;
+Positions points(const RangeImage& image, const Mask& mask) {
+    Positions result;
     for (std::size_t i = 0; i < mask.size(); ++i)
         if (mask[i])
             result.push_back(glm::dvec3(image.origin[i]) +
@@ -82,7 +82,7 @@ double share_below(const Values& distances, double threshold) {
 struct CloudDistances {
     Values to_truth, to_rendered;
 
-    CloudDistances(const Points& rendered, const Points& truth) {
+    CloudDistances(const Positions& rendered, const Positions& truth) {
         if (rendered.empty() || truth.empty()) return;
         to_truth = nearest_distances(rendered, truth);
         to_rendered = nearest_distances(truth, rendered);
@@ -106,8 +106,8 @@ void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real
               options.lpips);
     add_image(row, "peer/intensity_", "", intensity_pair(rendered, real, threshold), options.lpips);
 
-    const Points a = points(rendered, returned(rendered, threshold));
-    const Points b = points(real, returned(real, kRealDropThreshold));
+    const Positions a = points(rendered, returned(rendered, threshold));
+    const Positions b = points(real, returned(real, kRealDropThreshold));
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
     if (distances.defined()) row["peer/cd_sq_m2"] = distances.chamfer_squared();
@@ -151,7 +151,7 @@ void add_points(MetricRow& row, const std::string& prefix, const RangeImage& ren
     for (std::size_t i = 0; i < both.size(); ++i) both[i] = kept[i] && truth[i];
     add_errors(row, prefix + "depth_", "_m", selected(rendered.range_m, both, options.max_range_m),
                selected(real.range_m, both, options.max_range_m));
-    const Points a = points(rendered, kept), b = points(real, truth);
+    const Positions a = points(rendered, kept), b = points(real, truth);
     if (a.empty() && b.empty()) return;
     const CloudDistances distances(a, b);
     if (distances.defined()) {

@@ -2,13 +2,14 @@
 // Points of scans that are asked for ahead: the device renders one while the host takes
 // another.
 #include <algorithm>
-#include <cstddef>
-#include <cstring>
+#include <cstdint>
+#include <span>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 #include <relidar/diff/accel.hpp>
+#include <relidar/simulate/place_points.hpp>
 
 #include "base/parallel.hpp"
 #include "simulate/render/scan_renderer.hpp"
@@ -16,29 +17,33 @@
 namespace relidar {
 namespace {
 
-/// The same motion seen from another frame.
-PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame) {
-    const Pose frame_from_world = inverse(world_from_frame);
-    for (Pose& pose : track.pose) pose = frame_from_world * pose;
-    return track;
+/// Copies points of the device to arrays of their properties.
+void copy_points(std::span<const shared::ReturnedPoint> from, const IntensityScatter& steps, Points& to) {
+    constexpr std::size_t kTogether = 1 << 13;
+    static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
+    const std::size_t n = from.size();
+    to.position_m.resize(n), to.intensity.resize(n), to.ring.resize(n);
+    to.time_offset_s.resize(n), to.instance.resize(n);
+    for_each_part(n, kTogether, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) {
+            const shared::ReturnedPoint& point = from[i];
+            to.position_m[i] = point.position;
+            to.intensity[i] = steps.quantised(point.intensity);
+            to.ring[i] = std::uint16_t(point.ring);
+            to.time_offset_s[i] = point.time_offset_s;
+            to.instance[i] = std::int32_t(point.instance);
+        }
+    });
 }
-
-// A point is what the device writes, byte by byte.
-static_assert(sizeof(ScanPoint) == sizeof(shared::ReturnedPoint) &&
-              std::int32_t(RELIDAR_NO_INSTANCE) == ScanPoint().instance);
-static_assert(offsetof(ScanPoint, position_m) == offsetof(shared::ReturnedPoint, position));
-static_assert(offsetof(ScanPoint, intensity) == offsetof(shared::ReturnedPoint, intensity));
-static_assert(offsetof(ScanPoint, time_offset_s) == offsetof(shared::ReturnedPoint, time_offset_s));
-static_assert(offsetof(ScanPoint, ring) == offsetof(shared::ReturnedPoint, ring));
-static_assert(offsetof(ScanPoint, instance) == offsetof(shared::ReturnedPoint, instance));
 
 }  // namespace
 
-/// Whether the device makes the points of a scan of this sensor.
+/// Whether the device makes the points of a scan of this sensor. This is the only place
+/// that decides it.
 bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled) const {
     const SensorConfig own = config_of(sensor);
-    return !sampled && weather.clear() && !sensor.grid && own.sub_rays == 1 && own.returns == 1 &&
-           sensor.rays.size() > 0;
+    return !sampled && weather.clear() && wanted.empty() && !sensor.grid && own.sub_rays == 1 &&
+           own.returns == 1 && sensor.rays.size() > 0;
 }
 
 /// Where the next of the scans goes that are sent together.
@@ -77,7 +82,9 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     AskedPoints asked;
     if (!s.gathers_points(sensor, sample.has_value())) {
         const RenderedScan scan = render(sensor, request, sample);
-        asked.ready = returned_points(scan, s.config, request.dataset_from_sensor.at(points_at_s));
+        asked.ready =
+            RenderedPoints{place_points(scan, s.config, request.dataset_from_sensor.at(points_at_s)),
+                           scan.image.range_m.size(), scan.unseen_share};
         s.asked.push_back(std::move(asked));
         return;
     }
@@ -95,13 +102,13 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     asked.dataset_from_sensor = shifted_track(cast.track, s.sweep.world_offset_m);
     asked.time_s = request.time_s;
     asked.max_range_m = std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m));
+    asked.step = s.scatter[std::size_t(sensor.lidar)].step;
     const PoseTrack points_from_sensor = seen_from(asked.dataset_from_sensor, asked.dataset_from_points);
     asked.points = strand.points.record(stream, *cast.rays,
                                         {.points_from_sensor = points_from_sensor,
                                          .time_s = request.time_s,
                                          .of_image = s.config.render.points != "median",
-                                         .refined = refined,
-                                         .step = float(s.scatter[std::size_t(sensor.lidar)].step)},
+                                         .refined = refined},
                                         asked.renderer->forward_pass().pass_cap_count());
     s.asked.push_back(std::move(asked));
     if (!joins) stream.submit();
@@ -109,19 +116,19 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
 }
 
 /// Waits for what the device has of a scan.
-PointScan ScanRenderer::Impl::points_of(AskedPoints& scan, std::vector<ScanPoint> memory) {
+RenderedPoints ScanRenderer::Impl::points_of(AskedPoints& scan, Points memory) {
     if (scan.ready) return std::move(*scan.ready);
     send();
     const PointsOnDevice::Gathered gathered = PointsOnDevice::wait(scan.renderer->stream(), *scan.points);
     if (gathered.n_capped > 0) scan.renderer->check_passes();
     const RayTable& rays = scan.rays->table();
-    PointScan result{std::move(memory), scan.dataset_from_points, scan.time_s, rays.size(), {}};
-    result.points.resize(gathered.points.size());
-    constexpr std::size_t kTogether = 1 << 13;  // points: 0.2 MB
-    for_each_part(result.points.size(), kTogether, [&](std::size_t begin, std::size_t end) {
-        std::memcpy(static_cast<void*>(&result.points[begin]), &gathered.points[begin],
-                    (end - begin) * sizeof(ScanPoint));
-    });
+    IntensityScatter steps;
+    steps.step = scan.step;
+    RenderedPoints result{std::move(memory), rays.size()};
+    result.points.return_number.clear(), result.points.firing.clear(), result.points.channels.clear();
+    result.points.world_from_points = scan.dataset_from_points;
+    result.points.time_s = scan.time_s;
+    copy_points(gathered.points, steps, result.points);
     if (coverage.empty()) return result;
     const auto ray_at = [&](std::size_t k) {
         const std::size_t i = PointsOnDevice::asked_ray(k, rays.size());
@@ -152,7 +159,7 @@ ScanRenderer::~ScanRenderer() {
     }
 }
 
-PointScan ScanRenderer::take_points(std::vector<ScanPoint> memory) {
+RenderedPoints ScanRenderer::take_points(Points memory) {
     Impl& s = *impl_;
     if (s.asked.empty())
         throw UsageError(

@@ -53,8 +53,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
          .n_asked = std::uint32_t(n_asked(n)),
-         .of_image = how.of_image ? 1u : 0u,
-         .step = how.step});
+         .of_image = how.of_image ? 1u : 0u});
     return read_back(stream, n, n_capped);
 }
 

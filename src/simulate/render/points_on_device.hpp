@@ -28,7 +28,6 @@ struct PointMaking {
     double time_s;                        ///< of the sweep
     bool of_image;  ///< points lie where the image's range says, else on the dominant surface
     bool refined;   ///< drop probabilities are those of the network
-    float step;     ///< of intensities; 0: they come in no steps
 };
 
 class PointsOnDevice {

@@ -27,12 +27,13 @@ inline constexpr const char* kNative = "native";  ///< image of a network: the r
 
 /// Points that were asked for.
 struct AskedPoints {
-    std::optional<PointScan> ready = {};  ///< made on the host
+    std::optional<RenderedPoints> ready = {};  ///< made on the host
     std::shared_ptr<SensorRays> rays = {};
     PoseTrack dataset_from_sensor = {};  ///< one pose where it stands
     Pose dataset_from_points = {};
     double time_s = 0.0;
     double max_range_m = 0.0;  ///< of the sensor
+    double step = 0.0;         ///< of intensities, see IntensityScatter
     std::shared_ptr<PointsOnDevice::Slot> points = {};
     Renderer* renderer = nullptr;
 };
@@ -121,7 +122,7 @@ struct ScanRenderer::Impl {
                std::vector<InstancePose> placed);
     ScanStrand& next_strand();
     void send();
-    PointScan points_of(AskedPoints& scan, std::vector<ScanPoint> memory = {});
+    RenderedPoints points_of(AskedPoints& scan, Points memory = {});
     void settle();
     bool wants(const std::string& channel) const {
         return std::ranges::find(wanted, channel, &ChannelInfo::name) != wanted.end();

@@ -84,18 +84,28 @@ std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_
                       last = std::min(world_from_sensor.place(time_s + last_s).left + 1, pose.size() - 1);
     std::vector<shared::SensorPose> poses;
     for (std::size_t k = first; k <= last; ++k) {
-        const glm::dquat& q = pose[k].rotation;
+        const glm::mat3 axes(glm::mat3_cast(pose[k].rotation));
+        const glm::vec3 position(pose[k].translation);
         const Twist next = k < last ? twist_between(pose[k], pose[k + 1]) : Twist{};
-        poses.push_back(
-            {.rotation = glm::vec4(q.w, q.x, q.y, q.z),
-             .position = glm::vec3(pose[k].translation),
-             .way = glm::vec3(next[0], next[1], next[2]),
-             .turn = glm::vec3(next[3], next[4], next[5]),
-             .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
-             .duration_s =
-                 k < last ? float(world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k]) : 0.0f});
+        const double duration_s =
+            k < last ? world_from_sensor.time_s[k + 1] - world_from_sensor.time_s[k] : 0.0;
+        poses.push_back({.x = axes[0],
+                         .y = axes[1],
+                         .z = axes[2],
+                         .position = position,
+                         .position_rest = glm::vec3(pose[k].translation - glm::dvec3(position)),
+                         .way = glm::vec3(next[0], next[1], next[2]),
+                         .turn = glm::vec3(next[3], next[4], next[5]),
+                         .time_offset_s = float(world_from_sensor.time_s[k] - time_s),
+                         .per_s = duration_s > 0.0 ? float(1.0 / duration_s) : 0.0f});
     }
     return poses;
+}
+
+PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame) {
+    const Pose frame_from_world = inverse(world_from_frame);
+    for (Pose& pose : track.pose) pose = frame_from_world * pose;
+    return track;
 }
 
 SensorRays::SensorRays(Device& device)

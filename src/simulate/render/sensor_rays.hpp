@@ -95,5 +95,7 @@ std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names);
 /// @param first_s @param last_s  time offsets of the sweep's rays
 std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
                                                     double first_s, double last_s);
+/// The same motion in another frame.
+PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame);
 
 }  // namespace relidar

@@ -210,7 +210,7 @@ const PointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFloat32},
 // a multiple of 4, so that floats lie where processors like them; channels come behind
 constexpr std::uint32_t kStride = 28;
 
-std::vector<PointField> fields_of(const PointCloud& cloud) {
+std::vector<PointField> fields_of(const Points& cloud) {
     std::vector<PointField> fields(std::begin(kPointFields), std::end(kPointFields));
     std::uint32_t offset = kStride;
     for (const auto& [name, is_integer] : numbers_of(cloud.channels)) {
@@ -220,28 +220,28 @@ std::vector<PointField> fields_of(const PointCloud& cloud) {
     return fields;
 }
 
-std::string point_bytes(const PointCloud& cloud) {
+std::string point_bytes(const Points& cloud) {
     std::string bytes;
-    bytes.reserve(cloud.position_m.size() * kStride);
-    for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
+    bytes.reserve(cloud.size() * kStride);
+    for (std::size_t i = 0; i < cloud.size(); ++i) {
         append(bytes, cloud.position_m[i]);
-        append(bytes, cloud.intensity[i]), append(bytes, (*cloud.time)[i]),
-            append(bytes, (*cloud.instance)[i]);
-        append(bytes, (*cloud.ring)[i]);
-        append(bytes, cloud.return_number ? (*cloud.return_number)[i] : std::uint8_t(1));
+        append(bytes, cloud.intensity[i]), append(bytes, cloud.time_offset_s[i]),
+            append(bytes, cloud.instance[i]);
+        append(bytes, cloud.ring[i]);
+        append(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
         append(bytes, std::uint8_t(0));  // to a multiple of 4
         append_row(bytes, cloud.channels, i);
     }
     return bytes;
 }
 
-std::string points(const RecordedCloud& cloud, const std::string& frame) {
+std::string points(const Points& cloud, const std::string& frame) {
     std::string bytes;
     pbf_writer writer(bytes);
-    writer.add_message(1, timestamp(cloud.stamp_ns));
+    writer.add_message(1, timestamp(stamp_of(cloud.time_s)));
     writer.add_string(2, frame);
     writer.add_message(3, pose_message({}));
-    const std::vector<PointField> fields = fields_of(cloud.cloud);
+    const std::vector<PointField> fields = fields_of(cloud);
     writer.add_fixed32(4, fields.size() == std::size(kPointFields) ? kStride : fields.back().offset + 4);
     for (const PointField& field : fields) {
         std::string of_field;
@@ -251,7 +251,7 @@ std::string points(const RecordedCloud& cloud, const std::string& frame) {
         element.add_enum(3, field.type);
         writer.add_message(5, of_field);
     }
-    writer.add_bytes(6, point_bytes(cloud.cloud));
+    writer.add_bytes(6, point_bytes(cloud));
     return bytes;
 }
 

@@ -7,7 +7,7 @@
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
-#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/place_points.hpp>
 #include "placed_scan.hpp"
 
 namespace relidar::scan_files {
@@ -88,9 +88,7 @@ RecordedRig MomentRecorder::rig() const {
     return rig;
 }
 
-std::uint64_t MomentRecorder::stamp(double time_s) const {
-    return std::uint64_t(std::llround(1e9 * (time_s + *shift_s_)));
-}
+std::uint64_t MomentRecorder::stamp(double time_s) const { return stamp_of(time_s + *shift_s_); }
 
 void MomentRecorder::check_times(const RenderedScan& scan, const Sweep& all) {
     const bool falls = shift_s_ && scan.time_s < last_scan_s_;
@@ -123,7 +121,7 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
     for (std::size_t s = 0; s < scans.size(); ++s) {
         times_s.push_back(sweeps[s].first_s), times_s.push_back(sweeps[s].last_s);
         moment.clouds.push_back(cloud(scans[s], sensors_[s], sweeps[s]));
-        moment.actors[moment.clouds.back().stamp_ns] = actors(scans[s], sweeps[s].first_s);
+        moment.actors[stamp(sweeps[s].first_s)] = actors(scans[s], sweeps[s].first_s);
     }
     moment.poses = poses(scans[0], std::move(times_s));
     return moment;
@@ -144,13 +142,13 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
     return poses;
 }
 
-RecordedCloud MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format,
-                                    const Sweep& sweep) const {
-    RecordedCloud result{stamp(sweep.first_s),
-                         cloud_of(place(scan, format, sensor_pose(scan, sweep.first_s), 0))};
-    for (float& time_s : *result.cloud.time)
+Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const {
+    Points points =
+        place_points(scan, format.config, frame_of_points(format, sensor_pose(scan, sweep.first_s)));
+    for (float& time_s : points.time_offset_s)
         time_s = static_cast<float>(double(time_s) - (sweep.first_s - scan.time_s));
-    return result;
+    points.time_s = sweep.first_s + *shift_s_;
+    return points;
 }
 
 /// Boxes of the actors that are present in a scan, in the dataset's world.

@@ -37,7 +37,7 @@ private:
     std::uint64_t stamp(double time_s) const;
     void check_times(const RenderedScan& scan, const Sweep& all);
     std::vector<RecordedPose> poses(const RenderedScan& scan, std::vector<double> times_s);
-    RecordedCloud cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const;
+    Points cloud(const RenderedScan& scan, const ScanFormat& format, const Sweep& sweep) const;
     std::vector<RecordedActor> actors(const RenderedScan& scan, double stamp_s) const;
 };
 

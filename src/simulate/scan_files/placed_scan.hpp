@@ -2,6 +2,7 @@
 // A scan with its rays in the frame that its files hold.
 #pragma once
 
+#include <optional>
 #include <vector>
 
 #include <glm/glm.hpp>
@@ -9,7 +10,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/base/math.hpp>
 #include <relidar/log/channels.hpp>
-#include <relidar/simulate/point_cloud.hpp>
+#include <relidar/log/points.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
@@ -20,8 +21,10 @@ struct PlacedScan {
     const ScanFormat& format;
     int frame;                                 ///< the dataset's number
     std::vector<glm::vec3> origin, direction;  ///< [n]
+    std::vector<glm::vec3> end_m;              ///< [n] of the rays, see PointsOf::rays
     std::vector<ScanChannel> channels;         ///< [n] each, the scan's
     FileNotes notes;
+    std::optional<Pose> dataset_from_points;  ///< see place_points()
 
     const RangeImage& image() const { return scan.image; }
 };
@@ -56,8 +59,11 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
 PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed,
                  int frame, FileNotes notes = {});
 
-/// Points of returned rays, second returns behind their first.
-PointCloud cloud_of(const PlacedScan& placed);
+/// Frame of the points that a format asks for, see place_points(). @param
+/// world_from_deskewed  frame of deskewed points
+std::optional<Pose> frame_of_points(const ScanFormat& format, const Pose& world_from_deskewed);
+/// All returns.
+Points points_of(const PlacedScan& placed);
 /// Of rays that returned.
 std::size_t count_points(const RenderedScan& scan, const Config& config);
 

@@ -3,6 +3,7 @@
 // like.
 #pragma once
 
+#include <cmath>
 #include <cstdint>
 #include <map>
 #include <string>
@@ -11,7 +12,7 @@
 #include <glm/glm.hpp>
 
 #include <relidar/base/math.hpp>
-#include <relidar/simulate/point_cloud.hpp>
+#include <relidar/log/points.hpp>
 
 namespace relidar::scan_files {
 
@@ -49,16 +50,16 @@ struct RecordedActor {
     BoxState faced;     ///< when the sensor faces it: a moving box fits the points on the actor only then
     BoxState at_stamp;  ///< at the stamp of the cloud
 };
-struct RecordedCloud {
-    std::uint64_t stamp_ns;  ///< of the first ray
-    /// with ring, time from the stamp, and instance; deskewed: in the sensor's frame at
-    /// the stamp
-    PointCloud cloud;
-};
+
+/// Stamp of a time of the file.
+inline std::uint64_t stamp_of(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
+
 struct RecordedMoment {
-    std::uint64_t first_ns, last_ns;    ///< of all rays
-    std::vector<RecordedPose> poses;    ///< ascending, behind those of earlier moments
-    std::vector<RecordedCloud> clouds;  ///< [sensors]
+    std::uint64_t first_ns, last_ns;  ///< of all rays
+    std::vector<RecordedPose> poses;  ///< ascending, behind those of earlier moments
+    /// [sensors] Points with time_s in the file's time, that of the first ray; deskewed: in
+    /// the sensor's frame at time_s
+    std::vector<Points> clouds;
     std::map<std::uint64_t, std::vector<RecordedActor>> actors;  ///< by the stamps of the clouds
 };
 

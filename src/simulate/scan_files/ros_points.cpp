@@ -30,34 +30,34 @@ enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8
 
 /// A second return lies behind its first: it is the last; or before it: then the first
 /// was the last, and this the next strongest.
-ReturnType return_type(const PointCloud& cloud, std::size_t point) {
-    const bool second = cloud.return_number && (*cloud.return_number)[point] == 2;
+ReturnType return_type(const Points& cloud, std::size_t point) {
+    const bool second = !cloud.return_number.empty() && cloud.return_number[point] == 2;
     if (!second || point == 0) return kStrongest;
     return glm::length(cloud.position_m[point]) > glm::length(cloud.position_m[point - 1]) ? kLast
                                                                                            : kSecondStrongest;
 }
 
 /// Angles are those of x y z: azimuth from x to the left, elevation up, radians.
-std::string autoware_points(const PointCloud& cloud) {
+std::string autoware_points(const Points& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         const glm::vec3& p = cloud.position_m[i];
         append(bytes, p);
         append(bytes, std::uint8_t(std::lround(255.0f * std::clamp(cloud.intensity[i], 0.0f, 1.0f))));
         append(bytes, std::uint8_t(return_type(cloud, i)));
-        append(bytes, (*cloud.ring)[i]);
+        append(bytes, cloud.ring[i]);
         append(bytes, std::atan2(p.y, p.x)), append(bytes, std::atan2(p.z, std::hypot(p.x, p.y))),
             append(bytes, glm::length(p));
-        append(bytes, std::uint32_t(std::llround(1e9 * std::max(0.0, double((*cloud.time)[i])))));
+        append(bytes, std::uint32_t(std::llround(1e9 * std::max(0.0, double(cloud.time_offset_s[i])))));
     }
     return bytes;
 }
 
-std::string plain_points(const PointCloud& cloud) {
+std::string plain_points(const Points& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         append(bytes, cloud.position_m[i]), append(bytes, cloud.intensity[i]);
-        append(bytes, (*cloud.time)[i]), append(bytes, (*cloud.ring)[i]);
+        append(bytes, cloud.time_offset_s[i]), append(bytes, cloud.ring[i]);
         append(bytes, std::uint16_t(0));  // to a multiple of 4
         append_row(bytes, cloud.channels, i);
     }
@@ -68,26 +68,24 @@ std::string plain_points(const PointCloud& cloud) {
 struct PointType {
     const std::vector<RosField>& fields;
     std::uint32_t step;  ///< without channels
-    std::string (*points)(const PointCloud&);
+    std::string (*points)(const Points&);
     bool has_channels;
 };
 const PointType kPlainType{kPlain, 24, plain_points, true},
     kAutowareType{kAutoware, 32, autoware_points, false};
 
-std::string cloud_message(const RecordedCloud& cloud, const std::string& frame, const PointType& type) {
-    const std::string points = type.points(cloud.cloud);
+std::string cloud_message(const Points& cloud, const std::string& frame, const PointType& type) {
+    const std::string points = type.points(cloud);
     std::vector<RosField> fields = type.fields;
     std::uint32_t step = type.step;
     for (const auto& [name, is_integer] :
-         type.has_channels ? numbers_of(cloud.cloud.channels) : std::vector<ChannelNumber>{}) {
+         type.has_channels ? numbers_of(cloud.channels) : std::vector<ChannelNumber>{}) {
         fields.push_back({name, step, is_integer ? kRosInt32 : kRosFloat32});
         step += 4;
     }
     Cdr cdr;
-    add_header(cdr, cloud.stamp_ns, frame);
-    cdr.add(std::uint32_t(1))
-        .add(std::uint32_t(cloud.cloud.position_m.size()))
-        .add(std::uint32_t(fields.size()));
+    add_header(cdr, stamp_of(cloud.time_s), frame);
+    cdr.add(std::uint32_t(1)).add(std::uint32_t(cloud.size())).add(std::uint32_t(fields.size()));
     for (const RosField& field : fields)
         cdr.add_text(field.name).add(field.offset).add(field.type).add(std::uint32_t(1));
     cdr.add(std::uint8_t(0))

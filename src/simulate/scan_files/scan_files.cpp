@@ -12,7 +12,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 #include <relidar/run/run.hpp>
-#include <relidar/simulate/point_cloud.hpp>
+#include <relidar/simulate/point_files.hpp>
 #include <relidar/simulate/render.hpp>
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
@@ -22,9 +22,9 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using scan_files::cloud_of;
 using scan_files::place;
 using scan_files::PlacedScan;
+using scan_files::points_of;
 
 constexpr const char* kUnits = "metres, seconds; intensity and drop_prob 0 to 1";
 
@@ -78,6 +78,7 @@ std::vector<NamedArray> arrays_of(const PlacedScan& placed) {
     std::vector<NamedArray> arrays{make_text_array("instance_names", placed.format.instance_names),
                                    image_array("directions", image, placed.direction),
                                    image_array("origin", image, placed.origin),
+                                   image_array("points", image, placed.end_m),
                                    make_array("pose", {4, 4}, pose.data(), pose.size()),
                                    make_array("time_s", {}, &scan.time_s, 1),
                                    make_array("frame_number", {}, &number, 1),
@@ -112,9 +113,9 @@ void exr(const fs::path& path, const PlacedScan& placed) {
 }
 
 void npz(const fs::path& path, const PlacedScan& placed) { write_npz(path, arrays_of(placed)); }
-void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, cloud_of(placed)); }
-void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, cloud_of(placed)); }
-void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, cloud_of(placed)); }
+void ply(const fs::path& path, const PlacedScan& placed) { write_ply(path, points_of(placed), placed.notes); }
+void pcd(const fs::path& path, const PlacedScan& placed) { write_pcd(path, points_of(placed), placed.notes); }
+void bin(const fs::path& path, const PlacedScan& placed) { write_kitti_bin(path, points_of(placed)); }
 void png(const fs::path& path, const PlacedScan& placed) {
     write_png(path, scan_picture(placed.scan), placed.notes);
 }

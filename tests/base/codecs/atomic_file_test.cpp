@@ -5,7 +5,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/base/images.hpp>
 #include <relidar/score/report.hpp>
-#include <relidar/simulate/point_cloud.hpp>
+#include <relidar/simulate/point_files.hpp>
 
 #include <sys/wait.h>
 #include <unistd.h>
@@ -183,7 +183,7 @@ TEST_F(AtomicFile, NoticesAFullDiskInEveryWriter) {
     // values that cannot be compressed
     for (std::size_t i = 0; i < noise.size(); ++i) noise[i] = float(i * 2654435761u % 65537u) / 65537.0f;
     const NamedArray array = make_array("noise", {64, 64}, noise.data(), noise.size());
-    PointCloud cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096), {}, {}};
+    const Points cloud{std::vector<glm::vec3>(4096), std::vector<float>(4096)};
     Report report;
     report.summary = std::string(20'000, 'x');
     const std::vector<std::function<void(const fs::path&)>> writers = {

@@ -33,15 +33,15 @@ SpinningSensor true_sensor(bool clockwise = true) {
 
 /// Returns points on four of five rays, at 3 to 70 m (3 to 8 m for beams that look down).
 /// Rings are counted from below.
-ScanPoints points_on(const SpinningSensor& s, std::uint64_t seed) {
+Points points_on(const SpinningSensor& s, std::uint64_t seed) {
     Random random(seed);
     const RayTable rays = make_rays(s);
-    ScanPoints points;
+    Points points;
     for (std::size_t i = 0; i < rays.size(); ++i) {
         if (random.uniform() < 0.2) continue;
-        points.point_m.push_back(rays.origin[i] +
-                                 float(random.uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) *
-                                     rays.direction[i]);
+        points.position_m.push_back(rays.origin[i] +
+                                    float(random.uniform(3.0, rays.channel[i] < 20 ? 70.0 : 8.0)) *
+                                        rays.direction[i]);
         points.intensity.push_back(0.5f);
         points.ring.push_back(std::uint16_t(s.beams.size() - 1 - rays.channel[i]));
         points.time_offset_s.push_back(rays.time_offset_s[i]);
@@ -62,10 +62,10 @@ TEST(FindBeams, FromElevationsAlone) {
 
 TEST(FindBeams, NoneWhereElevationsDoNotGather) {
     Random random(3);
-    ScanPoints points;
+    Points points;
     for (int i = 0; i < 20000; ++i)
-        points.point_m.emplace_back(random.uniform(5.0, 50.0), random.uniform(-10.0, 10.0),
-                                    random.uniform(-3.0, 3.0));
+        points.position_m.emplace_back(random.uniform(5.0, 50.0), random.uniform(-10.0, 10.0),
+                                       random.uniform(-3.0, 3.0));
     EXPECT_TRUE(find_beams({points}).empty());
     EXPECT_TRUE(find_beams({}).empty());
     SpinningSensor wide = true_sensor();
@@ -79,7 +79,7 @@ TEST(RecoverRings, OfBeamsThatStartBesideTheCentre) {
     SpinningSensor s = true_sensor();
     // 2 degrees at 3 m, which is three beam spacings
     for (Beam& beam : s.beams) beam.origin_offset_m = 0.03, beam.origin_up_m = 0.15;
-    ScanPoints points = points_on(s, 4);
+    Points points = points_on(s, 4);
     std::vector<std::uint16_t> truth;
     for (const std::uint16_t ring : points.ring) truth.push_back(std::uint16_t(kBeams - 1 - ring));
     recover_rings(points, s.beams);
@@ -106,7 +106,7 @@ TEST(FitSensor, BeamsColumnsAndTurning) {
 }
 
 TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
-    ScanPoints points = points_on(true_sensor(false), 5);
+    Points points = points_on(true_sensor(false), 5);
     points.time_offset_s.clear();
     const FittedSensor fit = fit_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.period_s, 0.1);
@@ -114,7 +114,7 @@ TEST(FitSensor, WithoutTimesTakesThePeriodThatIsGiven) {
 }
 
 TEST(FitSensor, KeepsRingsWithoutPointsOut) {
-    ScanPoints points = points_on(true_sensor(), 5);
+    Points points = points_on(true_sensor(), 5);
     for (std::uint16_t& ring : points.ring) ring = std::uint16_t(ring + (ring >= 10));
     const FittedSensor fit = fit_sensor({points}, 0.1);
     EXPECT_EQ(fit.sensor.beams.size(), std::size_t(kBeams));
@@ -123,16 +123,16 @@ TEST(FitSensor, KeepsRingsWithoutPointsOut) {
 }
 
 TEST(FitSensor, WhatItCannotFit) {
-    ScanPoints points = points_on(true_sensor(), 5);
+    Points points = points_on(true_sensor(), 5);
     points.ring.clear();
     EXPECT_THROW(fit_sensor({points}, 0.1), UsageError);
     EXPECT_THROW(fit_sensor({}, 0.1), UsageError);
-    const ScanPoints one{.point_m = {{5.0f, 0.0f, 0.0f}},
-                         .intensity = {0.5f},
-                         .ring = {0},
-                         .time_offset_s = {},
-                         .return_number = {},
-                         .firing = {}};
+    const Points one{.position_m = {{5.0f, 0.0f, 0.0f}},
+                     .intensity = {0.5f},
+                     .ring = {0},
+                     .time_offset_s = {},
+                     .return_number = {},
+                     .firing = {}};
     EXPECT_THROW(fit_sensor({one}, 0.1), DataError);
 }
 

@@ -79,14 +79,14 @@ public:
     std::string name(std::size_t frame) const override { return "scan " + std::to_string(frame); }
     bool has_points(std::size_t) const override { return true; }
     Scan rays(std::size_t) const override { return {}; }
-    ScanPoints points(std::size_t frame) const override {
+    Points points(std::size_t frame) const override {
         ++n_reads[frame];
-        ScanPoints points;
+        Points points;
         for (std::uint16_t beam = 0; beam < 8; ++beam)
             for (int column = 0; column < 90; ++column) {
                 const double azimuth = kPi - (column + 0.5) * 2.0 * kPi / 90;
-                points.point_m.emplace_back(10.0 * std::cos(azimuth), 10.0 * std::sin(azimuth),
-                                            1.0 - 0.3 * beam);
+                points.position_m.emplace_back(10.0 * std::cos(azimuth), 10.0 * std::sin(azimuth),
+                                               1.0 - 0.3 * beam);
                 points.intensity.push_back(0.5f);
                 points.ring.push_back(beam);
             }

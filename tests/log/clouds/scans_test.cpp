@@ -34,7 +34,7 @@ SpinningSensor sensor() {
 /// return.
 struct Truth {
     Scan scan;
-    ScanPoints points;  ///< shuffled
+    Points points;  ///< shuffled
 
     explicit Truth(const SpinningSensor& s, bool second = false) {
         Random random(5);
@@ -55,15 +55,15 @@ struct Truth {
             std::swap(order[i], order[std::size_t(random.next() % (i + 1))]);
         for (const std::size_t i : order) {
             if (scan.range_m[i] == 0.0f) continue;
-            add(i, scan.range_m[i], scan.intensity[i], 0);
+            add(i, scan.range_m[i], scan.intensity[i], 1);
             if (second && scan.second_returns[0].range_m[i] > 0.0f)
-                add(i, scan.second_returns[0].range_m[i], scan.second_returns[0].intensity[i], 1);
+                add(i, scan.second_returns[0].range_m[i], scan.second_returns[0].intensity[i], 2);
         }
     }
 
 private:
     void add(std::size_t ray, float range_m, float intensity, std::uint8_t number) {
-        points.point_m.push_back(scan.rays.origin[ray] + range_m * scan.rays.direction[ray]);
+        points.position_m.push_back(scan.rays.origin[ray] + range_m * scan.rays.direction[ray]);
         points.intensity.push_back(intensity);
         points.ring.push_back(scan.rays.channel[ray]);
         points.return_number.push_back(number);
@@ -125,11 +125,11 @@ TEST(SpinningScan, KeepsSecondReturns) {
 
 TEST(SpinningScan, FarPointsAreDroppedAndCrowdsThinned) {
     const SpinningSensor s = sensor();
-    ScanPoints points;
+    Points points;
     const BeamRay ray = beam_ray(s.beams[0], 0.0);
     for (const double range : {10.0, 12.0, 14.0, 11.0, 9.0, 200.0})
-        points.point_m.emplace_back(ray.origin_m + range * ray.direction), points.intensity.push_back(2.0f),
-            points.ring.push_back(0);
+        points.position_m.emplace_back(ray.origin_m + range * ray.direction),
+            points.intensity.push_back(2.0f), points.ring.push_back(0);
     const Scan scan = spinning_scan(points, s, even_sweep(points, s));
     EXPECT_EQ(scan.count_returns(), 3u) << "its own ray and those beside it";
     EXPECT_NEAR(*std::max_element(scan.range_m.begin(), scan.range_m.end()), 14.0f, 1e-3f);
@@ -150,27 +150,27 @@ TEST(SpinningScan, ToldFiringsOfOneAzimuthStayApart) {
     const auto point = [](double azimuth, float range_m) {
         return range_m * glm::vec3(std::cos(azimuth), std::sin(azimuth), 0.0);
     };
-    const ScanPoints points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)},
-                            {0.1f, 0.2f, 0.3f},
-                            {0, 0, 0},
-                            {0.05f, 0.0f, 0.1f},
-                            {},
-                            {2, 1, 0}};
+    const Points points{{point(1.0, 7.0f), point(3.0, 5.0f), point(3.0, 6.0f)},
+                        {0.1f, 0.2f, 0.3f},
+                        {0, 0, 0},
+                        {0.05f, 0.0f, 0.1f},
+                        {},
+                        {2, 1, 0}};
     const Scan scan = spinning_scan(points, one, sweep);
     EXPECT_EQ(scan.rays.time_offset_s, (ScanArray<float>{0.1f, 0.0f, 0.05f}));
     for (std::size_t i = 0; i < 3; ++i)
         EXPECT_NEAR(scan.range_m[i], (std::array{6.0f, 5.0f, 7.0f}[i]), 1e-6f);
-    ScanPoints beyond = points;
+    Points beyond = points;
     beyond.firing[0] = 3;
     EXPECT_THROW(spinning_scan(beyond, one, sweep), UsageError);
 }
 
 TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
-    ScanPoints points;
-    points.point_m = {{3, 4, 0}, {6, 8, 0}, {0, 0, -2}, {0, 0, 0}, {1, 0, 0}};
+    Points points;
+    points.position_m = {{3, 4, 0}, {6, 8, 0}, {0, 0, -2}, {0, 0, 0}, {1, 0, 0}};
     points.intensity = {0.1f, 0.2f, 0.3f, 0.4f, -1.0f};
     points.time_offset_s = {0.0f, 0.0f, 0.01f, 0.02f, 0.03f};
-    points.return_number = {0, 1, 0, 0, 0};
+    points.return_number = {1, 2, 1, 1, 1};
     const Scan scan = unordered_scan(points);
     EXPECT_EQ(scan.rays.rows, 1);
     EXPECT_EQ(scan.rays.columns, 3) << "a point in the sensor has no direction";
@@ -181,7 +181,7 @@ TEST(UnorderedScan, HasARayForEachPointAndNoOther) {
     EXPECT_EQ(scan.rays.time_offset_s[2], 0.03f);
 }
 
-std::string error_of(const ScanPoints& points) {
+std::string error_of(const Points& points) {
     try {
         spinning_scan(points, sensor(), {{360, 0.0}, {0}});
     } catch (const UsageError& error) {
@@ -191,16 +191,18 @@ std::string error_of(const ScanPoints& points) {
 }
 
 TEST(SpinningScan, SaysWhichArrayIsWrong) {
-    ScanPoints points;
-    points.point_m = {{3, 4, 0}, {6, 8, 0}};
+    Points points;
+    points.position_m = {{3, 4, 0}, {6, 8, 0}};
     points.intensity = {0.1f, 0.2f};
     EXPECT_EQ(error_of(points), "making a scan: ring of 0 points, expected 2");
     points.ring = {0, 12};
     EXPECT_EQ(error_of(points), "making a scan: point 1 is of ring 12, expected one of 12 beams");
     points.ring = {0, 11};
-    points.return_number = {0, 200};
-    EXPECT_EQ(error_of(points), "making a scan: point 1 is return 200 of its ray, expected numbers below 8");
-    points.return_number = {0};
+    points.return_number = {1, 200};
+    EXPECT_EQ(error_of(points), "making a scan: point 1 is return 200 of its ray, expected 1 to 8");
+    points.return_number = {0, 1};
+    EXPECT_EQ(error_of(points), "making a scan: point 0 is return 0 of its ray, expected 1 to 8");
+    points.return_number = {1};
     EXPECT_EQ(error_of(points), "making a scan: return_number of 1 points, expected 2");
 }
 
@@ -208,7 +210,7 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
     const PoseTrack track{{0.0, 1.0},
                           {Pose{}, Pose{glm::angleAxis(0.5, glm::dvec3(0, 0, 1)), {9.0, -2.0, 0.3}}}};
     Random random(9);
-    ScanPoints points;
+    Points points;
     std::vector<glm::vec3> measured;
     for (int i = 0; i < 200; ++i) {
         const double offset_s = random.uniform(-0.05, 0.05);
@@ -217,12 +219,12 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
         points.time_offset_s.push_back(float(offset_s));
         const glm::dmat4 compensate = glm::inverse(to_matrix(track.at(0.4))) *
                                       to_matrix(track.at(0.4 + double(points.time_offset_s.back())));
-        points.point_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
+        points.position_m.emplace_back(compensate * glm::dvec4(glm::dvec3(measured.back()), 1.0));
     }
-    EXPECT_GT(glm::distance(points.point_m[0], measured[0]), 0.01f);
+    EXPECT_GT(glm::distance(points.position_m[0], measured[0]), 0.01f);
     undo_compensation(points, track, 0.4);
     for (std::size_t i = 0; i < measured.size(); ++i)
-        EXPECT_LT(glm::distance(points.point_m[i], measured[i]), 2e-5f);
+        EXPECT_LT(glm::distance(points.position_m[i], measured[i]), 2e-5f);
 }
 
 TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {

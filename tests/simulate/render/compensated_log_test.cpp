@@ -233,20 +233,20 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
         const bool rolls = name != std::string("native");
         renderer.ask_points(choose_sensor(name, run.config, run.sequence),
                             {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
-        const PointScan scan = renderer.take_points();
-        ASSERT_GT(scan.points.size(), 20u);
+        const Points points = renderer.take_points().points;
+        ASSERT_GT(points.size(), 20u);
         double later = 0.0;
-        for (const ScanPoint& point : scan.points) {
-            const glm::dvec3 at_m = scan.dataset_from_points * glm::dvec3(point.position_m);
+        for (std::size_t i = 0; i < points.size(); ++i) {
+            const glm::dvec3 at_m = points.world_from_points * glm::dvec3(points.position_m[i]);
             EXPECT_NEAR(at_m.x, kWall_m, kTolerance_m);
-            const double time_s = kFirst_s + double(point.time_offset_s);
+            const double offset_s = points.time_offset_s[i], time_s = kFirst_s + offset_s;
             const glm::dvec3 way = at_m - glm::dvec3(sensor_x(time_s), 0.0, 0.0);
             // direction in which the sensor fired at that time
             const double elevation = std::atan2(way.z, std::hypot(way.x, way.y));
             const double beam =
-                rolls ? (15.0 - 2.0 * double(point.ring)) * kPi / 180.0 : 0.2 - 0.2 * double(point.ring);
-            EXPECT_NEAR(elevation, beam, 2e-4) << name << ", " << point.time_offset_s;
-            later = std::max(later, std::abs(double(point.time_offset_s)));
+                rolls ? (15.0 - 2.0 * points.ring[i]) * kPi / 180.0 : 0.2 - 0.2 * points.ring[i];
+            EXPECT_NEAR(elevation, beam, 2e-4) << name << ", " << offset_s;
+            later = std::max(later, std::abs(offset_s));
         }
         EXPECT_EQ(later > 0.01, rolls) << name;
     }

@@ -9,7 +9,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/dataset.hpp>
-#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/place_points.hpp>
 
 #include "../../support/device.hpp"
 #include "../../support/drop_networks.hpp"
@@ -139,7 +139,7 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 }
                 EXPECT_GT(n_returns, 100u) << name;
                 EXPECT_GT(n_empty, 100u) << name;
-                EXPECT_EQ(returned_points(scan, of_scan, {}).points.size(), n_returns)
+                EXPECT_EQ(place_points(scan, of_scan, {}).size(), n_returns)
                     << name << ", README's recipe and points";
                 renderer.ask_points(sensor, request, request.time_s);
                 EXPECT_EQ(renderer.take_points().points.size(), n_returns)

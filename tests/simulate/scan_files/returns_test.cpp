@@ -11,7 +11,7 @@
 
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/images.hpp>
-#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/place_points.hpp>
 #include <relidar/simulate/scan_files.hpp>
 
 #include "../../base/codecs/temporary_folder.hpp"
@@ -150,7 +150,7 @@ TEST_F(Returns, AreAsManyInEveryFormat) {
     ScanRenderer renderer(device(), make_background_scene(plate_below()), config, log);
     renderer.refine_drops(test::network_that_never_drops());
     const RenderedScan scan = renderer.render(choice, 1.0);
-    const std::size_t n = returned_points(scan, config, {}).points.size();
+    const std::size_t n = place_points(scan, config, {}, PointsOf::first_returns).size();
     EXPECT_GT(n, rays_onto_plate(choice.rays, 4.0)) << "one standard deviation of the surfel";
     EXPECT_LT(n, rays_onto_plate(choice.rays, 4.0 * 5.0)) << "nobody sees five of them";
 

@@ -24,22 +24,13 @@ struct Laser {
 // VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD). Argoverse's numbers and the order
 // of firing were derived from the times and elevations of points in a published sweep.
 constexpr Laser kTable[kLasers] = {
-    {31, -25.000, -1.4}, {13, -1.000, 4.2},   //
-    {1, -1.667, -1.4},   {17, -15.639, 1.4},  //
-    {29, -11.310, -1.4}, {9, 0.000, 1.4},     //
-    {3, -0.667, -4.2},   {21, -8.843, 1.4},   //
-    {27, -7.254, -1.4},  {12, 0.333, 4.2},    //
-    {5, -0.333, -1.4},   {16, -6.148, 1.4},   //
-    {25, -5.333, -4.2},  {8, 1.333, 1.4},     //
-    {7, 0.667, -4.2},    {20, -4.000, 1.4},   //
-    {22, -4.667, -1.4},  {2, 1.667, 4.2},     //
-    {10, 1.000, -1.4},   {28, -3.667, 4.2},   //
-    {23, -3.333, -4.2},  {6, 3.333, 1.4},     //
-    {11, 2.333, -1.4},   {24, -2.667, 1.4},   //
-    {18, -3.000, -1.4},  {0, 7.000, 1.4},     //
-    {14, 4.667, -1.4},   {30, -2.333, 4.2},   //
-    {19, -2.000, -4.2},  {4, 15.000, 1.4},    //
-    {15, 10.333, -1.4},  {26, -1.333, 1.4},   //
+    {31, -25.000, -1.4}, {13, -1.000, 4.2},  {1, -1.667, -1.4},  {17, -15.639, 1.4}, {29, -11.310, -1.4},
+    {9, 0.000, 1.4},     {3, -0.667, -4.2},  {21, -8.843, 1.4},  {27, -7.254, -1.4}, {12, 0.333, 4.2},
+    {5, -0.333, -1.4},   {16, -6.148, 1.4},  {25, -5.333, -4.2}, {8, 1.333, 1.4},    {7, 0.667, -4.2},
+    {20, -4.000, 1.4},   {22, -4.667, -1.4}, {2, 1.667, 4.2},    {10, 1.000, -1.4},  {28, -3.667, 4.2},
+    {23, -3.333, -4.2},  {6, 3.333, 1.4},    {11, 2.333, -1.4},  {24, -2.667, 1.4},  {18, -3.000, -1.4},
+    {0, 7.000, 1.4},     {14, 4.667, -1.4},  {30, -2.333, 4.2},  {19, -2.000, -4.2}, {4, 15.000, 1.4},
+    {15, 10.333, -1.4},  {26, -1.333, 1.4},
 };
 
 double radians(double degrees) { return degrees * kPi / 180.0; }
@@ -131,7 +122,7 @@ LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const 
     for (std::size_t i = 0; i < raw.point_m.size(); ++i) {
         if (raw.laser[i] / kLasers != half) continue;
         const LaserPlace& laser = places[std::size_t(raw.laser[i] % kLasers)];
-        result.points.point_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
+        result.points.position_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
         result.points.intensity.push_back(float(raw.intensity[i] / 255.0));
         result.points.ring.push_back(laser.row);
         result.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));

@@ -32,7 +32,7 @@ std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>&
 
 /// Measurements of one LiDAR in a sweep.
 struct LidarSweep {
-    ScanPoints points;  ///< in the LiDAR's frame at the time of each point, with rings, times and firings
+    Points points;  ///< in the LiDAR's frame at the time of each point, with rings, times and firings
     Sweep sweep;
 };
 /// Returns the points of one half of the laser numbers. Lasers fire in 16 pairs, so time

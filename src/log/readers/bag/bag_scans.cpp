@@ -39,20 +39,20 @@ std::string BagScans::name(std::size_t frame) const {
                        bag_.topics()[lidars_[cloud.lidar].clouds->topic].name, cloud.number);
 }
 
-ScanPoints BagScans::points(std::size_t frame) const {
+Points BagScans::points(std::size_t frame) const {
     const FrameCloud& at = clouds_[frame];
     if (at.entry.parts.empty()) return points_of_cloud(frame, at.entry, at.cloud_s);
-    ScanPoints all;
+    Points all;
     for (const TurnPart& part : at.entry.parts) {
         const CloudEntry cloud{part.stamp_ns, part.log_ns, part.n_points, part.place};
-        ScanPoints points = points_of_cloud(
+        Points points = points_of_cloud(
             frame, cloud, at.cloud_s + 1e-9 * double(cloud.time_ns(clock_) - at.entry.time_ns(clock_)));
         if (points.time_offset_s.empty())
             throw DataError(fmt::format(
                 "{}: {}, and its points have no times that can be used, expected whole turns, or times",
                 name(frame), lidars_[at.lidar].clouds->parts_about));
         const auto append = [](auto& to, const auto& from) { to.insert(to.end(), from.begin(), from.end()); };
-        append(all.point_m, points.point_m), append(all.intensity, points.intensity),
+        append(all.position_m, points.position_m), append(all.intensity, points.intensity),
             append(all.ring, points.ring);
         append(all.time_offset_s, points.time_offset_s), append(all.return_number, points.return_number);
     }
@@ -75,7 +75,7 @@ folder::PointTable BagScans::table_of_cloud(std::size_t frame, const Place& plac
     }
 }
 
-ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
+Points BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const {
     const FrameCloud& at = clouds_[frame];
     const CloudUnits& units = lidars_[at.lidar].units;
     folder::PointTable table = table_of_cloud(frame, cloud.place);
@@ -83,14 +83,14 @@ ScanPoints BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud,
     double zero_s = at.time_s - cloud_s;  // point time that is 0 s of the frame
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
-    ScanPoints points =
+    Points points =
         folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
     if (!deskewed_by_) return points;
     const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {
         const Pose world_from_firing = deskewed_by_(at.lidar, at.time_s + double(points.time_offset_s[i]));
-        points.point_m[i] =
-            glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.point_m[i])));
+        points.position_m[i] =
+            glm::vec3(inverse(world_from_firing) * (world_from_cloud * glm::dvec3(points.position_m[i])));
     }
     return points;
 }

@@ -53,7 +53,7 @@ public:
     bool has_points(std::size_t frame) const override {
         return lidars_[clouds_[frame].lidar].clouds->packets.empty();
     }
-    ScanPoints points(std::size_t frame) const override;
+    Points points(std::size_t frame) const override;
     Scan rays(std::size_t frame) const override;
 
 private:
@@ -64,7 +64,7 @@ private:
     const LidarPose deskewed_by_;
 
     folder::PointTable table_of_cloud(std::size_t frame, const Place& place) const;
-    ScanPoints points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
+    Points points_of_cloud(std::size_t frame, const CloudEntry& cloud, double cloud_s) const;
 };
 
 }  // namespace relidar::bag

@@ -34,9 +34,9 @@ std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_
     return some;
 }
 
-ScanPoints points_of(const RawScan& raw) {
-    ScanPoints points;
-    for (const glm::vec4& p : raw.points) points.point_m.emplace_back(p), points.intensity.push_back(p.w);
+Points points_of(const RawScan& raw) {
+    Points points;
+    for (const glm::vec4& p : raw.points) points.position_m.emplace_back(p), points.intensity.push_back(p.w);
     points.ring.assign(raw.ring.begin(), raw.ring.end());
     return points;
 }

@@ -30,24 +30,24 @@ constexpr std::size_t kMostColumnsOfSweep = 8192;
 /// Points of a file with rings and columns, in the LiDAR's frame at the time of each
 /// point.
 struct ReadSweep {
-    ScanPoints points;
+    Points points;
     Sweep sweep;
 };
 
 /// Removes missing returns: points that were at the LiDAR before the dataset moved them.
 /// @param points  points in the LiDAR's frame at the time of each point
 /// @param numbers  column of each point
-void leave_out_unmeasured(ScanPoints& points, std::vector<int>& numbers) {
+void leave_out_unmeasured(Points& points, std::vector<int>& numbers) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
-        if (double(glm::length(points.point_m[i])) < kNoReturn_m) continue;
-        points.point_m[n] = points.point_m[i];
+        if (double(glm::length(points.position_m[i])) < kNoReturn_m) continue;
+        points.position_m[n] = points.position_m[i];
         points.intensity[n] = points.intensity[i];
         points.ring[n] = points.ring[i];
         points.time_offset_s[n] = points.time_offset_s[i];
         numbers[n++] = numbers[i];
     }
-    points.point_m.resize(n), points.intensity.resize(n), points.ring.resize(n),
+    points.position_m.resize(n), points.intensity.resize(n), points.ring.resize(n),
         points.time_offset_s.resize(n), numbers.resize(n);
 }
 
@@ -75,7 +75,7 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
                 fmt::format("{}: point {} of ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1));
         if (range_m == 0.0) continue;
         const std::size_t column = i / kBeams;
-        read.points.point_m.emplace_back(v[1], -v[0], v[2]);
+        read.points.position_m.emplace_back(v[1], -v[0], v[2]);
         read.points.intensity.push_back(v[3] / 255.0f);
         read.points.ring.push_back(std::uint16_t(kBeams - 1 - std::size_t(v[4])));
         read.points.time_offset_s.push_back(float(-kPeriod_s * (1.0 - double(column) / double(columns))));

@@ -31,7 +31,7 @@ constexpr glm::dvec3 kCity_m(5223.8, 2385.4, 69.1);
 constexpr std::int64_t kCycle_ns = 55296, kPair_ns = 2304;
 
 /// Points of a sweep in file order.
-struct Points {
+struct SweepColumns {
     std::vector<float> x, y, z;
     std::vector<std::uint8_t> intensity, laser;
     std::vector<std::int32_t> offset_ns;
@@ -40,7 +40,7 @@ struct Points {
 /// Fires the rays of a LiDAR in a sweep and adds the stored points.
 /// @param lidar 0 up, 1 down
 std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2Options& options,
-                                double sweep_s, Points& points) {
+                                double sweep_s, SweepColumns& points) {
     const int half = lidar ^ int(options.lower_half_up);
     std::vector<Argoverse2Ray> rays;
     const Pose vehicle_at_sweep = Argoverse2Log::vehicle_at(sweep_s);
@@ -78,7 +78,7 @@ std::vector<Argoverse2Ray> fire(const Pose& mounted, int lidar, const Argoverse2
     return rays;
 }
 
-std::string sweep_bytes(const Points& points, const Argoverse2Options& options) {
+std::string sweep_bytes(const SweepColumns& points, const Argoverse2Options& options) {
     const auto coordinate = [&](const char* name, const std::vector<float>& values) {
         return options.half_precision ? half_column(name, values) : number_column(name, values);
     };
@@ -165,7 +165,7 @@ Argoverse2Log::Argoverse2Log(const std::string& name, const Argoverse2Options& o
     write_text(file("city_SE3_egovehicle.feather"), feather_bytes(way, options.codec));
     write_text(file("annotations.feather"), annotation_bytes(options.sweeps, options.codec));
     for (int i = 0; i < options.sweeps; ++i) {
-        Points points;
+        SweepColumns points;
         const double sweep_s = 1e-9 * double(sweep_ns(i) - kFirstSweep_ns);
         rays.emplace_back();
         for (int lidar = 0; lidar < 2; ++lidar)

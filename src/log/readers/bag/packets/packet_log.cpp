@@ -43,19 +43,19 @@ bool fires_at(const std::vector<bool>& fires, std::int64_t column) {  // column 
 
 /// Points, and the firing number of each.
 struct FiredPoints {
-    ScanPoints points;
+    Points points;
     std::vector<int> numbers;
 };
 
 /// Adds the returns of all beams. If a ray has two returns, adds the brighter one first.
 void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes,
                 const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
-    ScanPoints& points = fired.points;
+    Points& points = fired.points;
     for (std::size_t ring = 0; ring < beams.size(); ++ring) {
         const double head_deg = place.azimuth_deg + place.ahead_deg_us * offset_us[ring];
         const BeamRay ray = beams[ring].ray(-head_deg * kPi / 180.0);
         const auto add = [&](const Echo& echo, std::uint8_t number) {
-            points.point_m.emplace_back(ray.origin_m + ray.direction * double(echo.range_m));
+            points.position_m.emplace_back(ray.origin_m + ray.direction * double(echo.range_m));
             points.intensity.push_back(float(double(echo.intensity) / place.brightness));
             points.ring.push_back(std::uint16_t(ring));
             points.time_offset_s.push_back(float(place.time_s + 1e-6 * offset_us[ring]));
@@ -66,8 +66,8 @@ void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2
         if (other.range_m == first.range_m) other.range_m = 0.0f;
         if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity))
             std::swap(first, other);
-        if (first.range_m != 0.0f) add(first, 0);
-        if (other.range_m != 0.0f) add(other, 1);
+        if (first.range_m != 0.0f) add(first, 1);
+        if (other.range_m != 0.0f) add(other, 2);
     }
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tests PLY, PCD and KITTI .bin files with a minimal reader: header lines as documented,
-// then packed records.
-#include <relidar/simulate/point_cloud.hpp>
+// PLY, PCD and KITTI .bin files, read back by a reader of ten lines: header lines as
+// documented, then packed records.
+#include <relidar/simulate/point_files.hpp>
 
 #include <cstring>
 #include <sstream>
@@ -11,21 +11,22 @@
 namespace relidar {
 namespace {
 
-using PointCloudFile = TemporaryFolder;
+using PointFiles = TemporaryFolder;
 
-PointCloud some_cloud() {
-    PointCloud cloud;
+const FileNotes kNotes = {{"sensor", "VLP-16"}, {"run", "a\nb"}};
+
+Points some_cloud() {
+    Points cloud;
     cloud.position_m = {{1.5f, -2.0f, 0.25f}, {10.0f, 20.0f, 30.0f}, {-0.5f, 0.0f, 80.0f}};
     cloud.intensity = {0.1f, 0.5f, 1.0f};
-    cloud.ring = {{0, 63, 65535}};
-    cloud.time = {{-0.05f, 0.0f, 0.05f}};
-    cloud.instance = {{0, 70000, -1}};
+    cloud.ring = {0, 63, 65535};
+    cloud.time_offset_s = {-0.05f, 0.0f, 0.05f};
+    cloud.instance = {0, 70000, -1};
     cloud.world_from_points = {glm::dquat(0.5, 0.5, -0.5, 0.5), glm::dvec3(1.25, -2e6, 0.1)};
-    cloud.notes = {{"sensor", "VLP-16"}, {"run", "a\nb"}};
     return cloud;
 }
 
-/// Header lines including the last one, and the remainder of the file.
+/// Header lines up to and including the last one, and what follows.
 struct Parsed {
     std::vector<std::string> header;
     std::string body;
@@ -49,21 +50,21 @@ T value_at(const std::string& bytes, std::size_t offset) {
     return value;
 }
 
-void expect_records(const std::string& body, const PointCloud& cloud, std::size_t stride) {
+void expect_records(const std::string& body, const Points& cloud, std::size_t stride) {
     ASSERT_EQ(body.size(), cloud.position_m.size() * stride);
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         for (int axis = 0; axis < 3; ++axis)
             EXPECT_EQ(value_at<float>(body, i * stride + 4 * std::size_t(axis)), cloud.position_m[i][axis]);
         EXPECT_EQ(value_at<float>(body, i * stride + 12), cloud.intensity[i]);
         if (stride != 26) continue;
-        EXPECT_EQ(value_at<std::uint16_t>(body, i * stride + 16), (*cloud.ring)[i]);
-        EXPECT_EQ(value_at<float>(body, i * stride + 18), (*cloud.time)[i]);
-        EXPECT_EQ(value_at<std::int32_t>(body, i * stride + 22), (*cloud.instance)[i]);
+        EXPECT_EQ(value_at<std::uint16_t>(body, i * stride + 16), cloud.ring[i]);
+        EXPECT_EQ(value_at<float>(body, i * stride + 18), cloud.time_offset_s[i]);
+        EXPECT_EQ(value_at<std::int32_t>(body, i * stride + 22), cloud.instance[i]);
     }
 }
 
-TEST_F(PointCloudFile, WritesPly) {
-    write_ply(folder / "a.ply", some_cloud());
+TEST_F(PointFiles, WritesPly) {
+    write_ply(folder / "a.ply", some_cloud(), kNotes);
     const Parsed file = parse(contents(folder / "a.ply"), "end_header");
     const std::vector<std::string> expected{"ply",
                                             "format binary_little_endian 1.0",
@@ -82,8 +83,8 @@ TEST_F(PointCloudFile, WritesPly) {
     expect_records(file.body, some_cloud(), 26);
 }
 
-TEST_F(PointCloudFile, WritesPcd) {
-    write_pcd(folder / "a.pcd", some_cloud());
+TEST_F(PointFiles, WritesPcd) {
+    write_pcd(folder / "a.pcd", some_cloud(), kNotes);
     const Parsed file = parse(contents(folder / "a.pcd"), "DATA binary");
     const std::vector<std::string> expected{"# .PCD v0.7 - Point Cloud Data file format",
                                             "# sensor VLP-16",
@@ -102,12 +103,11 @@ TEST_F(PointCloudFile, WritesPcd) {
     expect_records(file.body, some_cloud(), 26);
 }
 
-TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
-    PointCloud cloud = some_cloud();
-    cloud.ring.reset();
-    cloud.time.reset();
-    cloud.instance.reset();
-    cloud.notes.clear();
+TEST_F(PointFiles, LeavesOutFieldsThatAreMissing) {
+    Points cloud = some_cloud();
+    cloud.ring.clear();
+    cloud.time_offset_s.clear();
+    cloud.instance.clear();
     write_ply(folder / "a.ply", cloud);
     write_pcd(folder / "a.pcd", cloud);
     expect_records(parse(contents(folder / "a.ply"), "end_header").body, cloud, 16);
@@ -119,8 +119,8 @@ TEST_F(PointCloudFile, LeavesOutFieldsThatAreMissing) {
     expect_records(pcd.body, cloud, 16);
 }
 
-TEST_F(PointCloudFile, WritesTheSpreadBehindTheOtherFields) {
-    PointCloud cloud = some_cloud();
+TEST_F(PointFiles, WritesTheSpreadBehindTheOtherFields) {
+    Points cloud = some_cloud();
     const std::vector<float> spread{0.0f, 0.5f, 12.25f};
     cloud.channels = {{{.name = "spread"}, spread}};
     write_ply(folder / "a.ply", cloud);
@@ -138,9 +138,9 @@ TEST_F(PointCloudFile, WritesTheSpreadBehindTheOtherFields) {
     EXPECT_THROW(write_ply(folder / "b.ply", cloud), DataError);
 }
 
-TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
-    PointCloud cloud = some_cloud();
-    cloud.ring.reset(), cloud.time.reset(), cloud.instance.reset();
+TEST_F(PointFiles, WritesNormalsByTheNamesOfEachFormat) {
+    Points cloud = some_cloud();
+    cloud.ring.clear(), cloud.time_offset_s.clear(), cloud.instance.clear();
     const std::vector<glm::vec3> normal{{1.0f, 0.0f, 0.0f}, {0.0f, -1.0f, 0.0f}, {0.6f, 0.0f, 0.8f}};
     cloud.channels = {{{.name = "normal", .turns = true}, normal}};
     write_ply(folder / "a.ply", cloud);
@@ -161,12 +161,12 @@ TEST_F(PointCloudFile, WritesNormalsByTheNamesOfEachFormat) {
     data_error([&] { write_ply(folder / "b", cloud); });
 }
 
-TEST_F(PointCloudFile, WritesKittiBin) {
+TEST_F(PointFiles, WritesKittiBin) {
     write_kitti_bin(folder / "a.bin", some_cloud());
     expect_records(contents(folder / "a.bin"), some_cloud(), 16);
 }
 
-TEST_F(PointCloudFile, WritesEmptyClouds) {
+TEST_F(PointFiles, WritesEmptyClouds) {
     write_ply(folder / "a.ply", {});
     write_pcd(folder / "a.pcd", {});
     write_kitti_bin(folder / "a.bin", {});
@@ -175,11 +175,9 @@ TEST_F(PointCloudFile, WritesEmptyClouds) {
     EXPECT_EQ(contents(folder / "a.bin"), "");
 }
 
-TEST_F(PointCloudFile, KeepsFieldsWithoutAPoint) {
-    PointCloud cloud;
-    cloud.ring.emplace(), cloud.time.emplace(), cloud.instance.emplace();
-    write_ply(folder / "a.ply", cloud);
-    write_pcd(folder / "a.pcd", cloud);
+TEST_F(PointFiles, KeepsFieldsWithoutAPoint) {
+    write_ply(folder / "a.ply", {});
+    write_pcd(folder / "a.pcd", {});
     EXPECT_NE(contents(folder / "a.ply")
                   .find("property uint16 ring\nproperty float time\nproperty int instance\nend_header"),
               std::string::npos);
@@ -187,13 +185,13 @@ TEST_F(PointCloudFile, KeepsFieldsWithoutAPoint) {
               "FIELDS x y z intensity ring time instance");
 }
 
-TEST_F(PointCloudFile, RefusesArraysOfUnequalLength) {
+TEST_F(PointFiles, RefusesArraysOfUnequalLength) {
     for (int which : {0, 1, 2, 3}) {
-        PointCloud cloud = some_cloud();
+        Points cloud = some_cloud();
         if (which == 0) cloud.intensity.pop_back();
-        if (which == 1) cloud.ring->pop_back();
-        if (which == 2) cloud.time->pop_back();
-        if (which == 3) cloud.instance->pop_back();
+        if (which == 1) cloud.ring.pop_back();
+        if (which == 2) cloud.time_offset_s.pop_back();
+        if (which == 3) cloud.instance.pop_back();
         data_error([&] { write_ply(folder / "a", cloud); });
         data_error([&] { write_pcd(folder / "a", cloud); });
         data_error([&] { write_kitti_bin(folder / "a", cloud); });

@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: Apache-2.0
+// The points of a scan on the host. src/CMakeLists.txt compiles this file without fused
+// multiplications and additions, so that positions have the bits of the device's.
+#include <relidar/simulate/place_points.hpp>
+
+#include <algorithm>
+#include <utility>
+
+#include "base/parallel.hpp"
+#include "simulate/render/sensor_rays.hpp"
+#include "simulate/shared/place_point.h"
+
+namespace relidar {
+namespace {
+
+constexpr std::size_t kPointsTogether = 4096;
+
+/// A return that becomes a point. @see Points::return_number
+struct Return {
+    std::size_t ray;
+    std::uint8_t number;
+};
+
+std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<float>& range_m, PointsOf of) {
+    std::vector<Return> returns;
+    returns.reserve(range_m.size());
+    for (std::size_t ray = 0; ray < range_m.size(); ++ray) {
+        if (of != PointsOf::rays && !returned(scan.image.drop_prob[ray], range_m[ray])) continue;
+        returns.push_back({ray, 1});
+        if (of != PointsOf::returns) continue;
+        for (std::size_t k = 0; k < scan.second_returns.size(); ++k)
+            if (scan.second_returns[k].range_m[ray] > 0.0f) returns.push_back({ray, std::uint8_t(k + 2)});
+    }
+    return returns;
+}
+
+/// The sensor's poses through a scan in the frame of the points; none if each point stays
+/// in the sensor's frame.
+std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
+                                         const std::optional<Pose>& dataset_from_points) {
+    if (!dataset_from_points || scan.time_offset_s.empty()) return {};
+    const PoseTrack track =
+        scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
+    const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
+    return poses_through_sweep(seen_from(track, *dataset_from_points), scan.time_s, double(first_s),
+                               double(last_s));
+}
+
+/// See shaders/simulate/render/sensor_way.glsl.
+const shared::SensorPose& pose_before(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
+    std::size_t k = 0;
+    while (k + 2 < poses.size() && poses[k + 1].time_offset_s <= time_offset_s) ++k;
+    return poses[k];
+}
+
+}  // namespace
+
+Points place_points(const RenderedScan& scan, const Config& config,
+                    const std::optional<Pose>& dataset_from_points, PointsOf of) {
+    const std::vector<float>& range_m = point_ranges(scan, config);
+    check_channels(scan.channels, range_m.size(), "a scan");
+    const std::vector<Return> returns = find_returns(scan, range_m, of);
+    const std::vector<shared::SensorPose> poses = poses_of(scan, dataset_from_points);
+    const std::size_t n = returns.size();
+    Points points{.position_m = std::vector<glm::vec3>(n),
+                  .intensity = std::vector<float>(n),
+                  .ring = std::vector<std::uint16_t>(n),
+                  .time_offset_s = std::vector<float>(n),
+                  .instance = std::vector<std::int32_t>(n),
+                  .channels = emptied(scan.channels),
+                  .world_from_points = dataset_from_points.value_or(scan.world_from_sensor),
+                  .time_s = scan.time_s};
+    if (of == PointsOf::returns && !scan.second_returns.empty()) points.return_number.resize(n);
+    const auto place = [&](std::size_t i) {
+        const auto [ray, number] = returns[i];
+        const SecondReturn* second = number > 1 ? &scan.second_returns[number - 2u] : nullptr;
+        const float time_offset_s = scan.time_offset_s[ray];
+        const glm::vec3 end = shared::ray_end(scan.image.origin[ray], scan.image.direction[ray],
+                                              second ? second->range_m[ray] : range_m[ray]);
+        points.position_m[i] =
+            poses.empty() ? end : shared::place_point(pose_before(poses, time_offset_s), time_offset_s, end);
+        points.intensity[i] = second ? second->intensity[ray] : scan.image.intensity[ray];
+        points.ring[i] = scan.ring[ray];
+        points.time_offset_s[i] = time_offset_s;
+        points.instance[i] = second ? -1 : scan.instance[ray];
+        if (!points.return_number.empty()) points.return_number[i] = number;
+    };
+    for_each_part(n, kPointsTogether, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) place(i);
+    });
+    for (std::size_t k = 0; k < points.channels.size(); ++k) {
+        for (const auto& [ray, number] : returns)
+            append_return(points.channels[k], scan.channels[k], ray, number);
+        auto* vectors = std::get_if<std::vector<glm::vec3>>(&points.channels[k].values);
+        if (!vectors || !scan.channels[k].info.turns || poses.empty()) continue;
+        for (std::size_t i = 0; i < n; ++i)
+            (*vectors)[i] = shared::place_direction(pose_before(poses, points.time_offset_s[i]),
+                                                    points.time_offset_s[i], (*vectors)[i]);
+    }
+    return points;
+}
+
+}  // namespace relidar
