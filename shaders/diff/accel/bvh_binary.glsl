@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binary nodes on their way to wide ones. The cheapest way to share the slots of a wide
-// node out among subtrees is found bottom up (Ylitie et al. 2017, section 3.1): a subtree
-// in one slot is a leaf where it has at most LEAF_SIZE surfels, else a wide node of its
-// own. A node's decision word: its surfels, counted to 15, in bits 0-3; the left child's
-// share of 2 ... 8 slots in 3 bits each from bit 4 on, 0 where one slot fewer is no
-// dearer.
+// Access to the nodes of a binary tree that is collapsed into wide nodes (Ylitie et al.
+// 2017, section 3.1). A subtree in one slot of a wide node is a leaf if it has at most
+// LEAF_SIZE surfels. Otherwise it is a wide node.
+//
+// Each binary node has a decision word. Bits 0-3 hold its number of surfels, at most 15.
+// Then, for 2 ... 8 available slots, 3 bits each from bit 4 on hold the number of slots
+// of the left child. The value 0 means that one slot fewer is at least as good.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_BINARY_GLSL
 
@@ -12,16 +13,18 @@ bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
 uint surfels_of(uint decisions) { return decisions & 15u; }
 uint left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
 
-/// Surfels below a child, counted to 15.
+/// Returns the number of surfels below a child, at most 15.
 uint count_surfels(BvhBinary tree, uint child) {
     return is_leaf(child) ? 1u : surfels_of(tree.decisions.at[child]);
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
-/// Children of the wide node made of a binary one, from left to right.
+/// Collects the children, from left to right, of the wide node that replaces a binary
+/// node.
+/// @return number of children
 uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH]) {
     slots[0] = node;
-    if (is_leaf(node)) return 1u;  // a model of one surfel
+    if (is_leaf(node)) return 1u;  // the model has one surfel
     uint stack[RELIDAR_BVH_WIDTH], shares[RELIDAR_BVH_WIDTH];
     stack[0] = node;
     shares[0] = RELIDAR_BVH_WIDTH;
@@ -46,7 +49,8 @@ uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH])
     return n_slots;
 }
 
-/// Sorted positions of the surfels of a leaf slot.
+/// Collects the sorted positions of the surfels of a leaf slot.
+/// @return number of surfels
 uint collect_surfels(BvhBinary tree, uint slot, out uint positions[RELIDAR_BVH_LEAF_SIZE]) {
     uint stack[RELIDAR_BVH_LEAF_SIZE];
     stack[0] = slot;

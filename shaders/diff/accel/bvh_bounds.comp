@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bounds of the box centres of each model, over the surfels that can be hit: where Morton
-// codes are counted from. Workgroups of 256 threads, 16 surfels a thread. Input: boxes,
-// models. Accumulated: bounds. Floor: 24 B a surfel read.
+// Computes the bounds of the box centres of each model. Counts only surfels that can be
+// hit. The Morton codes of a model are relative to these bounds. Workgroups of 256
+// threads, 16 surfels per thread. Input: boxes, models. Accumulated: bounds. Memory
+// traffic: at least 24 B read per surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -28,7 +29,8 @@ void main() {
         Box b = load_box(params.boxes, i);
         if (is_empty(b)) continue;
         uint first_surfel = params.models.at[model].first_surfel;
-        if (i - first_surfel >= params.models.at[model].n_surfels) {  // wraps where the surfel lies before
+        // the unsigned difference wraps if the surfel precedes the model
+        if (i - first_surfel >= params.models.at[model].n_surfels) {
             if (!is_empty(bounds)) add_to_model(model, bounds.low, bounds.high);
             bounds = empty_box();
             model = find_model(params.models, params.n_models, i);

@@ -1,15 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binary trees by agglomeration (Benthin et al., "H-PLOC: Hierarchical Parallel
-// Locally-Ordered Clustering", 2024): the radix tree over the sorted keys (after Apetrei
-// 2014, ends of ranges exchanged at splits) says which ranges come together; where two
-// do, their at most 32 clusters are merged to at most 16, each with its nearest of the 8
-// on either side where that is mutual. Costs of wide nodes are found with each merge. One
-// thread a sorted position; the second to reach a split goes on, and its subgroup works
-// on one range together, as hardly any two of its threads get so far. A workgroup is one
-// subgroup: on lavapipe a subgroup's barrier holds up all of them. Input: boxes, keys,
-// surfels, models. Output: tree, roots. Nodes take the numbers of positions, not of a
-// counter, so that a build is repeatable. Floor: 36 B a surfel read, 68 B written and
-// read again a node; 500 box unions a surfel.
+// Builds binary trees by agglomerative clustering (Benthin et al., "H-PLOC: Hierarchical
+// Parallel Locally-Ordered Clustering", 2024). A radix tree over the sorted keys (as in
+// Apetrei 2014, with the ends of ranges exchanged at splits) determines which ranges are
+// joined. A join merges the at most 32 clusters of two ranges to at most 16, as pairs of
+// mutual nearest neighbours among 8 on either side. One thread per sorted position. The
+// second thread that reaches a split continues upwards, and all lanes of its subgroup
+// join one range together. A workgroup is one subgroup, because on lavapipe a subgroup
+// barrier stops the full workgroup. Nodes are numbered by sorted positions, so that
+// builds are repeatable. Input: boxes, keys, surfels, models. Output: tree, roots. At
+// least 36 B read per surfel, 68 B written and read per node, 500 box unions per surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -28,24 +27,25 @@ const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
 struct Cluster {
     Box box;
     uint root;   // node or leaf
-    uint spare;  // position of its subtree that numbers no node yet
+    uint spare;  // sorted position in this subtree that does not number a node yet
 };
-// Clusters by fields: lanes that read the same field of neighbours then read other banks.
+// Clusters as a structure of arrays, so that lanes that read the same field of
+// neighbouring clusters use different memory banks.
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// first position, last of the left range, last position; model that is whole with it, or
-// -1
+// Range to join: first, last of the left range, last position. w: the model if the range
+// covers it, or -1.
 shared ivec4 task;
 
-/// All that the subgroup has written to shared memory becomes visible to it.
+/// Makes all writes of the subgroup to shared memory visible to the subgroup.
 void synchronise() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 }
 
-/// Length of the common prefix of the keys at a position and the next; -1 at the ends of
-/// the model.
+/// Returns the length of the common prefix of the keys at a position and the next one, or
+/// -1 at the ends of the model.
 int common_prefix(int i, int first, int last) {
     if (i < first || i >= last) return -1;
     uvec2 a = params.keys.at[i], b = params.keys.at[i + 1];
@@ -74,7 +74,7 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Appends the clusters of a range to `n`. @return how many there are then
+/// Appends the clusters of a range to the `n` clusters. Returns their new number.
 uint load_clusters(int from, int to, uint n) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);
@@ -88,22 +88,22 @@ uint load_clusters(int from, int to, uint n) {
     return n + n_range;
 }
 
-/// The one of a cluster's neighbours with which it has the smallest box; of equal pairs
-/// the first, so that one pair is mutual.
+/// Returns the neighbour with which a cluster has the smallest joint box. Returns the
+/// first of several equal neighbours, so that at least one pair is mutual.
 uint nearest_to(uint i, uint n) {
     Box own = box_of(i);
     float least = BOX_HUGE;
-    uint found = i;
+    uint neighbour = i;
     for (uint j = i - min(i, RADIUS); j < min(i + RADIUS + 1u, n); ++j) {
         float area = half_area(joined(own, box_of(j)));
         if (j == i || !(area < least)) continue;
         least = area;
-        found = j;
+        neighbour = j;
     }
-    return found;
+    return neighbour;
 }
 
-/// A node above two clusters.
+/// Creates a node above two clusters.
 Cluster merged(Cluster a, Cluster b) {
     uint node = b.spare;
     Box box = joined(a.box, b.box);
@@ -115,7 +115,8 @@ Cluster merged(Cluster a, Cluster b) {
     return Cluster(box, node, a.spare);
 }
 
-/// Merges once. @return clusters left
+/// Merges each pair of mutual nearest neighbours once.
+/// @return number of remaining clusters
 uint merge_mutual(uint n) {
     for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[i] = nearest_to(i, n);
     synchronise();
@@ -129,23 +130,23 @@ uint merge_mutual(uint n) {
         if (kept && mutual) c = merged(c, cluster_of(j));
         synchronise();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        // at or before i: read already
+        // The target index is at most i, and this cluster was read before.
         if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
-    memoryBarrierBuffer();  // nodes are read by merges above
+    memoryBarrierBuffer();  // later merges read these nodes
     synchronise();
     return n_kept;
 }
 
-/// The subgroup joins the two ranges of its task.
+/// Joins the two ranges in `task`. All lanes of the subgroup take part.
 void join_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
     synchronise();
-    bool whole = task.w >= 0;
-    while (n > (whole ? 1u : KEPT)) n = merge_mutual(n);
-    if (whole) {
+    bool covers_model = task.w >= 0;
+    while (n > (covers_model ? 1u : KEPT)) n = merge_mutual(n);
+    if (covers_model) {
         if (gl_SubgroupInvocationID == 0u) params.roots.at[task.w] = root_of[0];
         return;
     }
@@ -154,8 +155,9 @@ void join_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Brings a range to the split it shares with its neighbour. @return whether the
-/// neighbour was there: then the range is grown by it
+/// Announces a range at the split that it shares with its neighbour.
+/// @return true if the neighbour was announced before; the range then includes the
+/// neighbour
 bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
     split = leftward ? from - 1 : to;
@@ -182,16 +184,17 @@ void main() {
         memoryBarrierBuffer();
         if (climbing) climbing = meet_neighbour(from, to, split, first, last);
         memoryBarrierBuffer();
-        bool whole = from == first && to == last, waiting = climbing && (whole || to - from >= int(KEPT));
+        bool covers_model = from == first && to == last,
+             waiting = climbing && (covers_model || to - from >= int(KEPT));
         while (subgroupAny(waiting)) {
             uint first_lane = subgroupMin(waiting ? gl_SubgroupInvocationID : 0xffffffffu);
             bool next = gl_SubgroupInvocationID == first_lane;
-            if (next) task = ivec4(from, split, to, whole ? model : -1);
+            if (next) task = ivec4(from, split, to, covers_model ? model : -1);
             synchronise();
             join_ranges();
             synchronise();
             if (next) waiting = false;
         }
-        if (whole) climbing = false;
+        if (covers_model) climbing = false;
     }
 }

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Surface-area cost of the trees of all models, the number a rebuild is decided by: half
-// areas of all nodes, and of all leaf slots times the tests of their surfels, since a ray
-// that meets a box pays for what is in it. One thread a wide node, one sum a workgroup of
-// 256. Input: wide. Output: partial sums. Floor: 104 B a wide node read.
+// Computes the surface-area cost of the trees of all models. The host uses the cost to
+// decide about a rebuild. Sums the half areas of all nodes, and the half areas of all
+// leaf slots times the cost of testing their surfels. One thread per wide node, one sum
+// per workgroup of 256. Input: wide. Output: partial sums. Memory traffic: at least 104 B
+// read per wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -10,7 +11,7 @@
 #include "../../base/workgroup_scan.glsl"
 #include "bvh_forest.glsl"
 RELIDAR_PARAMS(BvhCostParams);
-shared float sums[64];  // of subgroups
+shared float sums[64];  // cost of each subgroup
 
 float leaf_cost(uint node, uint first_surfel) {
     uint first_leaf = params.wide.nodes.at[node].first_leaf;

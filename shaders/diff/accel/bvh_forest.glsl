@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes as six floats, and values that workgroups of a launch share.
+// Boxes stored as six floats, and coherent access to values that workgroups of one launch
+// share.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
 
@@ -18,9 +19,9 @@ Box load_box(Floats boxes, uint i) {
                vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
 }
 
-// Values that one subgroup writes and another of the same launch reads, behind a barrier
-// or an atomic counter. On cards whose subgroups have caches of their own only a coherent
-// access sees them; the plain pointers of shared/ are not.
+// Values that one subgroup writes and another subgroup of the same launch reads after a
+// barrier or an atomic counter. On GPUs with separate caches for workgroups only a
+// coherent access sees such values. The plain pointers of shared/ are not coherent.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
@@ -38,16 +39,18 @@ void store_shared_box(Floats boxes, uint i, Box value) {
     }
 }
 
-// of a surfel test, in visits of a node: 64 B and a plane against 80 B and eight boxes
+// Cost of a surfel test relative to the cost of visiting a node. A surfel test reads 64 B
+// and intersects a plane, a node visit reads 80 B and tests eight boxes.
 const float SURFEL_COST = 0.3;
 
-/// Half the surface; edges are cut at 1e18 m, so that it is always a number.
+/// Returns half the surface area of a box. Clamps edges to 1e18 m, so that the result is
+/// always finite.
 float half_area(Box b) {
     vec3 e = clamp(b.high - b.low, vec3(0.0), vec3(1e18));
     return e.x * e.y + e.y * e.z + e.z * e.x;
 }
 
-/// Unsigned numbers in the order of the floats.
+/// Maps floats to unsigned integers with the same order.
 uint ordered_bits(float x) {
     uint bits = floatBitsToUint(x);
     return (bits & 0x80000000u) != 0u ? ~bits : bits | 0x80000000u;

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sort key of every surfel: its model above the Morton code of its mean, 13 bits an axis.
-// All axes are counted in the same unit, so that the first splits cut the longest edge of
-// the model. One thread a surfel. Input: records, models, bounds. Output: keys, and what
-// later kernels count in. Floor: 16 B read (of a 64 B line), 16 B written a surfel.
+// Computes the sort key of every surfel: the model in the high bits, then the Morton code
+// of the mean with 13 bits per axis. All axes use the same cell size, so that the first
+// splits cut the longest edge of the model. One thread per surfel. Input: records,
+// models, bounds. Output: keys, and the initial values of other_ends and demands for
+// later kernels. Memory traffic: at least 16 B read (of a 64 B line) and 16 B written per
+// surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -22,7 +24,7 @@ void main() {
         high[c] = -from_ordered_bits(params.bounds.at[6 * model + 3 + c]);
     }
     uvec3 cell = morton_cell(params.records.at[i].mean, low, high, RELIDAR_BVH_MORTON_BITS);
-    uint coarse = interleave(cell >> 5), fine = interleave(cell & 31u);  // 24 bits above 15 bits
+    uint coarse = interleave(cell >> 5), fine = interleave(cell & 31u);  // 24 bits and 15 bits
     params.keys.at[i] = uvec2(coarse << 15 | fine, coarse >> 17 | model << 7);
     params.other_ends.at[i] = RELIDAR_BVH_NO_NODE;
     params.demands.at[i] = 0u;

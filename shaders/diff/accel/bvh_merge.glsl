@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Costs of a binary subtree as part of a wide node (Ylitie et al. 2017, Eq. 2-5): by the
-// area of what is entered and tested.
+// Costs of a binary subtree as part of a wide node (Ylitie et al. 2017, Eq. 2-5), from
+// the areas of the boxes that a ray enters and tests.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 
@@ -9,14 +9,15 @@ struct Subtree {
     float area;
 };
 
-/// Costs in at most 1 ... 7 slots; a leaf costs the same in any number.
+/// Loads the costs of a subtree in at most 1 ... 7 slots. A leaf has the same cost for
+/// any number of slots.
 void load_costs(BvhBinary tree, Subtree s, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
         costs[k] =
             is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
 }
 
-/// Costs and decisions of a node from those of its children.
+/// Computes the costs and the decision word of a node from the costs of its children.
 void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Morton codes: cells along a space-filling curve. All axes are counted in the same unit,
-// so that the first splits cut the longest edge.
+// Morton codes: indices of cells along a space-filling curve. All axes use the same cell
+// size, so that the first splits cut the longest edge.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 
-/// Two empty bits before each bit of a number of 10 bits.
+/// Inserts two zero bits before each bit of a 10-bit number.
 uint spread(uint x) {
     x = (x | (x << 16)) & 0x030000ffu;
     x = (x | (x << 8)) & 0x0300f00fu;
@@ -13,8 +13,8 @@ uint spread(uint x) {
 }
 uint interleave(uvec3 cell) { return spread(cell.x) << 2 | spread(cell.y) << 1 | spread(cell.z); }
 
-/// Cell of a point within bounds, `bits` an axis; whatever is no number falls into cell
-/// 0.
+/// Returns the cell of a point within bounds, with `bits` bits per axis. A NaN coordinate
+/// gives cell 0.
 uvec3 morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
     vec3 edges = high - low;
     float longest = max(max(edges.x, edges.y), edges.z), n_cells = float(1u << bits);

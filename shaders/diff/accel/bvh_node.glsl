@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of a wide node, rounded outward: what a traversal decodes, origin + q 2^(e - 127)
-// in float arithmetic, holds the real box.
+// Quantised boxes of a wide node, rounded outward. The traversal decodes origin + q 2^(e
+// - 127) in float arithmetic. The decoded box always contains the real box.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 
 float decoded(float origin, uint q, float scale) {
-    precise float offset = float(q) * scale;  // exact: 8 bits times a power of two
+    precise float offset = float(q) * scale;  // exact: an 8-bit integer times a power of two
     precise float x = origin + offset;
     return x;
 }
 
-/// Least exponent with which 255 steps reach from low to high. Scales are normal floats:
-/// 2^-126 ... 2^126.
+/// Returns the smallest exponent with which 255 steps reach from low to high. Scales are
+/// normal floats: 2^-126 ... 2^126.
 uint exponent_for(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
@@ -19,7 +19,8 @@ uint exponent_for(float low, float high) {
     return e;
 }
 
-/// Steps of the low and the high side of a child along an axis, in bits 0-7 and 8-15.
+/// Quantises the low and the high side of a child along one axis. Returns them in bits
+/// 0-7 and 8-15.
 uint quantised(float origin, uint e, float low, float high) {
     float scale = uintBitsToFloat(e << 23), steps = uintBitsToFloat((254u - e) << 23);
     uint q_low = uint(clamp(floor((low - origin) * steps), 0.0, 255.0));
@@ -29,21 +30,23 @@ uint quantised(float origin, uint e, float low, float high) {
     return q_low | q_high << 8;
 }
 
-/// What the boxes of a node's children are rounded to.
+/// Grid to which the boxes of a node's children are quantised.
 struct NodeGrid {
     vec3 origin;
     uvec3 exponents;
 };
 
-/// @param whole  box of the node
-NodeGrid grid_of(Box whole) {
-    Box frame = is_empty(whole) ? Box(vec3(0.0), vec3(0.0)) : whole;
+/// Returns the quantisation grid of a node.
+/// @param bounds  box of the node
+NodeGrid grid_of(Box bounds) {
+    Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
     return NodeGrid(frame.low,
                     uvec3(exponent_for(frame.low.x, frame.high.x), exponent_for(frame.low.y, frame.high.y),
                           exponent_for(frame.low.z, frame.high.z)));
 }
 
-/// A child's steps along each axis as quantised() gives them; inverted where it is empty.
+/// Quantises the box of a child along each axis, in the format of quantised(). Returns an
+/// inverted box if the child is empty.
 uvec3 steps_of(NodeGrid grid, Box child) {
     if (is_empty(child)) return uvec3(255u);
     return uvec3(quantised(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),
@@ -57,7 +60,7 @@ void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
         grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_mask << 24;
 }
 
-/// Stores the low and the high sides of four children, a byte each.
+/// Stores the low and the high sides of four children, one byte each.
 void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
     nodes.at[node].low_x[word] = low.x;
     nodes.at[node].low_y[word] = low.y;
@@ -67,12 +70,12 @@ void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
     nodes.at[node].high_z[word] = high.z;
 }
 
-/// Writes origin, exponents (the inner mask stays as given) and child boxes.
-/// @return the node's own box
+/// Writes the origin, the exponents, the inner mask and the child boxes of a node.
+/// @return box of the node
 Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
-    Box whole = empty_box();
-    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) whole = joined(whole, children[s]);
-    NodeGrid grid = grid_of(whole);
+    Box bounds = empty_box();
+    for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = joined(bounds, children[s]);
+    NodeGrid grid = grid_of(bounds);
     uvec3 low[2] = uvec3[](uvec3(0u), uvec3(0u)), high[2] = uvec3[](uvec3(0u), uvec3(0u));
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) {
         uvec3 steps = steps_of(grid, children[s]);
@@ -81,6 +84,6 @@ Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR
     }
     store_grid(nodes, node, grid, inner_mask);
     for (uint word = 0u; word < 2u; ++word) store_word(nodes, node, word, low[word], high[word]);
-    return whole;
+    return bounds;
 }
 #endif

@@ -1,12 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of the wide nodes, bottom up, from the boxes of the surfels: after a build and
-// whenever surfels have moved; on demand those of some models alone. The lanes of a
-// subgroup take a node by eights, a lane a child (by fours, two children a lane, where
-// subgroups have no more), for nodes differ in what they hold, and those that wait for
-// their children in how far they get. Each eight looks at every n-th wide node. Those
-// without inner children start, and the last child to reach a node goes on. Input: boxes,
-// topology of wide. Output: origin, exponents and child boxes of the nodes, wide.boxes.
-// Floor: 28 B a surfel read, 28 B read and 104 B written a wide node.
+// Computes the boxes of the wide nodes, bottom up, from the boxes of the surfels. Runs
+// after a build and whenever surfels have moved. Can be limited to some models.
+//
+// Eight lanes of a subgroup process one node, one child per lane. With subgroups of four,
+// each lane has two children. This balances the work, because nodes differ in the number
+// of surfels and chains of nodes differ in length. Each group of lanes visits every n-th
+// wide node. Nodes without inner children are processed first. The last child that
+// arrives at a node continues with that node.
+//
+// Input: boxes, topology of wide. Output: origin, exponents and child boxes of the nodes,
+// wide.boxes. Memory traffic: at least 28 B read per surfel, 28 B read and 104 B written
+// per wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -19,12 +23,13 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(BvhRefitParams);
 
-const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;  // lanes
-const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // children: 1 or 2
+const uint OF_NODE = LANES < RELIDAR_BVH_WIDTH ? LANES : RELIDAR_BVH_WIDTH;  // lanes per node
+const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // children per lane: 1 or 2
 uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
 uint slot_of(uint k) { return k * OF_NODE + lane(); }
 
-/// What all lanes of a node hold together. Every lane of the subgroup must call these.
+/// Reductions over the lanes that process one node. All lanes of the subgroup must call
+/// these functions, because they shuffle.
 Box joined_over_node(Box b) {
     for (uint step = 1u; step < OF_NODE; step *= 2u)
         b = joined(b, Box(subgroupShuffleXor(b.low, step), subgroupShuffleXor(b.high, step)));
@@ -48,16 +53,17 @@ Box child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     return b;
 }
 
-/// Fits a node of each eight lanes that have one.
+/// Computes the boxes of one node per group of lanes. Groups without a node only take
+/// part in the shuffles.
 void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
-    Box children[2], whole = empty_box();
+    Box children[2], bounds = empty_box();
     for (uint k = 0u; k < OF_LANE; ++k) {
         children[k] = empty_box();
         if (has_node) children[k] = child_box(node, slot_of(k), first_surfel, inner_mask);
-        whole = joined(whole, children[k]);
+        bounds = joined(bounds, children[k]);
     }
-    whole = joined_over_node(whole);
-    NodeGrid grid = grid_of(whole);
+    bounds = joined_over_node(bounds);
+    NodeGrid grid = grid_of(bounds);
     for (uint k = 0u; k < OF_LANE; ++k) {
         uint slot = slot_of(k);
         uvec3 steps = steps_of(grid, children[k]);
@@ -67,12 +73,13 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     }
     if (!has_node || lane() != 0u) return;
     store_grid(params.wide.nodes, node, grid, inner_mask);
-    store_shared_box(params.wide.boxes, node, whole);
+    store_shared_box(params.wide.boxes, node, bounds);
 }
 
-/// Counts the arrival of a child at each node that is expected by one, after everything
-/// written before has become visible.
-/// @return whether it is the last: then everything that the others wrote is visible
+/// Counts the arrival of a child at its parent node. Makes all earlier writes visible
+/// first.
+/// @param expected  number of children that arrive at the node
+/// @return true for the last child; all writes of the other children are then visible
 bool arrives_last(bool arrives, uint node, uint expected) {
     bool last = false;
     memoryBarrierBuffer();
@@ -82,12 +89,12 @@ bool arrives_last(bool arrives, uint node, uint expected) {
     return from_first_lane(last);
 }
 
-/// Refits a node without inner children, and every node above whose children are then all
+/// Refits a node without inner children, and then each ancestor whose children are all
 /// refitted.
 void refit_upwards(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
-    // other models stay as they are
+    // Nodes of models outside the requested range are not changed.
     has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;
     while (subgroupAny(has_node)) {
         refit_node(has_node, node, link.y, inner_mask);
@@ -98,7 +105,7 @@ void refit_upwards(bool has_node, uint node) {
         }
         has_node = arrives_last(has_node, node, bitCount(inner_mask));
         if (has_node) {
-            if (lane() == 0u) params.wide.arrivals.at[node] = 0u;  // for the next launch
+            if (lane() == 0u) params.wide.arrivals.at[node] = 0u;  // reset for the next launch
             link = params.wide.links.at[node];
         }
     }

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// The tree over the instances: world boxes, sorted along a space-filling curve, eight at
-// a time into a node, level by level. One workgroup of 256 threads, for instances by the
-// tens or hundreds. Input: instances, model_of, models, model_boxes. Output: roots,
-// top_nodes, top_order. Instances that are absent, or have nothing that can be hit, are
-// left out; a tree of none is one empty node. Floor: 112 B an instance read; n log^2 n
-// steps of the sort.
+// Builds the tree over the instances. Computes their world boxes, sorts them along a
+// space-filling curve and groups eight at a time into a node, level by level. One
+// workgroup of 256 threads, because a scene has at most hundreds of instances. Leaves out
+// absent instances and instances without a surfel that can be hit. A tree without
+// instances is one empty node. Input: instances, model_of, models, model_boxes. Output:
+// roots, top_nodes, top_order. Memory traffic: at least 112 B read per instance. The sort
+// takes n log^2 n steps.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -19,15 +20,15 @@ const uint ABSENT = 0xffffffffu;
 shared vec3 group_low[64], group_high[64];
 shared uint group_present;
 
-/// All that other threads of the workgroup have written becomes visible.
+/// Makes all writes of the workgroup visible to the workgroup.
 void synchronise() {
     memoryBarrierBuffer();
     barrier();
 }
 
-/// Box around a model's box wherever the instance is during its span; grown by what
-/// rounding of the transform can move a point. A turn by an angle moves a point by less
-/// than the angle times its distance from the model's origin.
+/// Returns the world box that contains a model's box at every time of the instance's
+/// span. The box is enlarged by the rounding error of the transform. A rotation by an
+/// angle moves a point by less than the angle times its distance from the model's origin.
 Box world_box(InstanceEntry m, Box model) {
     vec3 x = cross(m.row1.xyz, m.row2.xyz), y = cross(m.row2.xyz, m.row0.xyz),
          z = cross(m.row0.xyz, m.row1.xyz);
@@ -44,8 +45,9 @@ Box world_box(InstanceEntry m, Box model) {
     return Box(centre - grown, centre + grown);
 }
 
-/// World boxes, roots, and keys without a code yet: whether an instance is there. @return
-/// bounds of this thread's centres
+/// Computes the world boxes and the roots. Initialises the keys to 0, or to ABSENT for
+/// absent instances.
+/// @return bounds of the box centres of this thread
 Box place_instances() {
     Box centres = empty_box();
     for (uint i = scan_thread(); i < params.n_padded; i += RELIDAR_BVH_WORKGROUP) {
@@ -93,7 +95,7 @@ void write_codes(Box bounds) {
 
 bool follows(uvec2 a, uvec2 b) { return a.x != b.x ? a.x > b.x : a.y > b.y; }
 
-/// Bitonic sort of keys by code, then instance.
+/// Sorts the keys by code, then by instance, with a bitonic sort.
 void sort_keys() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)
@@ -109,7 +111,9 @@ void sort_keys() {
         }
 }
 
-/// Node of a level over `n` things of the level below; at level 0 over instances.
+/// Writes a node of one level. Its children are nodes of the level below, or instances on
+/// the lowest level.
+/// @param n  number of elements of the level below
 void write_node(uint node, uint first, uint n, uint first_below, bool lowest) {
     Box children[RELIDAR_BVH_WIDTH];
     uint leaves[2] = uint[](0u, 0u), inner_mask = 0u;
@@ -142,7 +146,7 @@ void main() {
     write_codes(bounds);
     synchronise();
     sort_keys();
-    uint n_nodes = 0u;  // the root comes first, the lowest level last
+    uint n_nodes = 0u;  // Number of nodes of all levels. The root is stored first, the lowest level last.
     for (uint n = group_present;; n = (n + 7u) / 8u) {
         n_nodes += max((n + 7u) / 8u, 1u);
         if (n <= 8u) break;

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, last of five kernels: the topology of each wide node, and its leaf entries.
-// Boxes follow with accel/bvh_refit. One thread a queue entry. Input: tree, queue, slots,
-// offsets, tiles, places, surfels, models. Output: wide.nodes, wide.order, wide.links.
-// Floor: 8 B a surfel read, 4 B written; 48 B a wide node read, 28 B written.
+// Collapse, last of five kernels. Writes the topology of each wide node and its leaf
+// entries. Kernel accel/bvh_refit writes the boxes afterwards. One thread per queue
+// entry. Input: tree, queue, slots, offsets, tiles, places, surfels, models. Output:
+// wide.nodes, wide.order, wide.links. Memory traffic: at least 8 B read and 4 B written
+// per surfel, 48 B read and 28 B written per wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -20,7 +21,7 @@ void main() {
     uint place = entry < params.n_models ? entry : params.places.at[node];
     node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    // a node's number is a position of its model
+    // The number of a binary node is also a sorted position in its model.
     uint model = find_model(params.models, params.n_models, node);
     uint first_surfel = params.models.at[model].first_surfel;
     uint first_child = params.n_models + start.x;

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, first of five kernels: from the roots down, the slots of each wide node to
-// be, and its wide children into a queue. A launch a level; the last launch is a single
-// workgroup that goes on until nothing is left. The order of the queue is any; what is
-// found in it is not. One thread a queue entry. Input: tree. Output: queue, slots,
-// level_sizes, demands. A wide child that fits is opened into its parent even where
-// rounding made that look no cheaper: so a child and its parent have at least 10 slots
-// together, a wide node without wide children at least 5 surfels, and n surfels make at
-// most n / 4 wide nodes besides the root. Floor: 12 B a binary node read, 40 B a wide
-// node written.
+// Collapse, first of five kernels. Starts at the roots, writes the slots of each future
+// wide node, and appends its wide children to a queue. One launch per level. The last
+// launch is a single workgroup that processes all remaining levels. The order of the
+// queue is arbitrary, but its content does not depend on the order. One thread per queue
+// entry. Input: tree. Output: queue, slots, level_sizes, demands.
+//
+// A wide child that fits is always opened into its parent, even if rounding made this
+// look more expensive. So a child and its parent have at least 10 slots together, and a
+// wide node without wide children has at least 5 surfels. Therefore n surfels make at
+// most n / 4 wide nodes besides the root. Memory traffic: at least 12 B read per binary
+// node, 40 B written per wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -17,7 +19,8 @@ RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
 RELIDAR_PARAMS(BvhWideParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 
-/// Opens a wide child that fits. @return whether there was one
+/// Replaces a wide child by its own children if they fit into the slots.
+/// @return false if no child fits
 bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {
         if (!is_inner_slot(params.tree, slots[s])) continue;
@@ -31,11 +34,11 @@ bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     return false;
 }
 
-uint level_end;  // in the queue: the next level starts there
+uint level_end;  // Queue index at which the next level starts.
 
 void mark(uint entry) {
     uint node = SharedUints(uvec2(params.queue)).at[entry];
-    if (node == RELIDAR_BVH_NO_NODE) return;  // a model without surfels
+    if (node == RELIDAR_BVH_NO_NODE) return;  // the model has no surfels
     uint slots[RELIDAR_BVH_WIDTH];
     uint n_slots = collect_slots(params.tree, node, slots);
     while (n_slots < RELIDAR_BVH_WIDTH && open_child(slots, n_slots)) {}
@@ -55,7 +58,7 @@ void mark(uint entry) {
             SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
-/// This workgroup works through the level and all below it.
+/// Processes this level and all levels below with one workgroup.
 void mark_rest(uint begin) {
     for (uint end = level_end; begin < end;) {
         for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)

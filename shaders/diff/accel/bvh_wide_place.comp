@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, fourth of five kernels: each wide node gives its wide children consecutive
-// places behind the roots, in the order of the binary nodes, so that a build is
-// repeatable. One thread a queue entry. Input: queue, slots, offsets, tiles. Output:
-// places. Floor: 44 B a wide node read, 4 B written.
+// Collapse, fourth of five kernels. Assigns consecutive positions after the roots to the
+// wide children of each wide node. Follows the order of the binary nodes, so that builds
+// are repeatable. One thread per queue entry. Input: queue, slots, offsets, tiles.
+// Output: places. Memory traffic: at least 44 B read and 4 B written per wide node.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, third of five kernels: sums of the tiles before each tile, and how many wide
-// nodes there are. One workgroup of 256 threads. Tiles: in place; wide.count: output.
-// Floor: nothing that counts.
+// Collapse, third of five kernels. Computes the prefix sums over the tiles and the number
+// of wide nodes. One workgroup of 256 threads. In place: tiles. Output: wide.count.
+// Memory traffic is negligible.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radius of each model about its origin, which holds all that can be hit: a ray query
-// looks for a moving model only where a ray comes so near. One thread for
-// RELIDAR_RADIUS_STRETCH surfels of a range. Input: records, models. Maximum: radii.
+// Computes the radius of each model around its origin. The sphere contains all points
+// where the model can be hit. A ray query searches a moving model only if the ray
+// intersects this sphere. One thread per RELIDAR_RADIUS_STRETCH surfels of a range.
+// Input: records, models. Maximum: radii.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -10,15 +11,15 @@
 #include "../../scene/gaussian/kinds.glsl"
 RELIDAR_PARAMS(ModelRadiiParams);
 
-/// Standard deviation along a record axis a / s; 0 where it is not finite: such a surfel
-/// is never hit.
+/// Returns the standard deviation s of a record axis a / s, or 0 if s is not finite. A
+/// surfel with such a scale is never hit.
 float scale_of(vec3 axis) {
     float s = 1.0 / length(axis);
     return isnan(s) || isinf(s) ? 0.0 : s;
 }
 
-/// Distance from the model's origin behind which a surfel is not hit; 0 where it is never
-/// hit.
+/// Returns the distance from the model's origin beyond which a surfel cannot be hit, or 0
+/// if the surfel can never be hit.
 float radius_of(SurfelRecord s) {
     if (!(s.opacity > params.alpha_min)) return 0.0;
     float k = sqrt(2.0 * log(s.opacity / params.alpha_min));

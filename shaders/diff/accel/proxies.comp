@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Proxy geometry of every surfel (M3, Fig. 3): corners of the rectangle, or of the
-// icosahedron for 3D Gaussians, that holds sigma G >= alpha_min, or its box. One thread a
-// surfel of a range. Input: records. Maximum: reach. Output: vertices (two co-planar
-// triangles share four corners; twenty share twelve) or boxes, model frame. Surfels that
-// cannot be hit get a proxy of no area at their mean; never a NaN, which would poison its
-// neighbours in the tree. The boxes of the software structure are empty there (low above
-// high), and grow by the last digits of a mean far from the origin.
+// Computes the proxy geometry of every surfel (M3, Fig. 3), which encloses all points
+// with sigma G >= alpha_min. The proxy is a rectangle, an icosahedron for 3D Gaussians,
+// or an axis-aligned box. One thread per surfel of a range. Input: records. Maximum:
+// reach. Output: vertices (two co-planar triangles share four corners, twenty triangles
+// share twelve) or boxes, in the model frame.
+//
+// Surfels that cannot be hit get a proxy of zero area at their mean. They never get a
+// NaN, which would corrupt neighbouring boxes in the tree. In the software tree such
+// surfels get an empty box (low above high), and other boxes grow by the rounding error
+// of a mean that is far from the origin.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -15,11 +18,13 @@ RELIDAR_CONSTANT(uint, BOXES, 0u);
 RELIDAR_PARAMS(ProxyParams);
 
 const float kPhi = 1.618033988749895;  // corners of an icosahedron: even permutations of (0, +-1, +-phi)
-const float kCircumscribed = 0.66158453824961;  // makes the radius of its inner sphere 1: sqrt(3) / phi^2
-const float kOuterRadius = 1.25840857236482;    // of the outer one then: sqrt(1 + phi^2) times that
+// scale that makes the inscribed sphere's radius 1: sqrt(3) / phi^2
+const float kCircumscribed = 0.66158453824961;
+// radius of the outer sphere after that: sqrt(1 + phi^2) kCircumscribed
+const float kOuterRadius = 1.25840857236482;
 
-/// Half axis of the proxy along a record axis a / s: direction a, length k s grown by the
-/// margin.
+/// Returns the half axis of the proxy along a record axis a / s: direction a, length k s
+/// plus the margin.
 vec3 half_axis(vec3 axis, float k) {
     float inverse_scale = length(axis);
     float half_size = k / inverse_scale * params.margin_scale + params.margin_m;
@@ -27,7 +32,8 @@ vec3 half_axis(vec3 axis, float k) {
     return any(isnan(half_vector)) || any(isinf(half_vector)) ? vec3(0.0) : half_vector;
 }
 
-/// Corners in the order that src/diff/accel/hardware.cpp joins into faces.
+/// Writes the twelve corners in the order that the faces in src/diff/accel/hardware.cpp
+/// use.
 void write_icosahedron(uint i, vec3 mean, vec3 u, vec3 v, vec3 w) {
     for (uint k = 0u; k < 12u; ++k) {
         float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
@@ -52,8 +58,8 @@ void main() {
         if (has_third_scale()) w = half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
-        // The box of the ellipse or ellipsoid, not of the rectangle: half size along x is
-        // |(u.x, v.x, w.x)|, the tightest there is.
+        // The tightest box of the ellipse or ellipsoid, not of the rectangle. Its half
+        // size along x is |(u.x, v.x, w.x)|.
         vec3 half_size = sqrt(u * u + v * v + w * w) + (visible ? params.margin_m : 0.0);
         if (BOXES == 2u) half_size += 2.4e-7 * abs(s.mean);
         bool empty = BOXES == 2u && !visible;

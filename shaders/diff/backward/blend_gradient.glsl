@@ -1,23 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-// The blending of the forward pass once more, chunk by chunk, for the share that each hit
-// has in the loss (M7). One chunk is kept as it was blended, so that what lies behind a
-// hit is summed back to front instead of by subtracting two long sums: no digits are lost
-// where 1 / (1 - alpha) is large.
+// Repeats the blending of the forward pass, chunk by chunk, to compute the share of each
+// hit in the loss (M7). Stores the blended values of one chunk. So the sum behind a hit
+// is computed back to front instead of as a difference of two long sums. This keeps the
+// precision where 1 / (1 - alpha) is large.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_BLEND_GRADIENT_GLSL
 float chunk_transmittance[SLOTS];
 float chunk_w[SLOTS];
 float chunk_shade[SLOTS];
 
-/// What is carried from chunk to chunk.
+/// State that is passed from chunk to chunk.
 struct BlendState {
     float shift;
     float transmittance;
-    float remaining;  // share of the loss of everything not blended yet, background included
-    float lost;       // what rounding took from it
+    float remaining;  // share of the loss that is not blended yet, including the background
+    float lost;       // rounding error of `remaining`
 };
 
-/// Whether any blended value has a gradient.
+/// Returns true if any blended value has a gradient.
 bool has_gradient(RayGradient g) {
     bool any_gradient = false;
 #define RELIDAR_HAS(name, built, value, input, slope, meaning) \
@@ -27,7 +27,7 @@ bool has_gradient(RayGradient g) {
     return any_gradient;
 }
 
-/// g . c of a hit: what a unit of its weight is worth to the loss.
+/// Returns g . c of a hit, the derivative of the loss with respect to the hit's weight.
 float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
     vec3 channels = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;
@@ -38,8 +38,8 @@ float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
     return shade;
 }
 
-/// Blends the hits in the buffer front to back, n of them, and takes their share of the
-/// loss from what remains.
+/// Blends the first n hits of the buffer front to back, and subtracts their share of the
+/// loss from the remaining share.
 void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
     for (uint i = 0u; i < n; ++i) {
         Hit hit = hit_at(i);

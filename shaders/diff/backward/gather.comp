@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums the gradients of hits surfel by surfel, in the order of rays, without atomics: the
-// same in every run. Hits come sorted by row; a thread takes a block of 32 and adds the
-// sum of each row that lies in it. What it has of a row that began earlier or goes on is
-// left in `parts`, for backward/gather_heads. Input: scene, upstream, hits, rows, slots,
-// n_hits. Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
+// Sums the gradients of hits by surfel, in the order of rays, without atomics. So the
+// result is the same in every run. The hits are sorted by row. A thread processes a block
+// of 32 hits and adds the sum of each row that lies within the block. Partial sums of
+// rows that begin in an earlier block or continue in the next block are stored in `parts`
+// for backward/gather_heads. Input: scene, upstream, hits, rows, slots, n_hits.
+// Accumulated: d_records, d_sh. Output: parts. Maximum: most_hits.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -14,12 +15,13 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
+/// Adds the gradient of a hit to the sums.
 /// @return the instance of the hit
 uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
-    entered_instance = kNoInstance;  // another ray
+    entered_instance = kNoInstance;  // the cached ray is a different one
     ray_basis_instance = kNoInstance;
     if (LIKELIHOOD != 0u) take_measured(scene, h.ray);
     HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
@@ -31,9 +33,10 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     return h.instance;
 }
 
-/// Adds what a block has of a row, or leaves it to backward/gather_heads, which adds the
-/// whole row at once: rows of two placements of a model add to the same coefficients, and
-/// two sums added to 0 are the same bits in either order, four are not.
+/// Adds the block's sum of a row, or stores it as a part. Kernel backward/gather_heads
+/// then adds the full row in one step. The rows of two placements of a model add to the
+/// same coefficients. Two sums added to 0 give the same bits in either order, but four
+/// sums do not.
 void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
     if (begins_here && !goes_on) {
         add_to_row(row, instance);
@@ -54,7 +57,7 @@ void main() {
     clear_sums();
     for (uint i = first; i < end; ++i) {
         uint next = params.rows.at[i];
-        if (next >= params.n_rows) break;  // empty slots, behind all others
+        if (next >= params.n_rows) break;  // empty slots are sorted to the end
         if (next != row) {
             finish_row(block, row, instance, begins_here, false);
             clear_sums();

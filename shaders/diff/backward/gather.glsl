@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// What backward/gather and backward/gather_heads share: hits sorted by row in blocks, and
-// sums of 16 lanes and, where SH are evaluated a hit, of 48 coefficients.
+// Shared functions of backward/gather and backward/gather_heads: blocks of hits sorted by
+// row, and sums of 16 lanes and, if SH are evaluated per hit, of 48 coefficients.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
 float sums[16];
 float sh_sums[RELIDAR_SH_FLOATS];
 
 uint part_width() { return SH_PER_SURFEL != 0u ? 16u : 16u + RELIDAR_SH_FLOATS; }
-uint head_of(uint block) { return 2u * block * part_width(); }      // of the row that began before the block
-uint tail_of(uint block) { return head_of(block) + part_width(); }  // of the row that goes on behind it
+// part of the row that began before the block
+uint head_of(uint block) { return 2u * block * part_width(); }
+// part of the row that continues after the block
+uint tail_of(uint block) { return head_of(block) + part_width(); }
 uint n_sorted() { return min(params.n_hits.at[0], params.capacity); }
 uint block_end(uint block) { return min((block + 1u) * RELIDAR_GATHER_BLOCK, n_sorted()); }
 
@@ -18,8 +20,8 @@ void clear_sums() {
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] = 0.0;
 }
 
-/// Adds the sums to a row. Each row has one owner in a launch; the coefficients of a
-/// model placed twice have two.
+/// Adds the sums to a row. Only one thread of a launch adds to a row, but two threads add
+/// to the coefficients of a model that is placed twice.
 void add_to_row(uint row, uint instance) {
     for (uint k = 0u; k < 16u; ++k) params.d_records.at[16u * row + k] += sums[k];
     if (SH_PER_SURFEL != 0u) return;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds each row that began in a block and goes on behind it: what this block and the
-// later ones hold of it, in their order. One thread a block. Input: scene, hits, rows,
+// Adds each row that begins in a block and continues after it: the partial sums of this
+// block and of later blocks, in order. One thread per block. Input: scene, hits, rows,
 // slots, n_hits, parts. Accumulated: d_records, d_sh.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -24,7 +24,7 @@ void take_part(uint part) {
 void main() {
     uint block = thread_index(), n = n_sorted();
     uint end = block_end(block);
-    if (end >= n || block * RELIDAR_GATHER_BLOCK >= end) return;  // nothing behind
+    if (end >= n || block * RELIDAR_GATHER_BLOCK >= end) return;  // no row continues after this block
     uint row = params.rows.at[end - 1u];
     if (row >= params.n_rows || params.rows.at[end] != row || !begins_in(block, row)) return;
     clear_sums();

@@ -1,21 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
 // Gradient of one blended hit (M8): of its record, its channels and the ray in the
-// model's frame. Shared by the kernels that add it with atomics and in order.
+// model's frame. Used by the kernel that adds gradients with atomics and by the kernel
+// that adds them in order.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 
 #include "../traversal/likelihood.glsl"
 
-/// What a hit adds to the record gradient of its placed surfel, lane by lane, and to its
-/// ray in the model's frame.
+/// Contribution of a hit to the record gradient of its surfel, lane by lane, and to the
+/// gradient of its ray in the model's frame.
 struct HitGradient {
     float lanes[16];
-    vec3 d_channel;  // where SH are evaluated a hit: a coefficient gets d_channel times ray_basis
+    // if SH are evaluated per hit: the gradient of a coefficient is d_channel times
+    // ray_basis
+    vec3 d_channel;
     vec3 d_origin;
     vec3 d_direction;
 };
 
-/// dL/d(direction) through the SH basis, model frame.
+/// Returns dL/d(direction) through the SH basis, in the model frame.
 vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
     float d_basis[16];
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
@@ -26,8 +29,9 @@ vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d
     return sh_basis_vjp(direction, scene.sh_degree, d_basis);
 }
 
-/// @param w        blending weight
-/// @param d_alpha  dL/d(sigma G), 0 where clamped
+/// Computes the gradient of a hit.
+/// @param w  blending weight
+/// @param d_alpha  dL/d(sigma G), 0 if alpha was clamped
 HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance, uint surfel, float w,
                          float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
@@ -43,12 +47,13 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
-    // of the channels, or how the SH direction turns (scene/activate_vjp,
-    // backward/pose_blocks)
+    // Lanes 7, 11, 15: the gradient of the channels, or the rotation of the SH direction
+    // (scene/activate_vjp, backward/pose_blocks).
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
         use_basis(scene, ray, instance);
-        if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;  // clamped
+        // clamped in the forward pass
+        if (!(evaluate_channel(scene, surfel, 0u) > 0.0)) d_channel.x = 0.0;
         vec3 d_sh_direction = sh_direction_gradient(scene, direction, surfel, d_channel);
         d.d_direction += d_sh_direction;
         others = cross(direction, d_sh_direction);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses, first half: moving a model moves its surfels, so the
+// Gradients of instance poses, first half. Moving a model moves its surfels, so the
 // gradient of its pose is the sum of its record gradients as forces and torques (the
-// chain rule of mean' = R mean + T, axis' = R axis). One workgroup a block of surfels;
-// who adds what to what is fixed, so the result is the same in every run. Input: records,
-// d_records, d_view, blocks. Output: sums.
+// chain rule of mean' = R mean + T, axis' = R axis). One workgroup per block of surfels.
+// The order of summation is fixed, so the result is the same in every run. Input:
+// records, d_records, d_view, blocks. Output: sums.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -13,16 +13,16 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
-/// SH directions turn against the model (their gradient is in lanes 7, 11, 15 where SH
-/// are evaluated a hit).
+/// Returns the gradient of the SH directions' rotation, which is opposite to the model's
+/// rotation. Lanes 7, 11, 15 hold it if SH are evaluated per hit.
 vec3 turn(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }
 
 bool is_zero(vec3 v) { return v == vec3(0.0); }
 
-/// Adds what one surfel says. Most have no gradient, and their records need not be
-/// loaded.
+/// Adds the gradient of one surfel. Most surfels have no gradient, and their records are
+/// not loaded.
 void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
     uint surfel = block.first_surfel + k, row = 16u * (block.first_row + k);
     vec3 d_mean = load3(params.d_records, row), d_axis_u = load3(params.d_records, row + 4u);
@@ -38,7 +38,7 @@ void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
 
 void main() {
     uint i = workgroup_index();
-    if (i >= params.n_blocks) return;  // the whole workgroup
+    if (i >= params.n_blocks) return;  // for the full workgroup
     PoseBlock block = params.blocks.at[i];
     PoseSum sum = PoseSum(vec3(0.0), vec3(0.0), vec3(0.0));
     for (uint k = gl_LocalInvocationIndex; k < block.n_surfels; k += gl_WorkGroupSize.x)

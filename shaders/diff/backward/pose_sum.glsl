@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums of forces and torques over a workgroup, always in the same order. Include after
+// Sums forces and torques over a workgroup in a fixed order. Include this file after
 // kernel.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_POSE_SUM_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_POSE_SUM_GLSL
@@ -9,9 +9,9 @@ struct PoseSum {
     vec3 torque;  // about the model's origin
     vec3 view;    // dL/d(view origin)
 };
-shared PoseSum pose_partial[gl_WorkGroupSize.x];  // a power of two
+shared PoseSum pose_partial[gl_WorkGroupSize.x];  // the size is a power of two
 
-/// @return the sum over all threads, to the first of them. Every thread of the workgroup
+/// Returns the sum over all threads to the first thread. Every thread of the workgroup
 /// must call it.
 PoseSum add_over_workgroup(PoseSum sum) {
     uint lane = gl_LocalInvocationIndex;

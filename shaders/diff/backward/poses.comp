@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses, second half: sums the blocks of an instance, adds that the
-// view origin moves against the model, and turns the result into the world. One workgroup
-// an instance, its order of sums fixed.
+// Gradients of instance poses, second half. Sums the blocks of an instance, adds the
+// motion of the view origin relative to the model, and rotates the result into the world
+// frame. One workgroup per instance, with a fixed order of summation.
 //   world_from_model becomes (exp([rotation]x) R, T + translation)
 // Input: instances, sums, first_block. Output: d_poses.
 #version 460
@@ -15,7 +15,7 @@ vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
 void main() {
     uint i = workgroup_index();
-    if (i >= params.n_instances) return;  // the whole workgroup
+    if (i >= params.n_instances) return;  // for the full workgroup
     PoseSum sum = PoseSum(vec3(0.0), vec3(0.0), vec3(0.0));
     for (uint b = params.first_block.at[i] + gl_LocalInvocationIndex; b < params.first_block.at[i + 1u];
          b += gl_WorkGroupSize.x) {
@@ -29,7 +29,7 @@ void main() {
     vec4 eye = vec4(params.view_origin, 1.0);
     sum.torque -= cross(vec3(dot(m.row0, eye), dot(m.row1, eye), dot(m.row2, eye)), sum.view);
     sum.force -= sum.view;
-    // the transpose of the rotation in the table
+    // The transpose of the rotation in the table.
     mat3 world_from_model = mat3(m.row0.xyz, m.row1.xyz, m.row2.xyz);
     vec3 translation = world_from_model * sum.force, rotation = world_from_model * sum.torque;
     for (uint k = 0u; k < 3u; ++k) {

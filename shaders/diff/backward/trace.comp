@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backward pass (Eq. 9; M7, M8): casts the same rays again, or takes the hits the forward
-// pass kept, front to back, and adds the gradient of every hit to its surfel's record
-// gradient, or writes a record of the hit for backward/gather to do so. One thread a ray.
-// Input: scene, rendered, upstream, kept, first_hit. Accumulated:
-// d_records, d_sh (where SH are evaluated a hit). Output: touched, d_rays, hits, rows.
+// Backward pass (Eq. 9; M7, M8): casts the same rays again, or uses the hits that the
+// forward pass has stored, front to back. Adds the gradient of every hit to its surfel's
+// record gradient, or writes a record of the hit for backward/gather. One thread per ray.
+// Input: scene, rendered, upstream, kept, first_hit. Accumulated: d_records, d_sh (if SH
+// are evaluated per hit). Output: touched, d_rays, hits, rows.
 // @differs Eq. 8 as printed lacks the factor 1 / (1 - alpha) on the sum; Eq. 9 has it and
-// is right. The background needs no term of its own: it is in the final value that Eq. 9
-// subtracts from.
+// is correct. The background needs no separate term, because the final value from which
+// Eq. 9 subtracts includes it.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -23,11 +23,11 @@ RELIDAR_PARAMS(BackwardParams);
 
 RELIDAR_CONSTANT(uint, GATHER, 0u);
 
-vec3 d_ray_origin;  // world
+vec3 d_ray_origin;  // gradient of the ray's origin, world frame
 vec3 d_ray_direction;
 
-/// Adds the gradient of a hit to that of its surfel. @param row  kNoRow, where rows are
-/// exchanged: of no surfel
+/// Adds the gradient of a hit to the gradient of its surfel.
+/// @param row  kNoRow if rows are exchanged and this lane has no surfel
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
@@ -42,21 +42,23 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     }
 }
 
-/// A hit as it was blended.
+/// A hit with its values during blending.
 struct BlendedHit {
-    uint slot;  // of its record
+    uint slot;  // slot of its record
     uint instance;
     uint surfel;
-    float alpha;          // sigma G
-    float transmittance;  // before it
-    float w;              // alpha times that
-    float shade;          // g . c less the shift
-    float behind;         // sum of w shade over the hits behind it, background included
+    float alpha;          // sigma G, the opacity at the hit
+    float transmittance;  // transmittance before the hit
+    float w;              // alpha times transmittance
+    float shade;          // g . c minus the shift
+    float behind;         // sum of w shade over the hits behind this one, including the background
 };
 
-/// Gradient of one hit: a record of it, or atomics, which wait for add_gradient() where
-/// rows are exchanged; and the ray's own.
-/// @param d  output, for add_gradient() @return its row, kNoRow for none
+/// Computes the gradient of one hit and adds the gradient of the ray. Writes a record of
+/// the hit, or adds with atomics. If rows are exchanged, the caller adds with
+/// add_gradient().
+/// @param d  output, for add_gradient()
+/// @return row for add_gradient(), or kNoRow
 uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     uint first_surfel = scene.instances.at[b.instance].first_surfel;
     uint row = b.surfel - first_surfel + scene.instances.at[b.instance].first_row;
@@ -76,7 +78,7 @@ uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedH
     return recorded ? kNoRow : row;
 }
 
-/// Fills the hit buffer from what the forward pass kept.
+/// Fills the hit buffer with hits that the forward pass has stored.
 void load_kept_hits(uint first, uint n) {
     uint list = thread_index();
     reset_hits(0.0);
@@ -85,10 +87,10 @@ void load_kept_hits(uint first, uint n) {
         append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
 }
 
-/// Adds the gradients of the first n hits of the buffer, last first. Where rows are
-/// exchanged all lanes of a subgroup come here.
-/// @param slot    of the first one's record
-/// @param behind  sum of w shade over the hits behind them, background included
+/// Adds the gradients of the first n hits of the buffer, last hit first. If rows are
+/// exchanged, all lanes of a subgroup must call it.
+/// @param slot  slot of the first hit's record
+/// @param behind  sum of w shade over the hits behind these, including the background
 void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint slot, uint n, float behind) {
     for (uint k = rows_are_exchanged() ? subgroupMax(n) : n; k > 0u; --k) {
         uint i = k - 1u, row = kNoRow, surfel = 0u;
@@ -106,7 +108,7 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
     }
 }
 
-/// What a ray starts with.
+/// Returns the initial blending state of a ray.
 BlendState start_blending(RenderedRay final, RayGradient g) {
 #define RELIDAR_REMAINS(name, built, value, input, slope, meaning) +g.name* final.name
     precise float remaining = RELIDAR_CHANNEL_VALUES(RELIDAR_REMAINS);
@@ -120,19 +122,21 @@ BlendState start_blending(RenderedRay final, RayGradient g) {
     return state;
 }
 
-/// Eq. 9 does not change when the same number is taken from every value and from the
-/// background's, for all weights sum to 1. With the worth of the nearest surface, the
-/// first hit in the buffer, as that number, small differences are no longer differences
-/// of large numbers.
+/// Subtracts a constant shift from all values. Eq. 9 does not change if the same number
+/// is subtracted from every value and from the background's value, because all weights
+/// sum to 1. The shift is the value of the nearest hit in the buffer. It prevents small
+/// differences of large numbers.
 void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, inout BlendState state) {
     state.shift = shade_of(scene, ray, g, hit_at(0u));
     add_compensated(state.remaining, state.lost, -state.shift * final.weight);
     add_compensated(state.remaining, state.lost, -state.shift * final.transmittance);
 }
 
-/// @param going  whether this lane has a ray with a gradient; where rows are exchanged
-/// the others of its subgroup come along
-/// @return hits blended: final.n_hits, or fewer where the search does not find them again
+/// Computes the gradients of a ray.
+/// @param going  true if this lane has a ray with a gradient; if rows are exchanged, the
+/// other lanes of its subgroup call it too
+/// @return number of blended hits: final.n_hits, or fewer if the search does not find
+/// them again
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
     BlendState state = start_blending(final, g);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
@@ -143,7 +147,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            // whole chunks alone, so that sums are the same however many hits are kept
+            // Only full chunks are loaded, so that sums do not depend on the number of
+            // stored hits.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else next_hits(scene, ray, after, least_of_rest(scene, state.transmittance));
@@ -152,7 +157,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
             blended += n;
             blend_chunk(scene, ray, g, n, state);
             going = blended < final.n_hits && hits_closed;
-            // background: drop logit 1
+            // the background has drop logit 1
             behind = going ? state.remaining : state.transmittance * (g.drop_logit - state.shift);
             if (going) after = hit_key(n_hits - 1u);
         }
@@ -173,7 +178,7 @@ void main() {
     bool inside = i < params.scene.n_rays;
     if (!inside) {
         if (!rows_are_exchanged()) return;
-        i = 0u;  // some ray: this lane has none, and stays for the rows of others
+        i = 0u;  // any valid ray; this lane has none, but must take part in the exchange of rows
     }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);

@@ -1,17 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// Hands n_new copies out to growing surfels in proportion to their weights, by systematic
-// sampling: copy j belongs to the surfel whose interval of the cumulative weights holds
-// (j + 1 - phase / W) W / n_new. Exactly n_new are handed out, a surfel gets its expected
-// number rounded up or down, and the host knows the sum over any range without asking.
-// One thread a surfel. Input: weight, cumulative. In place: action. Output: n_rows.
+// Distributes n_new copies to growing surfels in proportion to their weights, by
+// systematic sampling. Copy j belongs to the surfel whose interval of the cumulative
+// weights contains (j + 1 - phase / W) W / n_new. Exactly n_new copies are distributed,
+// and each surfel gets its expected number rounded up or down. The host can compute the
+// sum over any range of surfels without a readback. One thread per surfel. Input: weight,
+// cumulative. In place: action. Output: n_rows.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/densify.h"
 RELIDAR_PARAMS(AllotParams);
 
-/// high * 2^32 + low over d, rounded down, digit by digit; high is below d, so that it
-/// fits.
+/// Divides high * 2^32 + low by d and rounds down, one binary digit at a time. The result
+/// fits into 32 bits because high is below d.
 uint divided(uint high, uint low, uint d) {
     uint quotient = 0u, rest = high;
     for (int bit = 31; bit >= 0; --bit) {
@@ -24,7 +25,7 @@ uint divided(uint high, uint low, uint d) {
     return quotient;
 }
 
-/// (weight * n_new + phase) / total_weight: the product has 64 bits.
+/// Returns (weight * n_new + phase) / total_weight. The product has 64 bits.
 uint allotted_before(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What becomes of each surfel (docs/method.md section 6): dropped where it is no surfel,
-// faint, too large or outside its actor's box; else it grows by its gradient (clone or
-// split), or stays. One thread a surfel of any model. Input:
+// Decides what happens to each surfel (docs/method.md section 6). Drops a surfel if it is
+// invalid, faint, too large or outside its actor's box. Otherwise the surfel grows by its
+// gradient (clone or split), or is kept. One thread per surfel of any model. Input:
 // surfels, statistics, models, extents. Output: action, weight. Accumulated: counters.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -16,7 +16,8 @@ void count(uint model, uint counter, uint amount) {
     atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount);
 }
 
-/// Sum of magnitudes of n floats: not finite where any of them is not.
+/// Returns the sum of the magnitudes of n floats. The sum is not finite if any of them is
+/// not finite.
 float magnitude(Floats array, uint first, uint n) {
     float sum = 0.0;
     for (uint k = 0u; k < n; ++k) sum += abs(array.at[first + k]);
@@ -25,7 +26,8 @@ float magnitude(Floats array, uint first, uint n) {
 
 bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
-/// @param scale  the third is a 3D Gaussian's; 1 for surfels
+/// Returns true if all parameters of a surfel are finite and in their valid range.
+/// @param scale  three scales; the third one is 1 unless the primitive is a 3D Gaussian
 bool is_surfel(uint i, vec4 q, vec3 scale) {
     float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
     sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
@@ -34,7 +36,7 @@ bool is_surfel(uint i, vec4 q, vec3 scale) {
            all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }
 
-/// Whether two random points of the surfel both lie outside the model's box.
+/// Returns true if two random points of the surfel are both outside the model's box.
 bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     if (!(half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1],
@@ -43,14 +45,14 @@ bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     for (uint draw = 0u; draw < 2u; ++draw) {
         vec2 z = scale.xy * random_normal2(params.key, i, draw);
         vec3 p = mean + z.x * r[0] + z.y * r[1];
-        // 2 and 3 are spawn's
+        // spawn.comp uses the draws 2 and 3
         if (has_third_scale()) p += scale.z * random_normal2(params.key, i, 4u + draw).x * r[2];
         if (!any(greaterThan(abs(p), half_size))) return false;
     }
     return true;
 }
 
-/// Clone, split or keep, by the mean norm of the gradient.
+/// Returns clone, split or keep, depending on the mean norm of the gradient.
 uint grow_by_gradient(uint i, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[i];
     if (n_seen == 0u || !(params.gradient_sum.at[i] > params.gradient_threshold * float(n_seen)))
@@ -58,7 +60,7 @@ uint grow_by_gradient(uint i, float max_scale, float extent_m) {
     return max_scale < params.clone_extent_share * extent_m ? RELIDAR_DENSIFY_CLONE : RELIDAR_DENSIFY_SPLIT;
 }
 
-/// Counter of why a surfel is dropped, or of those kept.
+/// Returns the counter of the reason why a surfel is dropped, or RELIDAR_DENSIFY_KEPT.
 uint verdict(uint i, uint model, vec4 q, vec3 scale, float opacity, float max_scale) {
     if (!is_surfel(i, q, scale)) return RELIDAR_DENSIFY_INVALID;
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
@@ -79,7 +81,7 @@ void main() {
     float max_scale = max(scale.x, scale.y);
     if (has_third_scale()) max_scale = max(max_scale, scale.z);
     uint action = grow_by_gradient(i, max_scale, params.extents.at[model]);
-    // its halves are judged, as if the split came first
+    // A split surfel is tested with the scale of its halves.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = verdict(i, model, q, scale, opacity, max_scale);
     uint weight = 0u;

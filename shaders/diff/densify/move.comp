@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rows of one array (a parameter group, a moment, a statistic) into the new order:
-// survivors keep their order, copies follow their original, so that neighbours in space
-// stay neighbours in memory. Values are moved as bits. One thread a surfel. Input: from,
-// action, n_rows, starts. Output: to.
+// Moves the rows of one array (a parameter group, a moment or a statistic) into the new
+// order. Survivors keep their order and copies follow their original, so that neighbours
+// in space remain neighbours in memory. Values are copied as bits. One thread per surfel.
+// Input: from, action, n_rows, starts. Output: to.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Statistics that densification decides by: the norm of the gradient with respect to the
-// mean, summed over batches, and in how many batches the surfel was seen. The gradient is
-// of the mean in the model's frame; that frame is placed rigidly, so the norm is the
-// world's. One thread a surfel. Input: d_mean, touched. Accumulated: gradient_sum,
-// n_seen, frames. A batch that is a subset of its frame's rays (every s-th) may miss a
-// small surfel that the frame shows; the gradients of the others are larger by s, because
-// the loss is a mean over the batch. So a batch counts as having seen every surfel that
-// has ever had a gradient in its frame: the mean over batches is then that of whole
-// frames, however few rays a batch has.
+// Updates the statistics for densification: the norm of the gradient with respect to the
+// mean, summed over batches, and the number of batches in which the surfel was visible.
+// The gradient is in the model's frame. A model is placed by a rigid transform, so the
+// norm is the same in the world. One thread per surfel. Input: d_mean, touched.
+// Accumulated: gradient_sum, n_seen, frames.
+//
+// A batch of every s-th ray of a frame may miss a small surfel that is visible in the
+// frame. The gradients of the other surfels are larger by the factor s, because the loss
+// is a mean over the batch. So a batch counts as visible for every surfel that has ever
+// had a gradient in the batch's frame. The mean over batches is then the mean over full
+// frames, whatever the number of rays in a batch.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Values of split surfels, where densify/move has put copies of the original. One thread
-// a surfel of the old order. Input: action, n_rows, starts. In place: surfels. Each half is
-// at a random point of the surfel, in its plane, scales / 1.6; of a 3D Gaussian along all
-// three axes.
+// Computes the values of split surfels. Kernel densify/move has written copies of the
+// original to their rows before. One thread per surfel of the old order. Input: action,
+// n_rows, starts. In place: surfels. Moves each half to a random point of the surfel, in
+// its plane (3D Gaussians: along all three axes), and divides its scales by 1.6.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -22,7 +22,7 @@ void split(uint row) {
     vec4 q;
     for (uint k = 0u; k < 4u; ++k) q[k] = params.surfels.rotation.at[4 * row + k];
     mat3 r = rotation_matrix(q);
-    vec2 z = random_normal2(params.key, row, 2u);  // 0 and 1 are classify's
+    vec2 z = random_normal2(params.key, row, 2u);  // classify.comp uses the draws 0 and 1
     vec3 offset = z.x * exp(params.surfels.log_scale.at[2 * row]) * r[0] +
                   z.y * exp(params.surfels.log_scale.at[2 * row + 1]) * r[1];
     if (has_third_scale())

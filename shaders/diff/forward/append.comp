@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes all hits of a ray that can matter to its list, as they are found
-// (traversal/hit_list.glsl). One thread a ray. Input: scene (rays, records, instances,
+// Writes all hits of a ray that can contribute to its hit list, unordered
+// (traversal/hit_list.glsl). One thread per ray. Input: scene (rays, records, instances,
 // acceleration structure). Output: lists. Accumulated: scene.pass_cap_count, n_overflows.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: blends the hits of sorted lists (blend.glsl). One thread a ray. Leaves a
-// ray to forward/trace where its list is unfit: too short, or closed too early by hits
-// that were reported twice. Input: scene (records, instances, sh, targets; rays where SH
-// are evaluated a hit or normals are blended), lists. Output: rendered, kept, surfaces,
-// lists.lengths. Accumulated: n_overfull.
+// Forward pass: blends the hits of sorted lists (blend.glsl). One thread per ray. Leaves
+// a ray to forward/trace if its list is unfit: too short, or closed too early because of
+// hits that were reported twice. Input: scene (records, instances, sh, targets; rays if
+// SH are evaluated per hit or normals are blended), lists. Output: rendered, kept,
+// surfaces, lists.lengths. Accumulated: n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -20,15 +20,15 @@
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
-/// Hit k of a list, or its last one.
+/// Returns hit k of a list, or the last hit if k is too large.
 Hit listed_hit(uint list, uint k, uint n) {
     return params.lists.hits.at[list_entry(params.lists.room, list, min(k, n - 1u))];
 }
 
-/// Blends the n > 0 hits of a list. Where one is comes from the list, and where its
-/// channels are from the hit: so that no load waits for another, the hit two ahead and
-/// the channels one ahead are on their way while one is blended. @return whether the ray
-/// has ended
+/// Blends the n > 0 hits of a list. The address of a hit is known from the list, but the
+/// address of its channels is known only from the hit. So the loop loads hits two
+/// iterations ahead and channels one iteration ahead, and no load waits for another.
+/// @return true if the ray has ended
 bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
     Hit next = listed_hit(list, 0u, n), after_next = listed_hit(list, 1u, n);
     vec3 next_channels = channels_of(params.scene, ray, next);
@@ -40,7 +40,7 @@ bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
         after_next = listed_hit(list, k + 2u, n);
         next_channels = channels_of(params.scene, ray, next);
         Key key = Key(hit.t, hit.instance, hit.surfel);
-        if (key == last) continue;  // reported twice
+        if (key == last) continue;  // the driver reported the hit twice
         last = key;
         if (ends_before(params.scene, hit, b.ray.transmittance)) return true;
         if (params.kept_in_lists == 0u || b.ray.n_hits != k) keep_hit(b.ray.n_hits, hit);

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5): the values of
 // relidar/diff/blended_values.h, and for scans the normal and the heaviest surface (M13).
-// Include after RELIDAR_PARAMS(ForwardParams).
+// Include this file after RELIDAR_PARAMS(ForwardParams).
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
-/// A ray as far as it has been blended.
+/// State of a ray during blending.
 struct Blended {
     RenderedRay ray;
-    RayGradient lost;  // what rounding took from each blended value
+    RayGradient lost;  // rounding error of each blended value, for compensated summation
     vec3 normal;
     Surfaces surfaces;
 };
@@ -33,12 +33,13 @@ vec3 channels_of(TraceScene scene, Ray ray, Hit hit) {
     return hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
 }
 
-/// Light that is left behind the next hit, of that which is left before it.
+/// Returns the transmittance behind the next hit.
+/// @param transmittance  transmittance before the hit
 float left_behind(TraceScene scene, Hit hit, float transmittance) {
     return transmittance * (1.0 - min(hit.alpha, scene.alpha_max));
 }
 
-/// Whether a ray has ended before its next hit, which is not blended then.
+/// Returns true if the ray ends before its next hit. That hit is not blended.
 bool ends_before(TraceScene scene, Hit hit, float transmittance) {
     return left_behind(scene, hit, transmittance) < scene.transmittance_min;
 }
@@ -60,12 +61,12 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
     ++b.ray.n_hits;
 }
 
-/// Keeps hit k of the thread's ray, in the order of blending.
+/// Stores hit k of the thread's ray, in the order of blending.
 void keep_hit(uint k, Hit hit) {
     if (k < params.n_kept) params.kept.at[list_entry(params.n_kept, thread_index(), k)] = hit;
 }
 
-/// Adds the background, and writes what the ray renders.
+/// Adds the background and writes the rendered values of the ray.
 void finish_blending(uint ray_index, inout Blended b) {
     if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // background: intensity 0, hit 0, drop 1

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals of hits, for the kernels that blend them. Include after includes.glsl.
+// Normals of hits, for kernels that blend normals. Include this file after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 RELIDAR_CONSTANT(uint, NORMAL, 0u);
 
-/// Returns the unit normal of a surfel on the side that faces the sensor, in the world.
+/// Returns the unit normal of a surfel on the side that faces the sensor, in the world
+/// frame.
 vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
     enter_instance(scene, ray, instance);
     vec3 normal = scene.records.at[surfel].normal;

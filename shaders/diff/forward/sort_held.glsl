@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts a list of at most HELD hits a lane. For sort_hits.comp, which includes it with
-// HELD, EACH and SORT of each size.
+// Sorts a list of at most HELD hits per lane. sort_hits.comp includes this file once per
+// size, with HELD, EACH and SORT.
 
 #define LOAD(h)                                            \
     {                                                      \
@@ -9,8 +9,9 @@
         if (place[h] < n) t[h] = hit_of(list, place[h]).t; \
     }
 
-// A step of the network: hits whose numbers in the order differ in one bit change places
-// where they are not as `run` wants them, whose bit in a number says which way.
+// One step of the sorting network. Compares hits whose positions differ in one bit and
+// swaps them if they are in the wrong order. The bit `run` of a position determines the
+// sort direction.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
 #define EXCHANGE_BETWEEN_LANES(h)                                                     \
@@ -71,7 +72,7 @@ void SORT(uint list, uint n) {
     }
     Hit hits[HELD];
     EACH(READ)
-    subgroupBarrier();  // all are read before any is written
+    subgroupBarrier();  // all hits must be read before any is written
     EACH(STORE)
 }
 

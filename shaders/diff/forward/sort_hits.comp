@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Puts the hits of each list in the order of their keys (t, instance, surfel). A subgroup
-// sorts a list by a bitonic network in its registers: a lane holds 1 to 16 neighbours of
-// the order, as the length of the list asks for. Only distances and places go through the
-// network; hits are read by their places, once these are in order. In and output: lists.
+// Sorts the hits of each list by their keys (t, instance, surfel). A subgroup sorts one
+// list with a bitonic network in registers. A lane holds 1 to 16 consecutive hits,
+// depending on the length of the list. Only distances and positions pass through the
+// network. The hits are read by position after the sort. In and output: lists.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_shuffle : require
@@ -15,9 +15,9 @@ RELIDAR_CONSTANT(uint, LANES, 32u);
 
 Hit hit_of(uint list, uint place) { return params.lists.hits.at[list_entry(params.lists.room, list, place)]; }
 
-/// Whether the hit in one place comes before that in another at the same distance; where
-/// one was reported twice, as it was found. Places behind the end of the list hold
-/// nothing.
+/// Returns true if the hit at position a comes before the hit at position b, for equal
+/// distances. A hit that was reported twice keeps its original order. Positions behind
+/// the end of the list are empty.
 bool tied_before(uint list, uint n, uint a, uint b) {
     if (a >= n || b >= n) return a < b;
     Hit hit_a = hit_of(list, a), hit_b = hit_of(list, b);
@@ -26,9 +26,9 @@ bool tied_before(uint list, uint n, uint a, uint b) {
     return before(key_a, key_b) || (key_a == key_b && a < b);
 }
 
-// A compiler may put an array that is indexed in a loop into memory, and then a sort
-// takes six times as long. So loops over the hits of a lane are written out, and there is
-// a sort for each number of them.
+// Loops over the hits of a lane are unrolled by macros, with one sort function per number
+// of hits. A compiler may put an array that is indexed in a loop into memory, which makes
+// the sort six times slower.
 #define EACH_OF_1(X, h) X((h))
 #define EACH_OF_2(X, h) EACH_OF_1(X, h) EACH_OF_1(X, h + 1u)
 #define EACH_OF_4(X, h) EACH_OF_2(X, h) EACH_OF_2(X, h + 2u)
@@ -60,7 +60,8 @@ void main() {
     uint list = workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;  // subgroups are full
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
-    // for lavapipe one barrier a subgroup is one of the whole workgroup
+    // Executes the barrier on this path too, because lavapipe treats a subgroup barrier
+    // as a barrier of the workgroup.
     if (length == RELIDAR_LIST_UNFIT || n < 2u) subgroupBarrier();
     else if (n <= LANES) sort_1(list, n);
     else if (n <= 2u * LANES) sort_2(list, n);

@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// The surfaces that a ray meets (docs/method.md M13): a hit farther behind the one before
-// it than a gap begins another one. Hits come nearest first, so one pass finds the
-// heaviest.
+// Groups the hits of a ray into surfaces (docs/method.md M13). A hit begins a new surface
+// if its distance to the previous hit is larger than a gap. Hits are sorted by distance,
+// so one pass finds the heaviest surface.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 RELIDAR_CONSTANT(uint, MODE, 0u);
 
 struct Surfaces {
-    float last_t;      // of the hit before
-    float start;       // t of the first hit of the present surface
-    float weight;      // of the present surface
-    float moment;      // sum w (t - start) over it
+    float last_t;      // t of the previous hit
+    float start;       // t of the first hit of the current surface
+    float weight;      // weight of the current surface
+    float moment;      // sum w (t - start) over the current surface
     float heaviest;    // weight of the heaviest surface so far
-    float heaviest_t;  // mean of t over it
+    float heaviest_t;  // mean of t over the heaviest surface
 };
 
 Surfaces no_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
 
-/// Takes the present surface for the heaviest where it is; of equals the nearer one
-/// stays.
+/// Makes the current surface the heaviest one if its weight is larger. Of equal surfaces,
+/// keeps the nearer one.
 void weigh_surface(inout Surfaces s) {
     if (!(s.weight > s.heaviest)) return;
     s.heaviest = s.weight;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Forward pass: collects hits chunk by chunk, nearest first, and blends them
-// (blend.glsl). One thread a ray; after forward/blend, of the rays whose lists are unfit
-// alone. Input: scene (rays, records, instances, sh, acceleration structure, targets),
+// (blend.glsl). One thread per ray. After forward/blend, renders only the rays with unfit
+// lists. Input: scene (rays, records, instances, sh, acceleration structure, targets),
 // lists.lengths. Output: rendered, kept, surfaces. Accumulated: scene.pass_cap_count,
 // n_overfull.
 #version 460

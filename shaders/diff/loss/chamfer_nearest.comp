@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact nearest point of a cloud for each point of another one in the same image order:
-// the point of the same pixel is the first bound, the tile around it the first to be
-// searched; then only what lies in boxes nearer than the best so far. One thread a point.
-// Rounding does not matter: with the same operations in the same order, the distance to a
-// box is never above that to its points. Input: queries, cloud. Output: nearest.
+// Finds the exact nearest point of a cloud for each point of another cloud in the same
+// image order. Starts with the point of the same pixel and the tile around it. Then
+// searches only boxes that are nearer than the best point so far. One thread per point.
+// Rounding does not matter: the distance to a box uses the same operations in the same
+// order as the distance to a point, so it is never larger. Input: queries, cloud. Output:
+// nearest.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -25,7 +26,8 @@ float squared_length(vec3 d) {
     return sum;
 }
 
-/// To a box; infinite where it is empty, since RELIDAR_NO_POINT squared is.
+/// Returns the squared distance to a box. It is infinite for an empty box, because
+/// RELIDAR_NO_POINT squared is infinite.
 float squared_distance(vec3 query, vec3 low, vec3 high) {
     return squared_length(max(max(low - query, query - high), vec3(0.0)));
 }
@@ -39,10 +41,10 @@ void visit_point(uint i, inout Nearest best) {
     }
 }
 
-/// How items lie in a rectangle: the points of a tile, or the tiles of a group.
+/// Position of items in a rectangle: the points of a tile, or the tiles of a group.
 struct Cells {
-    uvec2 begin, end;  // row, column
-    uint across;       // items in a row of the image
+    uvec2 begin, end;  // first and one past the last row and column
+    uint across;       // items per row of the image
 };
 
 Cells cells_of(uint cell, uvec2 items, uint cells_across) {

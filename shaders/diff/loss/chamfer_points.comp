@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The simulated and the measured point of each ray, from where the ray starts (rolling
-// shutter). One thread a ray. Input: rays, rendered, targets. Output: simulated,
-// measured. Accumulated: counts.
+// Computes the simulated and the measured point of each ray, with the ray's origin
+// (rolling shutter). One thread per ray. Input: rays, rendered, targets. Output:
+// simulated, measured. Accumulated: counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -11,9 +11,10 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
-const float kLeastWeight = 0.1;  // below, D / W is the range of hardly anything
+const float kLeastWeight = 0.1;  // with a smaller weight, D / W is not a meaningful range
 
-/// @return range of the simulated point, 0 where there is none (a NaN is none)
+/// Returns the range of the simulated point, or 0 if the ray has none. A NaN counts as
+/// none.
 float simulated_range(RenderedRay r) {
     if (!(r.weight > kLeastWeight) || !(r.drop_logit < r.hit_logit)) return 0.0;
     return params.normalised_depth != 0u ? r.depth / r.weight : r.depth;
@@ -26,7 +27,7 @@ void main() {
         uint i = params.first_ray + k * params.ray_stride;
         DeviceTarget target = params.targets.at[i];
         DeviceRay ray = params.rays.at[i];
-        // small numbers keep their digits
+        // relative to the first ray's origin, to keep precision
         vec3 origin = ray.origin - params.rays.at[params.first_ray].origin;
         vec2 range =
             target.weight > 0.0 ? vec2(simulated_range(params.rendered.at[k]), target.range_m) : vec2(0.0);

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of the Chamfer distance by what a ray renders: of its simulated point a = o
-// + r d as the one that asks, 2 (a - b) . d, and as the one that was found
-// (loss/chamfer), through r = D / W or D. One thread a ray. Input: rays, rendered,
-// points, nearest, counts, d_found. Accumulated: upstream.
+// Derivative of the Chamfer distance with respect to the rendered values. For a simulated
+// point a = o + r d, sums the gradient as a query, 2 (a - b) . d, and the gradient as a
+// nearest point (loss/chamfer). Then applies the derivative of r = D / W or D. One thread
+// per ray. Input: rays, rendered, points, nearest, counts, d_found. Accumulated:
+// upstream.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -14,7 +15,9 @@ void main() {
     uint k = thread_index();
     if (k >= params.n_rays) return;
     uint b = params.nearest_measured.at[k];
-    if (b == RELIDAR_NO_INDEX) return;  // no point, or nothing measured: nobody can have found it
+    // no simulated point or no measured point exists, so this point is not the nearest of
+    // any
+    if (b == RELIDAR_NO_INDEX) return;
     vec3 difference = params.simulated.at[k] - params.measured.at[b];
     float asked = 2.0 * dot(difference, params.rays.at[params.first_ray + k * params.ray_stride].direction);
     float d_range = params.weight / max(min(params.counts.at[0], params.counts.at[1]), 1.0) *

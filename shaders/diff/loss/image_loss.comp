@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Image losses (Eq. 10) and their derivative: depth L1 and intensity L1 or Huber on
-// returned rays, ray-drop cross-entropy of the softmax of the two blended logits (M6) on
-// all known rays. One thread a ray. Input: rendered, targets. Output: upstream.
-// Accumulated: terms.
+// Image losses (Eq. 10) and their derivatives: L1 of the depth and L1 or Huber loss of
+// the intensity on rays with a return, and the ray-drop cross-entropy of the softmax of
+// the two blended logits (M6) on all known rays. One thread per ray. Input: rendered,
+// targets. Output: upstream. Accumulated: terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -12,7 +12,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
-/// Depth L1 of D or D / W. @return the term
+/// Computes the L1 depth loss of D or D / W.
+/// @return the term
 float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     float weight = max(r.weight, 1e-3);
     float scale = params.normalised_depth != 0u ? 1.0 / weight : 1.0;
@@ -23,7 +24,8 @@ float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     return params.depth_weight * abs(error);
 }
 
-/// Huber loss, e^2 / (2 delta) up to delta, |e| - delta / 2 beyond; L1 where delta is 0.
+/// Computes the Huber loss: e^2 / (2 delta) up to delta, |e| - delta / 2 beyond; L1 if
+/// delta is 0.
 /// @return the term
 float intensity_term(float error, inout RayGradient g) {
     float delta = params.intensity_delta, size = abs(error);
@@ -32,8 +34,9 @@ float intensity_term(float error, inout RayGradient g) {
     return params.intensity_weight * (squared ? 0.5 * error * error / delta : size - 0.5 * delta);
 }
 
-/// -log of the probability of what happened; log(1 + exp(x)) without overflow. @return
-/// the term
+/// Computes -log of the probability of the measured outcome, with log(1 + exp(x)) without
+/// overflow.
+/// @return the term
 float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     float x = r.drop_logit - r.hit_logit;
     float probability = 1.0 / (1.0 + exp(-x));
@@ -44,7 +47,7 @@ float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
-/// All terms of a known ray: depth, intensity, drop, opacity.
+/// Computes all terms of a known ray: depth, intensity, drop, opacity.
 vec4 ray_terms(RenderedRay r, DeviceTarget target, inout RayGradient g) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);

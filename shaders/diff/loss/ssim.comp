@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structural similarity of rendered (x) and measured (y) intensity around each returned
-// pixel, constants of Wang et al. 2004 for values 0..1, and its derivative by the
-// window's mean, variance and covariance. One thread a pixel.
+// Structural similarity of rendered (x) and measured (y) intensity around each pixel with
+// a return. Uses the constants of Wang et al. 2004 for values 0..1. Also computes the
+// derivatives with respect to the window's mean, variance and covariance. One thread per
+// pixel.
 //   S = (2 mx my + C1) (2 cov + C2) / ((mx^2 + my^2 + C1) (vx + vy + C2)),   term = weight (1 - S)
 // Input: rendered, targets. Output: statistics. Accumulated: terms.
 #version 460
@@ -18,14 +19,14 @@ const float kC1 = 1e-4;  // (0.01)^2
 const float kC2 = 9e-4;  // (0.03)^2
 
 struct Window {
-    float sum;  // of weights
-    vec2 mean;  // of x, y
+    float sum;  // sum of weights
+    vec2 mean;  // means of x and y
     vec2 variance;
     float covariance;
 };
 
-/// Moments about the centre's own values first: the plain ones would cancel in flat
-/// regions.
+/// Computes moments relative to the values of the centre pixel, because plain moments
+/// would cancel in flat regions.
 Window window_around(uint i) {
     vec2 centre = vec2(params.rendered.at[i].intensity, target_of(i).intensity);
     float sum = 0.0, products = 0.0;
@@ -49,7 +50,8 @@ Window window_around(uint i) {
                   products / sum - shifted.x * shifted.y);
 }
 
-/// Writes the derivatives of the term of pixel i. @return the term
+/// Writes the derivatives of the term of pixel i.
+/// @return the term
 float similarity_term(uint i) {
     Window w = window_around(i);
     float a1 = 2.0 * w.mean.x * w.mean.y + kC1, a2 = 2.0 * w.covariance + kC2;

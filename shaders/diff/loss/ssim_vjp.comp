@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of structural similarity by rendered intensity: each pixel gathers from the
-// windows it lies in. One thread a pixel.
+// Derivative of structural similarity with respect to rendered intensity. Each pixel
+// gathers from the windows that contain it. One thread per pixel.
 //   dL/dx_q = sum_p w_pq / sum_p' w ( dL/dm_p + 2 (x_q - mx_p) dL/dv_p + (y_q - my_p) dL/dcov_p )
 // Input: rendered, targets, statistics. Accumulated: upstream.
 #version 460

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A term of the parameters themselves, added to their gradients: actors' surfels outside
-// their box or large against it. One thread a surfel of any model. Input: surfels,
-// touched, models. Accumulated: d_surfels, terms.
+// Loss on the parameters of actors' surfels that are outside their box or large compared
+// with it. Adds the gradient to the parameter gradients. One thread per surfel of any
+// model. Input: surfels, touched, models. Accumulated: d_surfels, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -12,7 +12,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(SurfelLossParams);
 
-/// @param largest_m  standard deviation beyond which there is a term
+/// Returns the term of one standard deviation.
+/// @param largest_m  standard deviation above which there is a term
 float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m, bool write) {
     float relative = exp(log_scale.at[at]) / largest_m;
     if (!(relative > 1.0)) return 0.0;
@@ -20,10 +21,11 @@ float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m,
     return relative - 1.0;
 }
 
-/// sum over x, y, z of max(0, |mean| / half size - 1), and the same for standard
-/// deviations. @return the term
+/// Computes sum over x, y, z of max(0, |mean| / half size - 1), and the same for the
+/// standard deviations.
+/// @return the term
 float box_term(uint i, ModelEntry model, bool write) {
-    if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // no box
+    if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // the model has no box
     float term = 0.0, largest_m = params.box_scale_share * model.half_diagonal;
     for (uint axis = 0u; axis < 3u; ++axis) {
         float mean = params.surfels.mean.at[3u * i + axis], outside = abs(mean) / model.half_size[axis] - 1.0;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums over the pixels of each channel, in parts of them, one subgroup a channel and
-// part: moments for the normalisation (mean of the part, then squares about it), its
-// derivatives by beta and gamma, or plain sums. Input: from, d_to, scale_shift, moments.
-// Output: partial.
+// Sums over the pixels of each channel, split into parts. One subgroup per channel and
+// part. Computes the moments for the normalisation (mean of the part, then sum of squares
+// about it), the derivatives with respect to beta and gamma, or plain sums. Input: from,
+// d_to, scale_shift, moments. Output: partial.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -13,13 +13,13 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
-/// First pixel of a part within its image; of the next one for part + 1.
+/// Returns the first pixel of a part within its image. Call with part + 1 for the end.
 uint begin_of(uint part, uint of_image) {
     return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
 }
 
-/// dL/d(beta) and dL/d(gamma) by way of one pixel. @param plane  where the channel of the
-/// image begins
+/// Returns the contribution of one pixel to dL/d(beta) and dL/d(gamma).
+/// @param plane  index of the first pixel of the image's channel
 vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
     float x = params.from.values.at[plane + pixel];
     float passes = gate(affine.x * x + affine.y, place + pixel, params.dropout_key, params.dropout);

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Convolution 1x1 or 3x3 of images whose columns are a ring and whose rows end in zeros,
-// as an implicit matrix product:
+// Convolution 1x1 or 3x3 as an implicit matrix product. Columns wrap around, rows are
+// padded with zeros.
 //   to[o, y, x] = bias[o] + sum_i,ky,kx weights[o, i, ky, kx] from[i, y + ky - 1, x + kx - 1]
-// or, transposed, its derivative by the input. A subgroup makes RELIDAR_CONV_OUT channels
-// of LANES * PIXELS columns of a row; sums stay in registers, neighbouring columns come
-// from neighbouring lanes. Weights lie in shared memory (STAGED), or in the lanes of the
-// subgroup: a CPU loads lane by lane, and moves between lanes in one instruction. Input:
-// from, weights, bias. Output or accumulated: to. Floor: 2 n_in TAPS operations a value.
+// The transposed variant is the derivative with respect to the input. A subgroup computes
+// RELIDAR_CONV_OUT channels of LANES * PIXELS columns of a row. Sums stay in registers,
+// and neighbouring columns are read from neighbouring lanes. Weights are in shared memory
+// (STAGED) or in the lanes of the subgroup. The latter suits a CPU, which loads lane by
+// lane but moves values between lanes in one instruction. Input: from, weights, bias.
+// Output or accumulated: to. Work: at least 2 n_in TAPS operations per value.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -25,10 +26,10 @@ RELIDAR_PARAMS(ConvParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
            kHeld = (kOut + LANES - 1u) / LANES;
 const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;  // one more for the neighbours of the last lane
-shared float tile[kIn * 9 * kOut];                      // [in, tap, out]
+shared float tile[kIn * 9 * kOut];                      // weights of a tile, indexed [in, tap, out]
 
-/// Weights of some input channels for the output channels of this workgroup; those beyond
-/// are never used.
+/// Loads the weights from some input channels to the output channels of this workgroup.
+/// Indices beyond the last channel are clamped and never used.
 void load_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),
@@ -69,7 +70,7 @@ void main() {
     [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
         (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
     [[unroll]] for (uint k = 0u; k < kLines; ++k) {
-        uint row = TAPS == 1u ? y : y + k - 1u;  // -1 is beyond all rows
+        uint row = TAPS == 1u ? y : y + k - 1u;  // row -1 wraps to a large number, which is outside
         inside[k] = row < params.rows;
         row_at[k] = (image * params.from.channels + params.from.first) * n_pixels +
                     (inside[k] ? row : 0u) * params.columns;

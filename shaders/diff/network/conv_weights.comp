@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of a convolution by its weights, in parts of the images' rows:
+// Derivative of a convolution with respect to its weights, in parts of the images' rows:
 //   partial[part, o, i, ky, kx] = sum_y,x d_to[o, y, x] from[i, y + ky - 1, x + kx - 1]
-// A subgroup makes RELIDAR_CONV_OUT output channels of one input channel (of
-// RELIDAR_CONV_IN where 1x1): each lane sums its own columns, the lanes are added at the
-// end. Input: from, d_to. Output: partial, summed by refine/sum_parts. Floor: 2 n_in
-// n_out TAPS operations a pixel.
+// A subgroup computes RELIDAR_CONV_OUT output channels of one input channel (1x1: of
+// RELIDAR_CONV_IN input channels). Each lane sums its columns, and the lanes are added at
+// the end. Input: from, d_to. Output: partial, which network/sum_parts sums. Work: at
+// least 2 n_in n_out TAPS operations per pixel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require
@@ -19,16 +19,17 @@ RELIDAR_PARAMS(ConvWeightsParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
-float sum[kOut * kIn * TAPS];  // [out, in, tap]
-// [in, line] LANES columns from one before a lane's own, and those after them
+float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
+// [in, line] The LANES columns that start one column before the lane's column, and the
+// LANES columns after them.
 float before[kIn * kLines], next[kIn * kLines];
-float asked[kOut];  // d_to of the lane's column
+float d_out[kOut];  // d_to of the lane's column
 
-/// Adds what LANES columns of a row give.
+/// Adds the contribution of LANES columns of a row.
 void add_columns() {
     [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) [[unroll]] for (uint kx = 0u; kx < kLines; ++kx) {
         float seen = kx == 0u ? before[k] : from_lane(before[k], next[k], kx);
-        [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += asked[o] * seen;
+        [[unroll]] for (uint o = 0u; o < kOut; ++o) sum[o * kIn * TAPS + k * kLines + kx] += d_out[o] * seen;
     }
 }
 
@@ -48,7 +49,7 @@ void main() {
         bool inside[kIn * kLines];
         uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
-            // row -1 is beyond all
+            // row -1 wraps to a large number, which is outside
             uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +
@@ -68,7 +69,7 @@ void main() {
                 uint channel = params.d_to.first + min(first_out + o, params.n_out - 1u);
                 uint plane = (image * params.d_to.channels + channel) * n_pixels;
                 float d = params.d_to.values.at[plane + y * params.columns + (there ? x + lane : 0u)];
-                asked[o] = there ? d : 0.0;
+                d_out[o] = there ? d : 0.0;
             }
             add_columns();
         }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sigmoid and cross-entropy of the drop logit (paper, Eq. 13), one subgroup a part of the
-// pixels.
+// Sigmoid and cross-entropy of the drop logit (paper, Eq. 13). One subgroup per part of
+// the pixels.
 //   probability = 1 / (1 + exp(-x)),   d_x = weight (probability - target),   x = logit + start
 // Input: logit, start, target. Output: d_logit, probability, partial.
 #version 460
@@ -12,12 +12,12 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(DropLossParams);
 
-/// Cross-entropy of a pixel, and whether the likelier answer is right.
+/// Returns the cross-entropy of a pixel, and 1 if the more likely class is correct.
 vec2 compare(uint i, float x, float probability) {
     float target = is_null(params.target) ? -1.0 : params.target.at[i];
     bool known = target >= 0.0;
     if (!is_null(params.d_logit)) params.d_logit.at[i] = known ? params.weight * (probability - target) : 0.0;
-    float entropy = max(x, 0.0) - x * target + log(1.0 + exp(-abs(x)));  // without overflow
+    float entropy = max(x, 0.0) - x * target + log(1.0 + exp(-abs(x)));  // avoids overflow
     return known ? vec2(entropy, (x > 0.0) == (target > 0.5) ? 1.0 : 0.0) : vec2(0.0);
 }
 

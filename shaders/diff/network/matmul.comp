@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Products of matrices that lie in memory by any strides: C = scale A B, for each entry
-// of a batch and each head. A subgroup makes RELIDAR_MATMUL_ROWS rows of LANES columns;
-// its lanes hold a column of A and hand it round. Input: a, b. Output: c.
+// Matrix products with arbitrary strides: C = scale A B, for each batch entry and each
+// head. A subgroup computes RELIDAR_MATMUL_ROWS rows of LANES columns. Its lanes hold a
+// column of A and broadcast the values. Input: a, b. Output: c.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_basic : require

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batch normalisation (Ioffe and Szegedy), what every pixel of a channel has in common:
-// moments of the batch from those of its parts (Chan), or the running ones in evaluation;
-// one thread a channel. Input: partial, beta_gamma. In place: running. Output: moments,
+// Batch normalisation (Ioffe and Szegedy), per-channel part. Combines the moments of the
+// parts into the moments of the batch (Chan), or uses the running moments in evaluation.
+// One thread per channel. Input: partial, beta_gamma. In place: running. Output: moments,
 // scale_shift.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -9,7 +9,7 @@
 #include "../shared/refine.h"
 RELIDAR_PARAMS(NormFinishParams);
 
-/// Mean and variance of the batch.
+/// Returns the mean and the variance of the batch.
 vec2 batch_moments(uint channel) {
     float n = 0.0, mean = 0.0, squares = 0.0;
     uint of_image = params.n_parts / params.n_images;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Largest of 2 x 2 pixels, one thread a pooled value; the last row or column of an odd
-// number is left out. Input: from (large). Output: to (small).
+// Maximum over 2 x 2 pixels. Ignores the last row or column of an odd number. One thread
+// per pooled value. Input: from (large). Output: to (small).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

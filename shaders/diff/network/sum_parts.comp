@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums partial sums in the order of the parts; one thread an entry.
-// Input: partial. Output: sum.
+// Sums partial sums in the order of the parts. One thread per entry. Input: partial.
+// Output: sum.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bilinear interpolation to larger images, pixel centres at half steps: rows end with the
-// last one, columns are a ring. One thread a value. Input: from (small). Output: to
-// (large).
+// Bilinear interpolation to larger images. Pixel centres are at half integers. Rows are
+// clamped at the ends, columns wrap around. One thread per value. Input: from (small).
+// Output: to (large).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

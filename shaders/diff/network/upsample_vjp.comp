@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of the interpolation: each small pixel gathers the gradients of those that
-// were mixed from it, one thread a value. Input: from (large gradients). Output: to
-// (small gradients).
+// Derivative of the bilinear interpolation. Each small pixel gathers the gradients of the
+// large pixels that were interpolated from it. One thread per value. Input: from (large
+// gradients). Output: to (small gradients).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -9,7 +9,8 @@
 RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
-/// First large pixel that may be mixed from a small one, and how many from there on.
+/// Returns the first large pixel that may be interpolated from a small pixel, and the
+/// number of candidates from there on.
 void candidates(uint at, uint n_large, uint n_small, out int first, out int n) {
     float step = float(n_large) / float(n_small);
     first = int(floor((float(at) - 0.5) * step - 0.5)) - 1;
@@ -39,7 +40,8 @@ void main() {
     int first_x, first_y, n_x, n_y;
     candidates(column, params.columns, params.small_columns, first_x, n_x);
     candidates(row, params.rows, params.small_rows, first_y, n_y);
-    // rows end: all that may be mixed from the first or last one are within
+    // Rows do not wrap. The clamped range contains all rows that may use the first or
+    // last small row.
     first_y = clamp(first_y, 0, int(params.rows) - n_y);
     float sum = 0.0;
     for (int y = first_y; y < first_y + n_y; ++y) {

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam (Kingma and Ba) over one parameter group, one thread a row, or a float
-// (PER_FLOAT): neighbouring threads then read neighbouring addresses, which a GPU loads
-// together; a CPU gains nothing by it. Of rows that are not touched the gradient is zero,
-// whatever it is; with a list (list_touched.comp) rows that are not in it stay as they
-// are. Input: gradients, touched or rows and n_listed, bounds, model_scale, models. In
-// place: values, moment1, moment2.
+// Adam (Kingma and Ba) for one parameter group. One thread per row, or one thread per
+// float (PER_FLOAT). With one thread per float, neighbouring threads read neighbouring
+// addresses, which is faster on a GPU but not on a CPU. Rows that are not touched have
+// gradient zero, whatever the array holds. With a list of rows (list_touched.comp), rows
+// that are not in the list stay unchanged. Input: gradients, touched or rows and
+// n_listed, bounds, model_scale, models. In place: values, moment1, moment2.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../scene/find_model.glsl"
@@ -13,10 +13,11 @@
 RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
-/// @param block,within  which column of the row
+/// Updates one value of a row.
+/// @param block,within  position of the value: start of its block, column in the block
 void update(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
-    // lanes of a CPU load faster than they branch
+    // On a CPU an unconditional load is faster than a branch.
     float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];
     g = has_gradient ? g : 0.0;
     float m = mix(g, params.moment1.at[i], params.beta1);
@@ -27,13 +28,13 @@ void update(uint row, uint block, uint within, bool has_gradient, float learning
         learning_rate * (within == 0u ? params.first_scale : 1.0) * (block == 0u ? params.block_scale : 1.0);
     float value = params.values.at[i] -
                   rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
-    // a NaN stays, for somebody looks for it
+    // Does not replace a NaN by the bound, because later checks look for NaNs.
     if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];
     params.values.at[i] = value;
 }
 
-/// All columns of a row, or the one of a thread. @param i  of the floats, or rows, that
-/// are updated
+/// Updates all columns of a row, or one float.
+/// @param i  index among the floats, or the rows, that are updated
 void step_row(uint i) {
     uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? i / n_updated : i;
     if (!is_null(params.rows)) row = params.rows.at[row];
@@ -47,7 +48,7 @@ void step_row(uint i) {
         update(row, k / params.n_active * params.block, k % params.n_active, has_gradient, learning_rate);
         return;
     }
-    // a CPU divides integers lane by lane
+    // Loops instead of divisions, because a CPU divides integers lane by lane.
     for (uint block = 0u; block < params.stride; block += params.block)
         for (uint within = 0u; within < params.n_active; ++within)
             update(row, block, within, has_gradient, learning_rate);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Proxy geometry (M3), k = sqrt(2 ln(sigma / alpha_min)). Of a surfel: a rectangle of
-// half sizes k s_u, k s_v, as two triangles. Of a 3D Gaussian: the icosahedron around the
-// ellipsoid of half axes k s_u, k s_v, k s_w. Or the axis-aligned box of either.
+// Parameters of the kernels that make proxy geometry (M3), with k = sqrt(2 ln(sigma /
+// alpha_min)). A surfel gets a rectangle of half sizes k s_u, k s_v, as two triangles. A
+// 3D Gaussian gets the icosahedron around the ellipsoid of half axes k s_u, k s_v, k s_w.
+// Alternatively, both get their axis-aligned box.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_ACCEL_H
 #include "../../scene/shared/scene.h"
@@ -9,34 +10,35 @@
 RELIDAR_SHARED_BEGIN
 
 struct ProxyParams {
-    Records records;  // input [n], of all surfels
-    // output m: four corners [n,4,3] of a surfel, twelve [n,12,3] of a 3D Gaussian (proxy
-    // = triangles), or
+    Records records;  // input [n], all surfels
+    // Output in m: four corners [n,4,3] per surfel, or twelve [n,12,3] per 3D Gaussian
+    // (proxy = triangles).
     RELIDAR_OF(Floats, ProxyVertices) vertices;
     RELIDAR_OF(Floats, SurfelBoxes) boxes;  // output [n,6] m: min, max (proxy = boxes)
-    // maximum [1], bits of a float, m: no point of a 3D Gaussian's icosahedron is farther
-    // from a hit in it (proxy = triangles)
+    // Maximum [1] in m, bits of a float: largest distance of a point of a 3D Gaussian's
+    // icosahedron from a hit in it (proxy = triangles).
     Uints reach;
     float alpha_min;     // the proxy ends where sigma G = alpha_min
-    float margin_m;      // grown by this, so that rounding in a traversal loses no hit
-    float margin_scale;  // and by this factor
-    uint first_surfel;   // of those whose proxies are made
+    float margin_m;      // added to the proxy's size, so that rounding in a traversal loses no hit
+    float margin_scale;  // factor on the proxy's size, for the same reason
+    uint first_surfel;   // first surfel of the range
     uint n_surfels;
 };
 
-#define RELIDAR_RADIUS_STRETCH 64u  // surfels of a thread of accel/model_radii
+#define RELIDAR_RADIUS_STRETCH 64u  // surfels per thread of accel/model_radii
 
-/// How far from its origin each model reaches (accel/model_radii.comp).
+/// Parameters of accel/model_radii.comp, which computes the radius of each model around
+/// its origin.
 struct ModelRadiiParams {
-    Records records;                      // input [n], of all surfels
+    Records records;                      // input [n], all surfels
     Models models;                        // input [n_models]
     RELIDAR_OF(Uints, ModelRadii) radii;  // maximum [n_models] m, bits of floats
     float alpha_min;                      // a surfel ends where sigma G = alpha_min
     float margin_m;                       // added to each radius
-    float margin_scale;                   // and its factor
+    float margin_scale;                   // factor on each radius
     uint n_models;
-    uint first_surfel;  // of the range
-    uint n_surfels;     // of the range
+    uint first_surfel;  // first surfel of the range
+    uint n_surfels;     // number of surfels of the range
 };
 
 RELIDAR_SHARED_END

@@ -1,18 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// The second cast, sums of its hit records by surfel, and what follows from them:
-// gradients of poses.
+// Parameters of the backward kernels: the second cast of the rays, the sums of its hit
+// records by surfel, and the gradients of poses.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN
 
-#define RELIDAR_GATHER_BLOCK 32u         // hits a thread sums
-#define RELIDAR_NO_ROW(n_rows) (n_rows)  // row of a slot without a gradient: behind all others when sorted
+#define RELIDAR_GATHER_BLOCK 32u         // hits that one thread sums
+#define RELIDAR_NO_ROW(n_rows) (n_rows)  // row of a slot without a gradient; sorted behind all other rows
 
-/// A blended hit of which the rest is computed again: 16 bytes.
+/// A blended hit, in 16 bytes. All other values of the hit are computed again.
 struct HitRecord {
-    uint ray;  // of the batch
+    uint ray;  // index in the batch
     uint instance;
     float w;        // blending weight
     float d_alpha;  // dL/d(sigma G)
@@ -21,38 +21,41 @@ RELIDAR_POINTER(HitRecords, HitRecord);
 
 struct BackwardParams {
     TraceScene scene;
-    RenderedRays rendered;  // input [n_rays], of the forward pass with the same scene
+    RenderedRays rendered;  // input [n_rays], results of the forward pass with the same scene
     RayGradients upstream;  // input [n_rays]
-    // accumulated [n_rows,16], rows as InstanceEntry counts them
+    // Accumulated [n_rows,16]. Rows are numbered as in InstanceEntry.
     RELIDAR_OF(Floats, RecordGradients) d_records;
-    RELIDAR_OF(Floats, Harmonics) d_sh;  // accumulated [n,3,16], where SH are evaluated a hit
-    // output [n] 1 at surfels that a hit with a gradient is of, or address 0
+    RELIDAR_OF(Floats, Harmonics) d_sh;  // accumulated [n,3,16], if SH are evaluated per hit
+    // Output [n] 1 for surfels that have a hit with a gradient, or address 0.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
-    RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // output [n_rays,6] d_origin, d_direction, or address 0
-    RELIDAR_OF(Uints, FirstHits) first_hit;         // input [n_rays] slot of each ray's first hit (gather)
-    HitRecords hits;                                // output [capacity] (gather)
-    RELIDAR_OF(Uints, HitRows) rows;                // output [capacity] (gather)
-    Hits kept;      // input [ceil(n/2),n_kept,2] of n threads, as the forward pass blended them
-    uint n_kept;    // what a ray has behind them is searched again
-    uint capacity;  // hits in slots beyond it are added with atomics
+    // output [n_rays,6] d_origin, d_direction, or address 0
+    RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
+    RELIDAR_OF(Uints, FirstHits) first_hit;  // input [n_rays] slot of each ray's first hit (gather)
+    HitRecords hits;                         // output [capacity] (gather)
+    RELIDAR_OF(Uints, HitRows) rows;         // output [capacity] (gather)
+    // input [ceil(n/2),n_kept,2] of n threads, hits in the order in which the forward
+    // pass blended them
+    Hits kept;
+    uint n_kept;    // hits stored per ray; later hits are searched again
+    uint capacity;  // slots of `hits`; hits in later slots are added with atomics
     uint n_rows;
-    uint with_turn;  // 1: d_records gets the turn of SH directions too, where SH are evaluated a hit
+    uint with_turn;  // 1: d_records also gets the rotation of SH directions, if SH are evaluated per hit
 };
 
-/// Sums of hit records by row: gather, then gather_heads for rows that go on in later
-/// blocks.
+/// Parameters of the sums of hit records by row: kernel gather, then gather_heads for
+/// rows that continue in later blocks.
 struct GatherParams {
     TraceScene scene;
     RayGradients upstream;               // input [n_rays]
     HitRecords hits;                     // input [capacity]
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
-    RELIDAR_OF(Uints, HitSlots) slots;   // input [capacity] of `hits`, in the order of rows
+    RELIDAR_OF(Uints, HitSlots) slots;   // input [capacity] index in `hits`, in the order of rows
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // [blocks,2,16 or 64] sums of what a block has of a row that began earlier, and of
-    // one that goes on
+    // [blocks,2,16 or 64] Two partial sums per block: of a row that began in an earlier
+    // block, and of a row that continues in the next block.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
-    RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], where SH are evaluated a hit
+    RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit
     RELIDAR_OF(Uints, MostHits) most_hits;          // maximum [1] of n_hits
     uint capacity;
     uint n_rows;
@@ -63,16 +66,17 @@ struct PoseBlock {
     uint first_surfel;
     uint first_row;
     uint n_surfels;
-    uint with_view;  // 1: the placement from which the model is viewed
+    uint with_view;  // 1: the instance defines the view direction of the model's SH
 };
 RELIDAR_POINTER(PoseBlocks, PoseBlock);
 
-#define RELIDAR_POSE_SUMS 9  // force, torque about the model's origin, dL/d(view origin); model frame
+// force, torque about the model's origin, dL/d(view origin); in the model frame
+#define RELIDAR_POSE_SUMS 9
 
 struct PoseBlocksParams {
     Records records;                                // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16]
-    RELIDAR_OF(Floats, ViewGradients) d_view;       // input [n,3] where SH are evaluated once a surfel
+    RELIDAR_OF(Floats, ViewGradients) d_view;       // input [n,3], if SH are evaluated per surfel
     PoseBlocks blocks;                              // input [n_blocks]
     RELIDAR_OF(Floats, PoseSums) sums;              // output [n_blocks,9]
     uint n_blocks;
@@ -83,7 +87,7 @@ struct PosesParams {
     Instances instances;                // input
     RELIDAR_OF(Floats, PoseSums) sums;  // input [n_blocks,9]
     Uints first_block;                  // input [n_instances + 1]
-    // output [n_instances,6] d_translation, d_rotation, world
+    // Output [n_instances,6] d_translation, d_rotation, in the world frame.
     RELIDAR_OF(Floats, InstancePoseGradients) d_poses;
     vec3 view_origin;  // world, m
     uint n_instances;
@@ -92,8 +96,9 @@ struct PosesParams {
 struct SensorPoseParams {
     Instances instances;                                // input
     RELIDAR_OF(Floats, InstancePoseGradients) d_poses;  // input [n_instances,6]
-    RELIDAR_OF(Floats, SensorPoseGradient) d_sensor;    // output [6] d_translation, d_rotation, world
-    vec3 view_origin;                                   // world, m: the sensor's position
+    // output [6] d_translation, d_rotation, in the world frame
+    RELIDAR_OF(Floats, SensorPoseGradient) d_sensor;
+    vec3 view_origin;  // sensor position in the world frame, m
     uint n_instances;
 };
 

@@ -6,11 +6,11 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Some consecutive channels of images.
+// Consecutive channels of images.
 struct ImageSlice {
     Floats values;
-    uint channels;  // of the images
-    uint first;     // that belongs to the slice
+    uint channels;  // number of channels of the images
+    uint first;     // first channel of the slice
 };
 
 RELIDAR_SHARED_END

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backend: every surfel of every instance is a candidate. The oracle for the other
-// backends on the device itself.
+// Traversal backend that tests every surfel of every instance. The tests compare the
+// other backends with it on the device.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 

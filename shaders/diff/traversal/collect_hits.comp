@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// All hits of each ray in order, chunk by chunk and without any cut by transmittance: the
-// traversal contract made visible, for its conformance tests. One thread a ray. Input:
-// scene. Output: counts, t, instance, surfel.
+// Writes all hits of each ray in order, chunk by chunk, without a cut by transmittance.
+// The conformance tests of the traversal contract use this kernel. One thread per ray.
+// Input: scene. Output: counts, t, instance, surfel.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "includes.glsl"

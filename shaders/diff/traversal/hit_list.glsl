@@ -1,36 +1,37 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where next_hits() puts what a ray meets in a kernel that appends: the ray's list in
-// memory, in the order in which they are found. An ordered buffer costs a GPU more than
-// the search; forward/sort_hits puts a list in order afterwards.
+// Hit list that next_hits() fills in kernels that append. The hits are stored in global
+// memory, unordered, because an ordered buffer costs a GPU more time than the search.
+// Kernel forward/sort_hits sorts the list afterwards.
 //
-// No hit is lost: once the product of 1 - alpha over a set of hits is under T_min,
-// whatever their order, so is that over all hits up to the farthest of them, and the ray
-// ends before it or there. The hits found after that, all nearer, are the next such set:
-// they draw the end nearer where the search met something far away first. A hit that a
-// driver reports twice counts twice, so that a list may be closed too early:
-// forward/blend then finds that its ray has not ended, and leaves it to forward/trace.
+// No hit is lost. If the product of 1 - alpha over some set of hits is below T_min, the
+// same holds for all hits up to the farthest of the set. So the ray ends at that hit or
+// before it. The hits that arrive afterwards are nearer and form the next set, which can
+// move the end of the ray nearer again. A hit that a driver reports twice counts twice,
+// so the list may be closed too early. Kernel forward/blend detects that the ray has not
+// ended, and leaves the ray to forward/trace.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 
-HitLists listed;  // those of the launch
+HitLists listed;  // hit lists of the launch
 uint own_list;
-uint n_hits;       // found so far; those behind the room of the list are not in it
-bool hits_closed;  // nothing behind end_t can matter any more
+uint n_hits;       // hits so far, including hits that do not fit into the list
+bool hits_closed;  // hits behind end_t cannot contribute any more
 float end_t;
-float set_transmittance;    // product of 1 - alpha over the hits since the list was closed
-float least_transmittance;  // of a set that closes nothing
-float farthest_t;           // of the set
+float set_transmittance;    // product of 1 - alpha over the hits since the list was last closed
+float least_transmittance;  // a set of hits closes the list if its product is below this value
+float farthest_t;           // farthest hit of the current set
 
-/// Where the last hit lies that can matter, behind which a closed list takes none.
+/// Returns the distance of the last hit that can contribute. A closed list accepts no
+/// hits behind it.
 float last_hit_t() { return end_t; }
 
-/// Whether a hit can not matter any more.
+/// Returns true if a hit cannot contribute any more.
 bool is_behind(Key key) { return hits_closed && key.t > end_t; }
 
-/// Share of the light that is taken for left by a report of a hit.
+/// Returns the transmittance that one report of a hit contributes to the product.
 float left_by(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
-    // reported where the ray enters it, and where it leaves it
+    // A driver reports an icosahedron where the ray enters and where it leaves.
     if (proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;
@@ -39,7 +40,7 @@ float left_by(float alpha) {
 /// Appends a hit to the list.
 void insert(Key key, float alpha, float alpha_max) {
     uint slot = n_hits++;
-    if (slot >= listed.room) {  // forward/trace renders this ray
+    if (slot >= listed.room) {  // the list is full; forward/trace renders this ray
         hits_closed = true;
         end_t = 0.0;
         return;
@@ -55,7 +56,7 @@ void insert(Key key, float alpha, float alpha_max) {
     }
 }
 
-/// forward/sort_hits does.
+/// Does nothing, because kernel forward/sort_hits sorts the list.
 void order_hits() {}
 
 void reset_hits(float least) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Everything a tracing kernel needs, in the order it must be read.
+// Includes all files that a tracing kernel needs, in the required order.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_INCLUDES_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_INCLUDES_GLSL
 #extension GL_EXT_ray_query : enable

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The order of the hits of a ray, and where the hits of a list lie, or those that are
-// kept of a ray.
+// Sort order of the hits of a ray, and the memory layout of hit lists.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
 
@@ -16,9 +15,9 @@ bool before(Key a, Key b) {
     return a.surfel < b.surfel;
 }
 
-/// Entry of a hit of a list that has this room; a list is the thread's that traces its
-/// ray. Few lists lie side by side: so both the threads that walk along one list each and
-/// the lanes that read one list together touch whole sectors of a cache.
+/// Returns the index of hit k of a hit list with capacity `room`. Each tracing thread has
+/// one list. A few lists are interleaved. So both threads that each read their own list
+/// and lanes that read one list together use complete cache sectors.
 uint list_entry(uint room, uint list, uint k) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * room + k) * RELIDAR_SIDE_BY_SIDE + list % RELIDAR_SIDE_BY_SIDE;
 }

@@ -1,29 +1,33 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which ray a thread traces, and the ray in the frame of a model.
+// Assigns rays to threads and transforms a ray into the frame of a model.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_GLSL
 
 struct Ray {
     vec3 origin;     // world, m
-    vec3 direction;  // world, unit
-    float time_s;    // when it is fired, from the sweep's reference time, or RELIDAR_NO_TIME
+    vec3 direction;  // world, unit length
+    float time_s;    // firing time relative to the sweep's reference time, or RELIDAR_NO_TIME
 };
 
 Ray ray_of(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// The ray in the frame of the model that was met last: candidates come in runs of one
-// instance.
+// The ray in the frame of the last entered instance. It is cached because consecutive
+// candidates usually belong to one instance.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-vec3 entered_turn = vec3(0.0);  // how far the model has turned, in its own axes; see turned_by()
+// rotation of the model since its reference time, in the model's axes; see turned_by()
+vec3 entered_turn = vec3(0.0);
 
-/// The ray of this thread, in the order of the batch; n_rays and more: none. In an image,
-/// 8 threads in sequence are 4 x 2 neighbours, and 32 are 16 x 2, for columns lie closer
-/// than rows: they open the same nodes. Tiles run down the image, then across: a driver
-/// that gives each of its threads one stretch of the workgroups (lavapipe) so gives each
-/// a like share of sky and ground, which cost differently.
+/// Returns the ray of this thread in the order of the batch, or at least n_rays if the
+/// thread has none.
+///
+/// In an image, 8 consecutive threads are 4 x 2 pixels and 32 threads are 16 x 2 pixels.
+/// Columns are closer together than rows, so these rays visit the same nodes. Tiles run
+/// down the image first, then across. A driver such as lavapipe gives each of its threads
+/// one contiguous range of workgroups. With this order each range has a similar share of
+/// sky and ground, which differ in cost.
 uint traced_ray(TraceScene scene) {
     uint i = thread_index();
     if (scene.columns == 0u) return i;

@@ -1,24 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backend: ray query on a two-level acceleration structure. All geometry is non-opaque,
-// so each candidate is offered; once the buffer is closed the ray is shortened to its
-// last hit, or the search would visit everything behind it. A surfel's triangles are
-// crossed at the hit itself, and a box is entered before and left behind it. An
-// icosahedron is a surface that encloses the hit: it is crossed before and behind. The
-// far crossing lies behind the hit, so behind the start, wherever the near one is, and at
-// most `reach` behind it. So the ray is shortened to `reach` behind the last hit, and
-// what it crosses there is not lost, though it may begin before the start or hold the
-// sensor. A hit that is offered at both crossings is known the second time.
+// Traversal backend: ray query on a two-level acceleration structure. All geometry is
+// non-opaque, so each candidate is offered. When the buffer is closed, the ray is
+// shortened to the last hit. Otherwise the search would visit everything behind that hit.
 //
-// The driver has each model at one pose. A model that moves during the sweep needs a
-// query of its own, with the ray moved as the model is moved back to that pose. The first
-// query finds the models that stand still, by the cull mask. No hit of a moving model is
-// lost: its radius holds all that can be hit, and the rounding of the moved ray is far
-// below the margin of the proxies.
+// A ray crosses the triangles of a surfel exactly at the hit. A ray enters a box before
+// the hit and leaves it behind the hit. An icosahedron is a surface that encloses the
+// hit, so a ray crosses it before and behind the hit. The far crossing is at most `reach`
+// behind the hit, so the ray is shortened to the last hit plus `reach`. No such crossing
+// is lost, even if the icosahedron begins before the start or contains the sensor. A hit
+// that is offered at both crossings is recognised the second time.
+//
+// The driver stores one pose per model. A model that moves during the sweep needs a
+// separate query, in which the ray is moved instead of the model. The cull mask limits
+// the first query to the models that do not move. No hit of a moving model is lost,
+// because its radius contains all possible hits. The rounding error of the moved ray is
+// far below the margin of the proxies.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
-/// Whether the entered ray comes within the radius of its model.
+/// Returns true if the entered ray comes within the radius of its model.
 bool comes_near(float radius) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
@@ -26,15 +27,16 @@ bool comes_near(float radius) {
     return dot(nearest, nearest) <= reached * reached;
 }
 
-/// What one query looks for.
+/// Parameters of one ray query.
 struct Search {
     vec3 origin;  // world, m
     vec3 direction;
     uint mask;
-    uint instance;  // the only one whose candidates count; RELIDAR_NO_INSTANCE: all
+    uint instance;  // the only instance whose candidates count; RELIDAR_NO_INSTANCE: all instances
 };
 
-/// @return false where the ray cannot meet the instance
+/// Prepares the query for a moving instance.
+/// @return false if the ray cannot hit the instance
 bool search_moving(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
     enter_instance(scene, ray, moving.instance);
     InstanceEntry m = scene.instances.at[moving.instance];
@@ -54,8 +56,8 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     for (uint k = 0u; k <= scene.n_moving; ++k) {
         Search search = Search(ray.origin, ray.direction, RELIDAR_STANDING_MASK, RELIDAR_NO_INSTANCE);
         if (k > 0u && !search_moving(scene, ray, scene.moving.at[k - 1u], search)) continue;
-        float end = 1e30;  // where the query stops
-        // by the queries before
+        float end = 1e30;  // distance at which the query stops
+        // The earlier queries may have closed the buffer already.
         if (hits_closed) end = max(last_hit_t() - start, 0.0) + (1e-4 + 1e-5 * last_hit_t()) + reach;
         rayQueryInitializeEXT(query, accelerationStructureEXT(uvec2(scene.tlas)), gl_RayFlagsNoOpaqueEXT,
                               search.mask, search.origin + start * search.direction, 0.0, search.direction,
@@ -63,7 +65,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         while (rayQueryProceedEXT(query)) {
             uint instance = uint(rayQueryGetIntersectionInstanceCustomIndexEXT(query, false));
             uint primitive = uint(rayQueryGetIntersectionPrimitiveIndexEXT(query, false));
-            // has the same mask
+            // Another instance can have the same cull mask.
             if (search.instance != RELIDAR_NO_INSTANCE && instance != search.instance) continue;
             offer(scene, ray, after, instance, BOXES != 0u ? primitive : primitive / proxy_triangles());
             if (!hits_closed) continue;

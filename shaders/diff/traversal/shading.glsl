@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channel values of a hit (intensity, hit logit, drop logit): from the record where SH
-// are evaluated once a surfel, else from the coefficients in the direction of the ray in
-// the model's frame (docs/method.md section 3).
+// Channel values of a hit: intensity, hit logit, drop logit. If SH are evaluated per
+// surfel, the values are read from the record. Otherwise they are evaluated from the SH
+// coefficients, in the direction of the ray in the model's frame (docs/method.md section
+// 3).
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHADING_GLSL
 RELIDAR_CONSTANT(uint, SH_PER_SURFEL, 1u);
@@ -11,7 +12,7 @@ const uint kNoInstance = 0xffffffffu;
 float ray_basis[16];  // SH basis of the current ray in the frame of ray_basis_instance
 uint ray_basis_instance;
 
-/// Makes ray_basis that of an instance's frame, where SH are evaluated a hit.
+/// Evaluates ray_basis for an instance's frame, if SH are evaluated per hit.
 void use_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     enter_instance(scene, ray, instance);
@@ -26,7 +27,8 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
     return value;
 }
 
-/// All three at once: the basis, an array that is indexed at run time, is read once.
+/// Evaluates all three channels in one loop, so that the dynamically indexed array of the
+/// basis is read only once.
 vec3 evaluate_channels(TraceScene scene, uint surfel) {
     vec3 value = vec3(0.5);
     uint x = surfel * RELIDAR_SH_FLOATS, y = x + RELIDAR_SH_COEFFICIENTS, z = y + RELIDAR_SH_COEFFICIENTS;
@@ -37,7 +39,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
     return value;
 }
 
-/// @return intensity (clamped at 0), hit logit, drop logit
+/// Returns the intensity (clamped to at least 0), the hit logit and the drop logit.
 vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);

@@ -1,21 +1,23 @@
 // SPDX-License-Identifier: Apache-2.0
-// What all lanes of a subgroup read from one address, loaded by them together: each loads
-// another word of it and hands it to the others. A CPU gathers lane by lane even where
-// all addresses are the same: a node of 20 words then costs 20 gathers, and 3 in this way
-// with 8 lanes. All lanes must be there, and must not part.
+// Cooperative loads of a struct that all lanes of a subgroup read from one address. Each
+// lane loads a different word, and shuffles distribute the words. A CPU gathers lane by
+// lane even if all addresses are equal. A node of 20 words then needs 20 gathers, but
+// only 3 with cooperative loads on 8 lanes. All lanes must be active and must not
+// diverge.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 
-// of BvhNode and SurfelRecord, whose words are in the order of their declaration
+// Sizes of BvhNode and SurfelRecord. Their words are in the order of declaration.
 const uint kNodeWords = 20u, kRecordWords = 16u;
-const uint kMostParts = 5u;  // of a node among 4 lanes, the smallest subgroup
+const uint kMostParts = 5u;  // parts of a node in a subgroup of 4 lanes, the smallest size
 
-/// Words of a struct: lane k % size of the subgroup holds word k in part k / size.
+/// Words of a struct. Lane k % size of the subgroup holds word k in part k / size.
 struct SharedWords {
     uint part[kMostParts];
 };
 
-/// @param from,first,n  the same in all lanes
+/// Loads n words, distributed over the lanes of the subgroup.
+/// @param from,first,n  must be equal in all lanes
 SharedWords load_words(Uints from, uint first, uint n) {
     SharedWords words;
     [[unroll]] for (uint p = 0u; p < kMostParts; ++p) {
@@ -26,7 +28,8 @@ SharedWords load_words(Uints from, uint first, uint n) {
     return words;
 }
 
-/// @param k  the same in all lanes
+/// Returns word k.
+/// @param k  must be equal in all lanes
 uint word_of(SharedWords words, uint k) {
     uint part = words.part[0];
     [[unroll]] for (uint p = 1u; p < kMostParts; ++p) if (k >= p * gl_SubgroupSize) part = words.part[p];
@@ -56,7 +59,7 @@ BvhNode load_node(BvhNodes nodes, uint index) {
     return node;
 }
 
-/// A record as far as intersect() reads it.
+/// Loads the fields of a record that intersect() reads.
 SurfelRecord load_record(Records records, uint surfel) {
     SharedWords words = load_words(Uints(uvec2(records)), surfel * kRecordWords, kRecordWords);
     SurfelRecord record;

@@ -1,37 +1,43 @@
 // SPDX-License-Identifier: Apache-2.0
-// Backend: a two-level tree of wide nodes with quantised boxes (shared/bvh.h), walked
-// with a stack, near children first. The top tree holds instances; an instance's entry
-// moves the ray into its model's frame until an entry of the top tree is met again. Two
-// ways, by specialisation: each ray on its own, or the rays of a subgroup together, which
-// open a node if any of them needs it and test its surfels all at once. Together, every
-// ray still keeps its own stack and its own distances, and takes the union of what its
-// subgroup wants. Rays take the same entry at a time, that of the first of them, and one
-// whose stack has come to differ waits for its turn: so nothing is missing however a
-// driver lets lanes part and meet, and what is loaded has the same address in all lanes,
-// as a broadcast tells the compiler, which then loads it once. A CPU's compiler does not,
-// so there lanes load for each other (kSharesLoads, shared_load.glsl): its lanes are
-// those of one vector, and cannot part. Where all are there at the start they have the
-// same stack until the end. Its compiler also runs through a loop once more, without a
-// lane, to find out that none goes on: loops of few turns test at their end.
+// Traversal backend: a two-level tree of wide nodes with quantised boxes
+// (relidar/diff/bvh.h).
+// The walk uses a stack and visits near children first. The top tree holds instances. An
+// instance entry transforms the ray into the frame of its model. The ray stays in this
+// frame until the walk returns to an entry of the top tree.
+//
+// A specialisation constant selects the walk: each ray separately, or all rays of a
+// subgroup together. In the joint walk the subgroup opens a node if any of its rays needs
+// the node, and tests its surfels in all lanes. Every ray still keeps a separate stack
+// and separate distances. All rays process the same entry at a time: the top entry of the
+// first active ray. A ray with a different stack waits. So no hit is lost, however the
+// driver lets lanes diverge and reconverge. All lanes load from the same address, and the
+// broadcast lets the compiler use a single load.
+//
+// The compiler of a CPU does not do this, so on a CPU the lanes load cooperatively
+// (kSharesLoads, shared_load.glsl). The lanes of a CPU are the lanes of a vector and
+// cannot diverge. If all lanes are active at the start, they have the same stack until
+// the end. This compiler also runs each loop once more, without an active lane, to detect
+// its end. Loops with few iterations therefore test their condition at the end.
 //
 // No hit is lost:
-// - The slab test uses the very ray that intersect() uses (entered_origin,
-//   entered_direction). t is the ray's parameter, the same in the world and in a model
-//   whatever the instance's scale, so distances of all trees compare with the canonical
-//   t.
-// - A slab distance q scale + at is off by at most 8 roundings of its terms; kSlack times
-//   both terms moves near planes nearer and far planes farther by more than that.
-// - A direction component of less than kLeastSlope is taken as that: over 100 km the ray
-//   is off by 10^-7 m, less than the slack. So no division by zero and, for coordinates
-//   under 10^25 m, no NaN; the comparisons open a node should there be one.
-// - A model that moves is in its box of the top tree whenever a ray is fired: the box
-//   holds all that the model sweeps in its span, and a ray's time is clamped to that span
-//   (enter_instance()).
-// - A node is left out behind `end` and before `start` only. Both keep 1e-4 m + 1e-5 t
-//   for the rounding of the canonical t, as every backend's (README.md).
+// - The slab test uses the same ray as intersect(): entered_origin, entered_direction. t
+//   is the ray's parameter. It is the same in the world and in a model, whatever the
+//   instance's scale. So distances of all trees are comparable with the canonical t.
+// - A slab distance q scale + at has an error of at most 8 roundings of its terms. The
+//   slack, kSlack times both terms, is larger. It moves near planes nearer and far planes
+//   farther.
+// - A direction component below kLeastSlope is replaced by kLeastSlope. Over 100 km this
+//   moves the ray by 10^-7 m, less than the slack. So a division by zero is impossible. A
+//   NaN is impossible for coordinates below 10^25 m, and the comparisons would open a
+//   node with a NaN.
+// - A moving model is inside its box of the top tree whenever a ray is fired. The box
+//   contains the model at all times of its span, and enter_instance() clamps the time of
+//   a ray to that span.
+// - A node is skipped only if it is behind `end` or before `start`. Both include 1e-4 m +
+//   1e-5 t for the rounding error of the canonical t, as in every backend (README.md).
 //
-// What it costs on a GPU: a node is 80 bytes and about 150 operations for eight boxes; a
-// surfel 64 bytes and 40 operations.
+// Costs on a GPU: a node is 80 bytes and about 150 operations for eight boxes. A surfel
+// is 64 bytes and 40 operations.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SOFTWARE_BVH_GLSL
 #extension GL_KHR_shader_subgroup_basic : enable
@@ -44,27 +50,27 @@ RELIDAR_CONSTANT(uint, TOGETHER, 0u);
 const uint kSharesLoads = 2u;
 RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
 
-// At most 7 entries stay behind a level: enough for 9 levels of full nodes, 8^9 surfels.
-// A tree as deep and as wide as to need more makes the ray end early, and be counted as
-// an error.
+// Capacity of the stack. At most 7 entries remain per level, so 64 entries suffice for 9
+// levels of full nodes, 8^9 surfels. If a tree needs more, the ray ends early and is
+// counted as an error.
 const uint kStackSize = 64u;
-const uint kInstanceEntry = 0x80000000u;  // entries of instances
-// nodes of the top tree; others are nodes of the instance that was entered last
+const uint kInstanceEntry = 0x80000000u;  // flag of entries that are instances
+// Flag of nodes of the top tree. Other nodes belong to the last entered instance.
 const uint kTopEntry = 0x40000000u;
 const float kNever = 1e30;
-const float kSlack = 5e-7;  // 8 roundings of 2^-24
+const float kSlack = 5e-7;  // relative rounding error of a slab distance: 8 roundings of 2^-24
 const float kLeastSlope = 1e-12;
 
-uint stack_entry[SLOTS];  // SLOTS is one more than what is used
-float stack_t[SLOTS];     // where this ray enters it, kNever where it does not
+uint stack_entry[SLOTS];  // SLOTS is one more than the used size
+float stack_t[SLOTS];     // distance at which this ray enters the node, kNever if it does not
 uint stack_size;
 bool stack_full;
 
-/// A ray as boxes are tested with it, in the frame of the tree that is being walked.
+/// A ray prepared for box tests, in the frame of the current tree.
 struct BoxRay {
     vec3 origin;
-    vec3 inverse;  // of the direction
-    float start;   // m along the ray: boxes before and behind are left out
+    vec3 inverse;  // 1 / direction, per axis
+    float start;   // m along the ray: boxes before `start` and behind `end` are skipped
     float end;
 };
 
@@ -78,9 +84,10 @@ uint byte_of(uvec2 bytes, uint slot) {
     return ((slot < 4u ? bytes.x : bytes.y) >> (8u * (slot & 3u))) & 255u;
 }
 
-/// @param t  output: where the ray enters the box of each slot, if it does
-/// @return a bit a slot whose box the ray meets within [start, end]; empty slots may be
-/// among them
+/// Intersects a ray with the boxes of a node.
+/// @param t  output: distance at which the ray enters the box of each slot, if it does
+/// @return bit mask of the slots whose box the ray meets within [start, end]; it may
+/// include empty slots
 uint meet_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
     vec3 scale =
         uintBitsToFloat((uvec3(node.exponents, node.exponents >> 8u, node.exponents >> 16u) & 255u) << 23u) *
@@ -118,9 +125,10 @@ void push_entry(uint entry, float t) {
     ++stack_size;
 }
 
-/// Puts the inner slots that a ray is to open on its stack, the nearest on top. A slot
-/// and where the ray enters it are one number: so the network that orders eight of them
-/// is of minima and maxima alone. The distance loses four bits, towards the ray's origin.
+/// Pushes the inner slots that a ray must open, the nearest on top. A slot and its entry
+/// distance are packed into one integer, so that the network that sorts eight of them
+/// needs only minima and maxima. The packed distance loses four bits and is rounded
+/// towards the ray's origin.
 /// @param first  entry of the first inner slot
 void push_own_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WIDTH]) {
     const uint kThere = 0x80000000u;
@@ -143,8 +151,8 @@ void push_own_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WID
     }
 }
 
-/// The same for rays that walk together, which open what any of them meets, in the order
-/// of the subgroup's first ray.
+/// Pushes the inner slots that any ray of the subgroup must open, for rays that walk
+/// together. Uses the order of the subgroup's first ray.
 void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
@@ -166,8 +174,8 @@ void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDA
     } while (left != 0u);
 }
 
-/// @return a bit for every entry of `order`, from the node's first on, that lies in an
-/// opened leaf slot
+/// Returns a bit mask of the entries of `order` in the opened leaf slots, relative to the
+/// first leaf entry of the node.
 uint leaf_entries(BvhNode node, uint opened) {
     uvec2 leaves = uvec2(node.leaves[0], node.leaves[1]);
     uint entries = 0u;
@@ -178,32 +186,33 @@ uint leaf_entries(BvhNode node, uint opened) {
     return entries;
 }
 
-/// Takes the lowest entry out of a set. @return its index
+/// Removes the lowest entry from a set.
+/// @return index of the entry
 uint take_lowest(inout uint entries) {
     uint lowest = uint(findLSB(entries));
     entries &= entries - 1u;
     return lowest;
 }
 
-/// Whether the lanes of this subgroup load for each other: some may be missing at the end
-/// of a batch, or have ended before the others.
+/// Returns true if the lanes of this subgroup can load cooperatively. At the end of a
+/// batch some lanes may be inactive, or have ended before the others.
 bool shares_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
-/// Offers opened entries to the rays of a whole subgroup. @param entries  the same in all
-/// lanes
+/// Offers opened leaf entries to all rays of a full subgroup.
+/// @param entries  must be equal in all lanes
 void offer_together(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf,
                     uint entries) {
     if (entries == 0u) return;
-    do {  // as many entries as there are lanes
+    do {  // one iteration per block of gl_SubgroupSize entries
         uint first = uint(findLSB(entries)) / gl_SubgroupSize * gl_SubgroupSize,
              end = min(first + gl_SubgroupSize, 32u);
         uint own = first + gl_SubgroupInvocationID, own_surfel = 0u;
         float own_x = 0.0;
         if (own < end && (entries & (1u << own)) != 0u) {
             own_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
-            // each lane another record: misses of the cache overlap
+            // Each lane touches a different record, so that their cache misses overlap.
             own_x = scene.records.at[own_surfel].mean.x;
         }
         do {
@@ -215,8 +224,8 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
     } while (entries != 0u);
 }
 
-/// Offers opened entries to a ray that walks on its own. The record of the next one is on
-/// its way while one is tested.
+/// Offers opened leaf entries to a ray that walks alone. Loads the next record before the
+/// current one is tested, to hide the latency.
 void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
     while (entries != 0u) {
         uint entry = first_leaf + take_lowest(entries),
@@ -231,21 +240,24 @@ void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, ui
     }
 }
 
-/// Moves the boxes' ray to the frame of an instance's model, or of the world.
+/// Transforms the ray for box tests into the frame of an instance's model, or of the
+/// world.
 void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
     bool in_model = instance != RELIDAR_BVH_NO_NODE;
     set_box_ray(walked, in_model ? entered_origin : ray.origin, in_model ? entered_direction : ray.direction);
 }
 
-/// Opens a node: leaves are offered, inner slots go on the stack.
-/// @param tree  instance whose model the node belongs to; none: the top tree @param whole
-/// shares_loads() @return surfels tested
-uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool whole, inout BoxRay walked) {
+/// Visits a node: offers its leaf entries and pushes its inner slots.
+/// @param tree  instance whose model has the node; RELIDAR_BVH_NO_NODE: the top tree
+/// @param full_subgroup  result of shares_loads()
+/// @return number of tested surfels
+uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
+               inout BoxRay walked) {
     bool in_model = tree != RELIDAR_BVH_NO_NODE;
     BvhNodes nodes = in_model ? scene.bvh.nodes : scene.bvh.top_nodes;
     BvhNode node;
-    if (whole) node = load_node(nodes, index);
+    if (full_subgroup) node = load_node(nodes, index);
     else node = nodes.at[index];
     float t[RELIDAR_BVH_WIDTH];
     uint met = meet_boxes(node, walked, t);
@@ -262,7 +274,7 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool
     }
     uint n_tested = uint(bitCount(entries)),
          first_surfel = TOGETHER != 0u ? subgroupBroadcastFirst(entered_first_surfel) : entered_first_surfel;
-    if (whole) {
+    if (full_subgroup) {
         offer_together(scene, after, tree, first_surfel, node.first_leaf, entries);
     } else if (TOGETHER != 0u) {
         while (entries != 0u)
@@ -279,9 +291,10 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     BoxRay walked;
     walked.start = search_start(after);
     walked.end = kNever;
-    uint instance = RELIDAR_BVH_NO_NODE;  // whose model is being walked; none: the top tree
+    // instance whose model is walked; RELIDAR_BVH_NO_NODE: the top tree
+    uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
-    bool whole = shares_loads();
+    bool full_subgroup = shares_loads();
     enter_tree(scene, ray, instance, walked);
     stack_size = 0u;
     stack_full = false;
@@ -292,11 +305,11 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             uint own_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            if (own_entry != entry || instance != tree) continue;  // not its turn
+            if (own_entry != entry || instance != tree) continue;  // this ray waits for its turn
         }
         --stack_size;
-        bool wanted = stack_t[stack_size] <= walked.end;
-        if (!(TOGETHER != 0u ? subgroupAny(wanted) : wanted)) continue;
+        bool is_needed = stack_t[stack_size] <= walked.end;
+        if (!(TOGETHER != 0u ? subgroupAny(is_needed) : is_needed)) continue;
         if ((entry & kInstanceEntry) != 0u) {
             tree = entry & ~kInstanceEntry;
             entry = scene.bvh.roots.at[tree];
@@ -307,7 +320,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
         if (tree != instance) enter_tree(scene, ray, tree, walked);
         instance = tree;
         ++n_nodes;
-        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, whole, walked);
+        n_tested += open_node(scene, ray, after, tree, entry & ~kTopEntry, full_subgroup, walked);
     }
     if (stack_full) atomicAdd(scene.pass_cap_count.at[0], 1u);
     if (COUNT_VISITS != 0u) {

@@ -1,20 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 // The traversal contract. next_hits() fills the hit buffer with the at most CHUNK surfels
-// that the ray meets strictly after the key `after`, ascending by key (t, instance,
-// surfel), each at most once; in a kernel that appends (RELIDAR_APPENDS_HITS) the ray's
-// list with all that can matter, unordered. A backend only proposes candidate ids through
-// offer(); intersection, order, de-duplication and insertion are here and in
-// hit_buffer.glsl or hit_list.glsl, so backends cannot disagree. See README.md beside
-// this file.
+// that the ray meets strictly after the key `after`, in ascending order of the key (t,
+// instance, surfel). Each surfel is included at most once. In a kernel that appends
+// (RELIDAR_APPENDS_HITS), next_hits() writes all hits that can contribute to the ray's
+// list, unordered.
+//
+// A backend only proposes candidate ids through offer(). Intersection, order, removal of
+// duplicates and insertion are in this file and in hit_buffer.glsl or hit_list.glsl, so
+// backends cannot disagree. See README.md in this folder.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_TRAVERSAL_GLSL
 #include "keys.glsl"
 #include "ray.glsl"
 
-// Slots of every array of this shader that is indexed at run time, whatever the chunk.
-// Compilers turn small ones into a ladder of selects over registers, which then spill:
-// Mesa's AMD compiler all up to 256 bytes, Intel's all up to 16 elements. A larger one is
-// memory.
+// Size of every dynamically indexed array of this shader, whatever the chunk size.
+// Compilers turn small arrays into selects over registers, which then spill. Mesa's AMD
+// compiler does so up to 256 bytes, Intel's compiler up to 16 elements. Larger arrays
+// stay in memory.
 const uint SLOTS = 65u;
 
 #ifdef RELIDAR_APPENDS_HITS
@@ -23,8 +25,8 @@ const uint SLOTS = 65u;
 #include "hit_buffer.glsl"
 #endif
 
-/// Takes a candidate proposed by a backend: a surfel of the instance that was entered
-/// last, counted in the scene, and its record.
+/// Tests a candidate that a backend proposes and inserts it if it is a hit.
+/// @param surfel  index in the scene; belongs to the last entered instance
 void offer_record(TraceScene scene, Key after, uint instance, uint surfel, SurfelRecord record) {
     SurfelHit hit;
     if (!intersect(record, entered_origin, entered_direction, hit)) return;
@@ -39,21 +41,25 @@ void offer_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
     offer_record(scene, after, instance, surfel, scene.records.at[surfel]);
 }
 
-/// The same of any instance, counted from its first surfel.
+/// Offers a surfel of any instance.
+/// @param local_surfel  index relative to the first surfel of the instance
 void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
     enter_instance(scene, ray, instance);
     offer_surfel(scene, after, instance, entered_first_surfel + local_surfel);
 }
 
-/// The key before the first hit a sensor can see: hits at t <= near are ignored.
+/// Returns the key before the first hit that a sensor can see. Hits at t <= near are
+/// ignored.
 Key first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
-/// Where a continued search may start: hits before are known. Rounding of a backend's own
-/// t is far below this (docs: platform).
+/// Returns the distance at which a continued search may start. All earlier hits are
+/// known. The margin is much larger than the rounding error of a backend's t (docs:
+/// platform).
 float search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
 
-/// Transmittance of further hits with which a ray that has this much left must end, with
-/// room for rounding of the product.
+/// Returns the transmittance of further hits at which a ray ends.
+/// @param transmittance  transmittance of the ray so far; the factor 0.99 allows for
+/// rounding of the product
 float least_of_rest(TraceScene scene, float transmittance) {
     return 0.99 * scene.transmittance_min / transmittance;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One face over the driver's structures and the software tree, and when either is built
-// anew instead of refitted.
+// Common interface of the driver's acceleration structures and the software tree. Decides
+// when either is rebuilt instead of refitted.
 #include <relidar/diff/accel.hpp>
 
 #include "diff/accel/bvh.hpp"
@@ -11,20 +11,21 @@ namespace relidar {
 Proxy resolve(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
-    // measured: docs/performance.md; hardware intersects triangles itself
+    // Ray-tracing hardware intersects triangles itself, so triangles are faster on a GPU
+    // (docs/performance.md).
     return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
 }
 
 struct Accel::Impl {
     AccelOptions options;
     Proxy proxy;
-    std::unique_ptr<HardwareAccel> hardware;  ///< one of the two
+    std::unique_ptr<HardwareAccel> hardware;  ///< exactly one of `hardware` and `software` is set
     std::unique_ptr<Bvh> software;
     bool built = false;
-    bool outgrown = false;         ///< seen by check_growth()
-    int refits = 0;                ///< since the last build
-    bool measured = false;         ///< a cost was recorded since the last build
-    double cost_when_built = 0.0;  ///< 0 = not looked at since
+    bool outgrown = false;         ///< set by check_growth(): the cost has grown too much
+    int refits = 0;                ///< refits since the last build
+    bool measured = false;         ///< true if a cost was recorded since the last build
+    double cost_when_built = 0.0;  ///< 0: not known yet
     std::uint64_t n_updates = 0;
 
     Impl(Device& device, const DeviceScene& scene, const AccelOptions& o)
@@ -48,7 +49,7 @@ struct Accel::Impl {
 
 namespace {
 
-std::vector<SurfelRange> those_that_bend(const std::vector<Model>& models) {
+std::vector<SurfelRange> find_bending_ranges(const std::vector<Model>& models) {
     std::vector<SurfelRange> ranges;
     for (const Model& model : models) {
         if (model.count == 0 || model.stride_m <= 0.0f) continue;
@@ -85,8 +86,9 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
 void Accel::bend(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return update(stream, scene);
-    // gaits come back to where they were: a tree does not degrade
-    a.refit(stream, scene, those_that_bend(scene.layout().models));
+    // Does not count as a refit. Gaits return to earlier poses, so the tree does not
+    // degrade.
+    a.refit(stream, scene, find_bending_ranges(scene.layout().models));
     ++a.n_updates;
 }
 

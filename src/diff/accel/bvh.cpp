@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records the kernels of a build, a refit and a top tree.
+// Records the kernels that build and refit the software tree and build its top tree.
 #include "diff/accel/bvh.hpp"
 
 #include <algorithm>
@@ -23,21 +23,22 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};  // kernels that share memory
+constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};  // for kernels that use shared memory
 
-// There is room for more nodes than there are. A CPU's threads each take a stretch of a
-// launch: few threads, each of which takes nodes from everywhere, give them a like share.
+// Threads of a refit on a CPU. The capacity in nodes exceeds the number of nodes. A CPU
+// gives each of its threads a contiguous part of a launch. With few invocations that each
+// process nodes from the full range, the work is balanced.
 constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
-/// Arrays of the scratch hold so many entries, of 4 bytes or more, so that each begins at
-/// a multiple of 16 bytes.
+/// Rounds the length of a scratch array up, so that each array of 4-byte entries begins
+/// at a multiple of 16 bytes.
 std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
 
 std::uint32_t groups_of(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
 std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
 
-/// Threads of a subgroup. @throws DeviceError where the device lacks what the kernels
-/// need of them
+/// Returns the number of lanes of a subgroup.
+/// @throws DeviceError if the device lacks a feature that the kernels need
 std::uint32_t subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
     if (!info.software)
@@ -52,7 +53,8 @@ std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
     return models;
 }
 
-/// Nodes of the top tree of n instances, eight things a node.
+/// Returns the number of nodes in the top tree of n instances, with eight children per
+/// node.
 std::uint32_t top_nodes(std::uint32_t n) {
     std::uint32_t n_nodes = 0;
     do {
@@ -64,11 +66,11 @@ std::uint32_t top_nodes(std::uint32_t n) {
 
 }  // namespace
 
-/// Those without surfels too, which begin nowhere.
+/// Upper bound that includes every model, also models without surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// The scratch, in words times the number of surfels, padded. Keys, boxes and costs are
-/// needed no more when the collapse begins; it puts its own there.
+/// Layout of the scratch memory, in words per surfel (padded). The collapse reuses the
+/// memory of keys, boxes and costs for its arrays.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -85,25 +87,29 @@ struct Bvh::Impl {
     Kernel<shared::BvhRefitParams> refit_kernel;
     Kernel<shared::BvhTopParams> top;
     Kernel<shared::BvhCostParams> cost_kernel;
-    Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances]
-    Array<float, shared::SurfelBoxes> boxes;                ///< [n,6]
-    Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6]
-    Array<std::uint32_t> scratch;                           ///< binary trees, and the keys being sorted
+    Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
+    Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
+    Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
+    Array<std::uint32_t> scratch;                           ///< binary trees, and keys during the sort
     Array<std::uint32_t, shared::BinaryRoots> queue;        ///< [bound] binary nodes that become wide
-    Array<std::uint32_t, shared::LevelSizes> level_sizes;   ///< of the queue
+    Array<std::uint32_t, shared::LevelSizes> level_sizes;   ///< entries of the queue per level
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
-    Array<shared::BvhNode> nodes;                       ///< [bound]
-    Array<std::uint32_t, shared::LeafOrder> order;      ///< [n]
-    Array<glm::uvec2, shared::WideLinks> links;         ///< [bound]
-    Array<float, shared::WideBoxes> node_boxes;         ///< [bound,6]
-    Array<std::uint32_t, shared::Arrivals> arrivals;    ///< [bound]
-    Array<std::uint32_t, shared::WideCount> count;      ///< [1]
-    Array<std::uint32_t, shared::InstanceRoots> roots;  ///< [n_instances]
-    Array<std::uint32_t, shared::TopOrder> top_order;   ///< [n_instances]
+    Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
+    Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
+    /// [bound] parent of each node, and first surfel of its model
+    Array<glm::uvec2, shared::WideLinks> links;
+    Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
+    /// [bound] number of children that have been refitted
+    Array<std::uint32_t, shared::Arrivals> arrivals;
+    Array<std::uint32_t, shared::WideCount> count;  ///< [1] number of nodes in use
+    /// [n_instances] root node of each instance's model
+    Array<std::uint32_t, shared::InstanceRoots> roots;
+    /// [n_instances] instances in the order of the leaves
+    Array<std::uint32_t, shared::TopOrder> top_order;
     Array<shared::BvhNode> top_node_array;
     Array<float, shared::InstanceBoxes> top_boxes;
     Array<glm::uvec2> top_keys;
-    Array<float, shared::CostSums> cost_sums;  ///< of workgroups
+    Array<float, shared::CostSums> cost_sums;  ///< one per workgroup
     Readback costs;
 
     Impl(Device& device, const DeviceScene& scene);
@@ -113,8 +119,8 @@ struct Bvh::Impl {
     Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
         return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(padded(n)));
     }
-    /// Where keys are sorted: set 0 keeps the result, set 1 is overwritten by the costs
-    /// of the binary nodes.
+    /// Offset of a set of sort keys. Set 0 holds the result, set 1 is later overwritten
+    /// by the costs of the binary nodes.
     std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
     std::uint32_t levels() const;
@@ -126,7 +132,7 @@ struct Bvh::Impl {
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                     const SurfelRange& range);
     SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
-    /// @param first,last  surfels that the models which are fitted begin with
+    /// Records the node boxes of the models whose first surfel is in [first, last].
     void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
 };
 
@@ -177,8 +183,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       cost_sums(d, groups_of(bound), "cost sums"),
       costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
 
-/// Launches of bvh_wide_mark that are as wide as the level may be; a full tree of this
-/// bound is not deeper than 4 levels less.
+/// Returns the number of bvh_wide_mark launches, each as large as its level can be. A
+/// full tree with this capacity has 4 levels fewer.
 std::uint32_t Bvh::Impl::levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
@@ -229,7 +235,7 @@ SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // so that the result is set 0
+    // chosen so that the result is in set 0
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),
@@ -285,7 +291,7 @@ Bvh::Bvh(Device& device, const DeviceScene& scene) {
     Stream stream(device);
     for (const Buffer* zero : {&impl_->nodes.buffer(), &impl_->arrivals.buffer(), &impl_->count.buffer()})
         stream.fill(*zero);
-    // as models without surfels keep them
+    // Initial value that models without surfels keep.
     for (const Buffer* none : {&impl_->links.buffer(), &impl_->queue.buffer()})
         stream.fill(*none, RELIDAR_BVH_NO_NODE);
     stream.finish();

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The software acceleration structure (shared/bvh.h), built and refitted on the device.
+// The software acceleration structure (relidar/diff/bvh.h), which the device builds and
+// refits.
 // One forest holds the trees of all models, so the number of launches does not depend on
-// how many there are: sort along a space-filling curve, binary trees by agglomeration,
-// collapse to the cheapest eight children, boxes bottom up. The host waits for nothing
-// and reads nothing but in take_cost() and download(). Memory: 24 B a surfel for boxes,
-// 92 for scratch, 4 for the order, 30 for wide nodes (at most n / 4 and one a model).
+// the number of models. The steps are: sort along a space-filling curve, cluster into
+// binary trees, collapse into wide nodes of eight children, compute boxes bottom up. Only
+// take_cost() and download() make the host wait. Memory per surfel: 24 B for boxes, 92 B
+// for scratch, 4 B for the order, 30 B for wide nodes (at most n / 4 nodes, plus one per
+// model).
 #pragma once
 
 #include <cstdint>
@@ -19,48 +21,51 @@
 
 namespace relidar {
 
-/// All of a structure on the host, for tests and measurements.
+/// Copy of a structure on the host, for tests and measurements.
 struct BvhOnHost {
-    std::vector<shared::BvhNode> nodes;  ///< as far as they are in use
-    std::vector<std::uint32_t> order;    ///< [n]
-    std::vector<std::uint32_t> roots;    ///< [n_instances]
+    std::vector<shared::BvhNode> nodes;  ///< nodes in use
+    std::vector<std::uint32_t> order;    ///< [n] surfels in the order of the leaves
+    std::vector<std::uint32_t> roots;    ///< [n_instances] root node of each instance's model
     std::vector<shared::BvhNode> top_nodes;
-    std::vector<std::uint32_t> top_order;  ///< [n_instances]
-    std::vector<float> boxes;              ///< [n,6] m: of the surfels; low above high where never hit
+    std::vector<std::uint32_t> top_order;  ///< [n_instances] instances in the order of the leaves
+    /// [n,6] m: boxes of the surfels; low above high for surfels that are never hit
+    std::vector<float> boxes;
 };
 
 class Bvh {
 public:
-    /// Room for the surfels, models and instances of a scene. Nothing is built yet.
-    /// @throws DeviceError where the device has no subgroup arithmetic and ballots in
-    /// compute, or subgroups of fewer than 4
+    /// Allocates memory for the surfels, models and instances of a scene. Does not build
+    /// the structure.
+    /// @throws DeviceError if compute shaders lack subgroup arithmetic or ballots, or
+    /// subgroups have fewer than 4 lanes
     Bvh(Device& device, const DeviceScene& scene);
     ~Bvh();
 
-    /// Records boxes from the scene's records and a full build of all model trees and the
-    /// top tree.
+    /// Records the surfel boxes and a full build of all model trees and the top tree.
     void build(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
-    /// Records boxes and new node bounds bottom up, same topology, then the top tree.
-    /// Needs a build before.
-    /// @param ranges  whose trees: the surfels of others have not changed
+    /// Records new surfel boxes, new node boxes with the same topology, and the top tree.
+    /// build() must have been called before.
+    /// @param ranges  models to update; the surfels of other models must not have changed
     void refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                const std::vector<SurfelRange>& ranges);
-    /// Records the top tree alone: instances have moved.
+    /// Records only the top tree. Call it after instances have moved.
     void move(Stream& stream, const DeviceScene& scene);
 
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
-    /// Surface-area cost of all trees as they are now, m^2: half areas of nodes, and of
-    /// leaf slots times the tests of their surfels. Compare with the value after the last
-    /// build. Recorded now, read when submitted: waits where it is not done; nothing
-    /// where none was recorded since the last.
+    /// Computes the surface-area cost of all current trees in m^2: half areas of nodes,
+    /// and of leaf slots times the cost of testing their surfels. Compare the cost with
+    /// its value after the last build. record_cost() records the kernel. take_cost()
+    /// waits for the result and returns it, or nothing if no cost was recorded since the
+    /// last call.
     void record_cost(Stream& stream);
     std::optional<double> take_cost(Stream& stream);
-    /// Blocking; what was recorded must have been submitted.
+    /// Copies the structure to the host and blocks. All recorded commands must have been
+    /// submitted.
     BvhOnHost download() const;
 
-    /// Wide nodes there is room for: n surfels make at most n / 4 nodes besides the roots
-    /// (diff/accel/bvh_wide_mark).
+    /// Returns the capacity in wide nodes. n surfels make at most n / 4 nodes besides the
+    /// roots (diff/accel/bvh_wide_mark).
     static std::uint32_t node_bound(std::uint32_t n_surfels, std::uint32_t n_models) {
         return n_surfels / 4 + n_models;
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bottom levels (one a model) and the top level (one instance a placed model), built and
-// refitted by the driver.
+// Bottom levels (one per model) and the top level (one instance per placed model), which
+// the driver builds and refits.
 #include "diff/accel/hardware.hpp"
 
 #include <algorithm>
@@ -47,14 +47,16 @@ struct Structure {
     Structure& operator=(const Structure&) = delete;
 };
 
-/// What one build reads, kept together because Vulkan wants pointers between the pieces.
+/// Input of one build. The parts stay together because Vulkan structs point to each
+/// other.
 struct BuildInput {
     VkAccelerationStructureGeometryKHR geometry{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_KHR};
     VkAccelerationStructureBuildGeometryInfoKHR info{
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
-    /// @param n primitives or instances
+    /// Queries the memory sizes of a build.
+    /// @param n  number of primitives or instances
     VkAccelerationStructureBuildSizesInfoKHR sizes(Device::Impl& device, std::uint32_t n) {
         range.primitiveCount = n;
         info.geometryCount = 1;
@@ -75,8 +77,8 @@ struct BuildInput {
     }
 };
 
-/// One command for all of them, so that they are built at the same time. Takes the inputs
-/// as they are now.
+/// Records one command for all builds, so that the device can run them concurrently.
+/// Copies the inputs.
 void record_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
     stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
@@ -91,10 +93,10 @@ void record_builds(Stream::Impl& stream, const std::string& name, std::vector<Bu
     });
 }
 
-/// Triangles over the corners that diff/accel/proxies writes.
+/// Triangles between the corners that diff/accel/proxies writes.
 struct Mesh {
     std::uint32_t n_corners;
-    std::vector<std::uint32_t> corners;  ///< [triangles,3]
+    std::vector<std::uint32_t> corners;  ///< [triangles,3] indices of the corners
 
     std::uint32_t n_triangles() const { return static_cast<std::uint32_t>(corners.size() / 3); }
 };
@@ -104,7 +106,7 @@ const Mesh kIcosahedron{
     12, {0, 1, 8, 0, 1, 10, 0, 4, 5,  0, 4, 8, 0, 5, 10, 1, 6, 7,  1, 6, 8, 1, 7,  10, 2, 3, 9, 2, 3,  11,
          2, 4, 5, 2, 4, 9,  2, 5, 11, 3, 6, 7, 3, 6, 9,  3, 7, 11, 4, 8, 9, 5, 10, 11, 6, 8, 9, 7, 10, 11}};
 
-/// Vertex indices of n meshes one behind the other.
+/// Returns the vertex indices of n consecutive meshes.
 std::vector<std::uint32_t> triangle_indices(const Mesh& mesh, std::uint32_t n) {
     std::vector<std::uint32_t> indices;
     indices.reserve(mesh.corners.size() * n);
@@ -119,17 +121,19 @@ struct HardwareAccel::Impl {
     Proxy proxy;
     const Mesh& mesh;
     Kernel<shared::ProxyParams> proxies;
-    Array<float> geometry;         ///< vertices [n,corners,3] or boxes [n,6]
-    Array<std::uint32_t> reach;    ///< [1] of icosahedra
-    Array<std::uint32_t> indices;  ///< of the largest model; shared by all, each with its own first vertex
-    std::vector<std::unique_ptr<Structure>> blas;  ///< one a model, null where it has no surfels
+    Array<float> geometry;       ///< vertices [n,corners,3] or boxes [n,6]
+    Array<std::uint32_t> reach;  ///< [1] reach of the icosahedra
+    /// for the largest model; all models share it with different first vertices
+    Array<std::uint32_t> indices;
+    std::vector<std::unique_ptr<Structure>> blas;  ///< one per model, null for a model without surfels
     std::vector<BuildInput> blas_input;
-    std::vector<std::uint64_t> blas_scratch;  ///< offset of each: they are built at the same time
+    /// one offset per model, because models are built concurrently
+    std::vector<std::uint64_t> blas_scratch;
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
     Kernel<shared::ModelRadiiParams> model_radii;
-    Array<std::uint32_t, shared::ModelRadii> radii;  ///< [models]
-    Array<shared::MovingInstance> moving;            ///< [instances] room for all
+    Array<std::uint32_t, shared::ModelRadii> radii;  ///< [models] radius of each model
+    Array<shared::MovingInstance> moving;            ///< [instances] capacity for all instances
     std::uint32_t n_moving = 0;
     Buffer scratch;
     std::uint64_t scratch_address = 0;
@@ -157,8 +161,8 @@ struct HardwareAccel::Impl {
     std::uint64_t write_instances(Stream::Impl& stream, const DeviceScene& scene);
 };
 
-/// Geometry of one bottom level: the model's slice of the proxy array. No opaque flag:
-/// every candidate must be offered.
+/// Describes the geometry of one bottom level: the model's part of the proxy array. The
+/// geometry is not opaque, because every candidate must be offered.
 void HardwareAccel::Impl::describe_model(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
@@ -190,8 +194,8 @@ void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<s
     if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
 }
 
-/// Writes the instances of models that have surfels into memory of the stream. @return
-/// their device address
+/// Writes the instances of models that have surfels into memory of the stream.
+/// @return device address of the instances
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
     std::vector<VkAccelerationStructureInstanceKHR> rows;
@@ -298,9 +302,11 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    if (a.reach.size() && n == scene.size()) stream.fill(a.reach);  // else that of the others is in it
+    // a partial update must keep the maximum of the other models
+    if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
-    if (n == scene.size()) stream.fill(a.radii);  // else the radii of the other models stay
+    // a partial update must keep the radii of the other models
+    if (n == scene.size()) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.measure_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
     for (std::size_t i = 0; i < a.blas.size(); ++i) {
@@ -327,10 +333,10 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 void HardwareAccel::fill(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
-    // of bits that grow as the float does
+    // The bits of a positive float have the same order as the float.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.moving = a.moving.address();
-    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // likewise
+    addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // also bits of floats
     addresses.n_moving = a.n_moving;
 }
 

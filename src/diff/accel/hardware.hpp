@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The driver's acceleration structures over proxies (M3): what ray query searches. One
-// bottom level a model, one instance a placed model. Needs a device opened for ray query.
+// Acceleration structures of the driver over the proxies (M3), for ray query. One bottom
+// level per model, one instance per placed model. Needs a device with ray query.
 #pragma once
 
 #include <cstdint>
@@ -15,19 +15,20 @@ namespace relidar {
 
 class HardwareAccel {
 public:
-    /// Room for the scene. Nothing is built yet. @param proxy triangles or boxes
+    /// Allocates memory for the scene. Does not build the structures.
+    /// @param proxy  triangles or boxes
     HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
     ~HardwareAccel();
 
-    /// Records proxies, a build or refit of bottom levels, and the top level. A refit
-    /// needs a build before.
-    /// @param ranges  the models of which: the surfels of others have not changed
+    /// Records the proxies, a build or refit of bottom levels, and the top level. A refit
+    /// needs an earlier build.
+    /// @param ranges  models to update; the surfels of other models must not have changed
     void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                 const std::vector<SurfelRange>& ranges, bool refit);
-    /// Records the top level alone.
+    /// Records only the top level.
     void move(Stream& stream, const DeviceScene& scene);
 
-    /// Fills in what ray query reads.
+    /// Sets the addresses that ray query reads.
     void fill(AccelAddresses& addresses) const;
     std::uint64_t memory_bytes() const;
 

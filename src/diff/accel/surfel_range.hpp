@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which surfels a refit follows.
+// Range of surfels that a refit updates.
 #pragma once
 
 #include <cstdint>

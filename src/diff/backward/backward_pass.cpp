@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/backward/trace: second cast, sums of its hits, then the chain rule once
-// a surfel (Eq. 9, M7, M8).
+// Binding of diff/backward/trace: casts the rays again, sums the gradients of the hits,
+// and applies the chain rule per surfel (Eq. 9, M7, M8).
 #include <relidar/diff/backward.hpp>
 
 #include <fmt/format.h>
@@ -19,19 +19,20 @@ namespace {
 
 constexpr std::uint32_t kMostHitsPerRay = 4096;
 
-/// Where SH are evaluated a hit there are 64 atomics a hit, and one record beats them;
-/// with 16 they are about equal, and need no memory. A device without float atomics has
-/// compare-and-swap loops instead, which wait for each other where many rays meet one
-/// surfel.
+/// Returns true if hits are recorded and summed without atomics. If SH are evaluated per
+/// hit, a hit needs 64 atomics, and one record is faster. With 16 atomics both are about
+/// equally fast, but atomics need no memory. A device without float atomics uses
+/// compare-and-swap loops, which block each other if many rays hit one surfel.
 bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
     if (reduction != Reduction::automatic) return reduction == Reduction::gather;
     return direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// An atomic instruction of a GPU costs by the cache sectors it touches, one of a CPU by
-/// the lane: docs/performance.md. Lanes exchange their hits in loops that they leave at
-/// different times, which is right by the specification only where they are said to
-/// reconverge.
+/// Returns true if lanes exchange rows before they add them. The cost of an atomic
+/// instruction depends on the number of cache sectors on a GPU, but on the number of
+/// lanes on a CPU (docs/performance.md). Lanes leave the loops of hits at different
+/// times. The specification guarantees a correct exchange only if the device supports
+/// maximal reconvergence.
 bool exchanges_rows(const Device& device, const BackwardOptions& backward, bool gathered) {
     return !gathered && backward.coalesced_atomics.value_or(coalesces(device) && reconverges(device));
 }
@@ -43,8 +44,8 @@ struct BackwardPass::Impl {
     TraceOptions options;
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
-    std::unique_ptr<HitGather> gather;  ///< null: atomics
-    /// the forward pass reports; here it only must not be null
+    std::unique_ptr<HitGather> gather;  ///< null: uses atomics
+    /// The forward pass reports the count. Here it must only not be null.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy,
@@ -54,8 +55,8 @@ struct BackwardPass::Impl {
         all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = exchanges_rows(device, backward, gathered);
         all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // a subgroup each: lavapipe takes a barrier of a subgroup for one of the
-        // workgroup
+        // One subgroup per workgroup, because lavapipe treats a subgroup barrier as a
+        // barrier of the workgroup.
         if (exchanged)
             all.push_back(
                 {ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});

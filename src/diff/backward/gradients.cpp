@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The arrays of all gradients.
+// Allocates the arrays of all gradients.
 #include "diff/backward/pose_gradients.hpp"
 
 namespace relidar {

@@ -33,7 +33,7 @@ HitGather::HitGather(Device& device, const ImageModel& model, std::uint32_t hits
       prefix_sum_(device) {}
 
 void HitGather::reserve(std::uint64_t n_hits) {
-    constexpr std::uint64_t kMost = 1ull << 31;  // slots have 32 bits
+    constexpr std::uint64_t kMost = 1ull << 31;  // slot indices have 32 bits
     const auto capacity = static_cast<std::uint32_t>(std::min(n_hits, kMost));
     if (sort_ && capacity <= sort_->capacity()) return;
     sort_.reset();

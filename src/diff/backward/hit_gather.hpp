@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Hit records of the second cast, their order by surfel, and their sums
-// (diff/backward/gather, gather_heads): the way without atomics.
+// Hit records of the backward pass, sorted by surfel and summed without atomics
+// (diff/backward/gather, gather_heads).
 #pragma once
 
 #include <memory>
@@ -15,22 +15,22 @@ namespace relidar {
 
 class HitGather {
 public:
-    /// @param hits_per_ray  room for records is made for so many a ray of the largest
-    /// batch
+    /// Creates the kernels.
+    /// @param hits_per_ray  capacity in records per ray of the largest batch
     HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
               const TraceOptions& options);
-    /// Makes room for a batch and, in the stream, gives each ray its slots: those of its
-    /// rendered hits, in the order of rays. Waits where a batch is larger than any
-    /// before.
+    /// Allocates memory for a batch. Records the assignment of slots to rays: one slot
+    /// per rendered hit, in the order of rays. Waits if a batch is larger than all
+    /// batches before.
     void assign_slots(Stream& stream, const RenderedBatch& batch);
-    /// Where the second cast writes.
+    /// Sets the output addresses of the backward kernel.
     void fill(shared::BackwardParams& params) const;
-    /// Sums the records by row into what the second cast was given for it.
+    /// Sums the records by row into the gradient arrays of `params`.
     void run(Stream& stream, const shared::BackwardParams& params);
-    /// [1] of the largest batch since it was set to 0
+    /// Largest number of hits [1] of a batch since the value was reset to 0.
     const Array<std::uint32_t>& most_hits() const { return most_hits_; }
     std::uint64_t capacity() const { return sort_ ? sort_->capacity() : 0; }
-    /// Room for so many hits, at least. The device must be idle.
+    /// Allocates memory for at least this many hits. The device must be idle.
     void reserve(std::uint64_t n_hits);
 
 private:
@@ -42,11 +42,11 @@ private:
     Array<std::uint32_t, shared::FirstHits> first_hit_;
     Array<shared::HitRecord> hits_;
     Array<float, shared::RowParts> parts_;
-    Array<std::uint32_t, shared::HitRows> rows_[2];    ///< sort keys
-    Array<std::uint32_t, shared::HitSlots> slots_[2];  ///< where the hits lie
-    PrefixSum prefix_sum_;                             ///< over rays
-    std::unique_ptr<RadixSort> sort_;                  ///< by row
-    std::uint32_t n_rays_ = 0;                         ///< of the present batch
+    Array<std::uint32_t, shared::HitRows> rows_[2];    ///< row of each hit, the sort keys
+    Array<std::uint32_t, shared::HitSlots> slots_[2];  ///< slots of the hits in sorted order
+    PrefixSum prefix_sum_;                             ///< prefix sum over rays
+    std::unique_ptr<RadixSort> sort_;                  ///< sorts by row
+    std::uint32_t n_rays_ = 0;                         ///< rays of the current batch
 };
 
 }  // namespace relidar

@@ -11,14 +11,14 @@
 namespace relidar {
 namespace {
 
-constexpr std::uint32_t kThreads = 64;  // of a workgroup
-// surfels of a workgroup: of a million both halves of the sum take 16 steps a thread, and
-// a tree
+constexpr std::uint32_t kThreads = 64;  // threads per workgroup
+// Surfels per workgroup. For a million surfels, both halves of the sum take 16 steps per
+// thread, and a tree.
 constexpr std::uint32_t kBlock = 1024;
 
 struct BlockTable {
     std::vector<shared::PoseBlock> blocks;
-    std::vector<std::uint32_t> first;  ///< [instances + 1]
+    std::vector<std::uint32_t> first;  ///< [instances + 1] first block of each instance
 };
 
 BlockTable block_table(const DeviceScene& scene) {

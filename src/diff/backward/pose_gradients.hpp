@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses and of the sensor's pose from record gradients
+// Computes gradients of instance poses and of the sensor's pose from record gradients
 // (diff/backward/pose_blocks, poses, sensor_pose).
 #pragma once
 
@@ -10,22 +10,22 @@
 
 namespace relidar {
 
-/// Surfels of all instances in blocks, and the sums over each.
+/// Blocks of surfels of all instances, and the sum of each block.
 struct Gradients::PoseSums {
     Array<shared::PoseBlock> blocks;
-    Array<std::uint32_t> first_block;            ///< [instances + 1]
-    Array<float, shared::PoseSums> sums;         ///< [blocks, RELIDAR_POSE_SUMS]
-    Array<float, shared::ViewGradients> d_view;  ///< [n,3] of activate_vjp
+    Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
+    Array<float, shared::PoseSums> sums;         ///< [blocks, RELIDAR_POSE_SUMS] sum of each block
+    Array<float, shared::ViewGradients> d_view;  ///< [n,3] output of activate_vjp
 
     PoseSums(Device& device, const DeviceScene& scene);
 };
 
-/// The three kernels.
+/// The three kernels of pose gradients.
 class PoseGradients {
 public:
     explicit PoseGradients(Device& device);
-    /// Fills gradients.poses and gradients.sensor from gradients.records and what
-    /// activate_vjp left in pose_sums.
+    /// Computes gradients.poses and gradients.sensor from gradients.records and from the
+    /// output of activate_vjp in pose_sums.
     void run(Stream& stream, const DeviceScene& scene, const ImageModel& model,
              const glm::vec3& view_origin_m, Gradients& gradients);
 

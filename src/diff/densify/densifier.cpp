@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/densify/observe, classify, spawn and reset_opacity, and the order of a
-// densification: classify, read the counts back, make room, hand out copies, move every
-// array, give the new surfels their values.
+// Bindings of diff/densify/observe, classify, spawn and reset_opacity, and the steps of a
+// densification: classify, read the counts back, allocate memory, distribute copies, move
+// every array, compute the values of new surfels.
 #include <relidar/diff/densify.hpp>
 
 #include <cmath>
@@ -25,16 +25,17 @@ constexpr float kUnbounded = std::numeric_limits<float>::infinity();
 
 double logit(double p) { return std::log(p / (1.0 - p)); }
 
-/// What is asked of classification.
+/// Settings of a classification.
 struct Rules {
     float min_opacity = 0.0f;
     float max_extent_share = kUnbounded;
 };
 
-/// What each use of random numbers is mixed with.
+/// Salt for each use of random numbers.
 enum class Draw : std::uint64_t { classify = 1, phase = 2 };
 
-constexpr double kResetOverAlphaMin = 2.5;  // what is reset stays visible, or it would never learn again
+// reset surfels must stay visible, otherwise they would get no gradient
+constexpr double kResetOverAlphaMin = 2.5;
 
 }  // namespace
 
@@ -46,12 +47,13 @@ struct Densifier::Impl {
     std::uint64_t seed;
     std::vector<double> extents_m;
     Rearrangement arrays;
-    Array<std::uint32_t, shared::DensifyCounters> counters;  ///< [n_models, RELIDAR_DENSIFY_COUNTERS]
+    /// [n_models, RELIDAR_DENSIFY_COUNTERS] counters of each model
+    Array<std::uint32_t, shared::DensifyCounters> counters;
     Kernel<shared::ObserveParams> observe;
     Kernel<shared::ClassifyParams> classify;
     Kernel<shared::SpawnParams> spawn;
     Kernel<shared::ResetOpacityParams> reset_opacity;
-    /// surfels, once it has been met
+    /// Maximum number of surfels, set when memory is exhausted.
     std::uint32_t memory_limit = std::numeric_limits<std::uint32_t>::max();
 
     Impl(Device& d, const Scene& scene, const DensifyOptions& o, float alpha_min, std::uint32_t n_frames,
@@ -117,12 +119,13 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
     return result;
 }
 
-/// @return the largest size tried, at most `wanted`, for which there is memory; the
-/// arrays then have room for it
+/// Allocates memory for a densification.
+/// @return the largest tested size, at most `wanted`, that fits into memory; the arrays
+/// then have this capacity
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted,
                                          double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();
-    // parameters, moments and records
+    // bytes of parameters, moments and records
     const double others = 4.0 * (3.0 * floats_per_surfel(scene.parameters().parameters()) + 16.0);
     const double bytes = double(arrays.bytes_per_surfel()) + others;
     const auto fits = [&](std::uint32_t target, double capacity) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sizes after a densification, from counts alone.
+// Computes the sizes after a densification from counts.
 #include "diff/densify/growth_plan.hpp"
 
 #include <algorithm>

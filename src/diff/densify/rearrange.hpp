@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The arrays of a densification and the move of everything that belongs to a surfel into
-// its new order, through one spare set of arrays that takes the place of each set in
-// turn. Private to densify.
+// Arrays of a densification, and the move of all per-surfel arrays into the new order.
+// One spare set of arrays is swapped with each set in turn. Private to densify.
 #pragma once
 
 #include <relidar/diff/densify.hpp>
@@ -15,28 +14,31 @@ namespace relidar {
 class Rearrangement {
 public:
     Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of);
-    /// Makes room for so many surfels. Nothing may be in flight. @throws DeviceError
-    /// where memory is exhausted: nothing is lost
+    /// Allocates memory for a number of surfels. No commands may be pending.
+    /// @throws DeviceError if memory is exhausted; the data stays valid
     void reserve(std::uint32_t capacity);
     std::uint32_t capacity() const;
-    /// Bytes held a surfel.
+    /// Returns the memory per surfel in bytes.
     std::size_t bytes_per_surfel() const;
-    /// Records who gets copies and where each row goes, from `action` and `weight`.
+    /// Records the distribution of copies and the new position of each row, from `action`
+    /// and `weight`.
     void allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before);
-    /// Records the move of a set into its new order; the sizes are the plan's afterwards.
-    /// @param fresh as in shared::MoveParams
+    /// Records the move of a set of arrays into the new order.
+    /// @param fresh  as in shared::MoveParams
+    /// @param after  number of surfels after the move
     void move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after);
-    /// Records the move of the statistics, which then start over: only in which frames a
-    /// surfel was seen is kept.
+    /// Records the move of the statistics and resets them. Keeps only the frames in which
+    /// a surfel was visible.
     void move_statistics(Stream& stream);
     /// Records zeros in sums and counts.
     void start_over(Stream& stream);
 
     SurfelStatistics statistics;
-    // [n] before
+    // [n] in the old order
     Array<std::uint32_t, shared::DensifyActions> action;
     Array<std::uint32_t, shared::GrowthWeights> weight;
-    Array<std::uint32_t, shared::RowStarts> starts;  ///< holds the cumulative weights first
+    /// holds the cumulative weights before the row starts
+    Array<std::uint32_t, shared::RowStarts> starts;
     Array<std::uint32_t, shared::RowCounts> n_rows;
 
 private:

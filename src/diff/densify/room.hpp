@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Whether device memory holds out, tried before anything is moved: what does not fit is
-// never half allocated. Private to densify.
+// Checks for free device memory before arrays are moved, so that a failed densification
+// changes nothing. Private to densify.
 #pragma once
 
 #include <algorithm>
@@ -12,9 +12,11 @@
 
 namespace relidar {
 
-/// Whether so many bytes can be had now, in pieces. @return empty, or why not
+/// Tries to allocate this many bytes in pieces.
+/// @return an empty string, or the reason why it failed
 inline std::string missing_memory(Device& device, double n_bytes) {
-    constexpr double kPiece = double(256 << 20);  // drivers limit single allocations, not only their sum
+    // drivers limit single allocations in addition to their sum
+    constexpr double kPiece = double(256 << 20);
     std::vector<Buffer> pieces;
     try {
         for (; n_bytes > 0.0; n_bytes -= kPiece)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass once more, counting: builds of its own, so that the counters cost
-// nothing where they are not asked for.
+// Repeats the forward pass with counters. Uses separate kernel variants, so that the
+// counters cost nothing in normal rendering.
 #include "diff/forward/count_visits.hpp"
 
 #include "diff/forward/hit_lists.hpp"
@@ -36,7 +36,7 @@ std::optional<VisitCounts> count_visits(Device& device, const DeviceScene& scene
                                     .surface_gap_m = options.mode_gap_m.value_or(0.0f)};
     std::optional<HitLists> lists;
     if (appends_hits(device, options)) {
-        // what lists come to
+        // large enough for all hits
         lists.emplace(device, KernelVariant("@software_bvh"), constants, RELIDAR_MOST_ROOM);
         lists->run(stream, batch, params);
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/forward/trace: rays in, rendered rays out (Eq. 2-4); behind the lists
-// of hit_lists.cpp, where there are any.
+// Binding of diff/forward/trace, which renders rays (Eq. 2-4). Runs after the hit lists
+// of hit_lists.cpp, if they are used.
 #include <relidar/diff/forward.hpp>
 
 #include <fmt/format.h>
@@ -20,7 +20,7 @@ struct ForwardPass::Impl {
     Kernel<shared::ForwardParams> trace;
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
     Array<std::uint32_t, shared::OverfullCount> n_overfull;
-    std::optional<HitLists> lists;  ///< where rays append their hits
+    std::optional<HitLists> lists;  ///< set if rays append their hits to lists
 
     Impl(Device& device, const ImageModel& m, Proxy proxy, const TraceOptions& o)
         : model(m),
@@ -55,7 +55,8 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
     RELIDAR_ASSERT_LE(end, batch.rays->size());
     RELIDAR_ASSERT_LE(batch.targets ? end : 0, batch.targets ? batch.targets->size() : 0);
     RELIDAR_ASSERT_EQ(!kept || kept->hold(batch), true);
-    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);  // whole rows
+    // an image must have complete rows
+    RELIDAR_ASSERT_LE(batch.columns ? batch.n_rays % batch.columns : 0u, 0u);
     RELIDAR_ASSERT_LE(impl_->options.has_surfaces() ? std::size_t(batch.n_rays) : 0,
                       surfaces ? surfaces->size() : 0);
     shared::ForwardParams params = {

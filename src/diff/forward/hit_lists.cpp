@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/forward/append, diff/forward/sort_hits and diff/forward/blend, and how
-// much room lists have.
+// Bindings of diff/forward/append, diff/forward/sort_hits and diff/forward/blend, and the
+// capacity of hit lists.
 #include "diff/forward/hit_lists.hpp"
 
 #include <algorithm>
@@ -12,10 +12,11 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kMostLists = std::size_t(1) << 24;  // threads that sort them are counted in 32 bits
+// the number of threads that sort them must fit into 32 bits
+constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
-/// What all lists may take: an eighth of the device's memory; where it is not known, as
-/// much as a small GPU's.
+/// Returns the memory limit of all lists: an eighth of the device's memory, or of 8 GiB
+/// if the size is unknown.
 std::size_t most_bytes(const Device& device) {
     const std::size_t memory = device.info().memory_bytes;
     return (memory ? memory : std::size_t(8) << 30) / 8;
@@ -50,7 +51,8 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
                    "rays with more hits than their lists have room for"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {}
 
-/// As many lists, with as much of the room as there is memory for; without any, none.
+/// Allocates the hit lists with as much of the requested capacity as fits into the free
+/// device memory. Allocates none if there is no free memory.
 void HitLists::make_hits(std::size_t n_lists) {
     const std::uint32_t wanted = room_;
     hits_ = {};
@@ -59,16 +61,16 @@ void HitLists::make_hits(std::size_t n_lists) {
         try {
             hits_ = Array<shared::Hit>(device_, n_lists * room_, "lists of hits");
             break;
-        } catch (const DeviceError&) {  // no memory for so many
+        } catch (const DeviceError&) {  // not enough memory for this capacity
         }
     }
     hits_room_ = room_;
     if (room_ < wanted) grows_ = false;
 }
 
-/// Whether any ray had more hits than its list has room for: the whole device may wait
-/// for the few that diff/forward/trace renders then. Looked at so late that it costs no
-/// wait: the stream has waited for that submission, to record into its slot again.
+/// Returns true if a ray had more hits than its list can hold. The full device may wait
+/// for the few rays that diff/forward/trace then renders. Reads the count so late that no
+/// wait is needed: the stream has already waited for that submission to reuse its slot.
 bool HitLists::wants_more_room(Stream& stream) {
     if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
@@ -78,27 +80,27 @@ bool HitLists::wants_more_room(Stream& stream) {
     return grows_ && room_ < most_room_ && n_overflows > 0;
 }
 
-/// Finds memory for lists: that of the hits which are kept for the backward pass, where a
-/// list's room is no more than that.
+/// Provides memory for lists. Uses the memory of the hits for the backward pass if it is
+/// large enough.
 shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
     if (wants_more_room(stream)) {
         room_ = std::min(2 * room_, most_room_);
-        stream.fill(n_overflows_);  // those of shorter lists
+        stream.fill(n_overflows_);  // discards the count of the shorter lists
         overflows_before_ = 0;
     }
     const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;
     const bool own_fit = hits_room_ == room_ && hits_.size() >= n * room_;
-    // nobody may be writing lists that go
+    // The device must not write to lists that are about to be freed.
     if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();
     if (in_kept) hits_ = {};
-    // as many as there ever were
+    // at least as many lists as before
     else if (!own_fit) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));
     try {
         if (lengths_.size() < n)
             lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");
-    } catch (const DeviceError&) {  // no memory for lists
+    } catch (const DeviceError&) {  // not enough memory for lists
         return {};
     }
     const std::uint32_t room = in_kept ? kept->per_ray : room_;
@@ -120,7 +122,7 @@ void HitLists::run(Stream& stream, const RayBatch& batch, shared::ForwardParams&
     const shared::HitLists lists = make_room(stream, n, kept);
     if (lists.room == 0) return;
     params.lists = lists;
-    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without memory of their own
+    params.kept_in_lists = kept && hits_.size() == 0 ? 1 : 0;  // lists without separate memory
     relidar::run(stream, append_, n,
                  {.scene = params.scene, .lists = lists, .n_overflows = n_overflows_.address()});
     count_overflows(stream);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass by lists: rays append what they meet, lists are sorted, then blended.
-// Private to forward.
+// The forward pass with hit lists: rays append their hits, the lists are sorted, then
+// blended. Private to forward.
 #pragma once
 
 #include <memory>
@@ -12,30 +12,32 @@
 
 namespace relidar {
 
-/// Whether rays append their hits to lists. On a CPU an ordered buffer lies in the cache
-/// and costs less than a second launch.
+/// Returns true if rays append their hits to lists. On a CPU an ordered buffer stays in
+/// the cache and is faster than a second launch.
 inline bool appends_hits(const Device& device, const TraceOptions& options) {
     return options.order == HitOrder::automatic ? device.info().type != "CPU"
                                                 : options.order == HitOrder::lists;
 }
 
-/// Hits that a list may have room for, so that the lanes of a subgroup can sort it.
+/// Returns the maximum capacity of a list that the lanes of a subgroup can sort.
 std::uint32_t most_list_room(const Device& device);
 
 class HitLists {
 public:
-    /// @param constants  of the tracing kernels @param room  hits that a list has room
-    /// for at first; more than there may be: as many
+    /// Creates the kernels.
+    /// @param constants  constants of the tracing kernels
+    /// @param room  initial capacity of a list, limited to the maximum
     HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room);
 
-    /// Renders the rays of a batch whose lists are fit, and fills `params.lists`, by
-    /// which diff/forward/trace knows the others. Where the device has no memory for
-    /// lists it stays empty: then these are all rays. One stream alone may be given.
-    /// @param kept  of `params`: lists are made in its memory where they find room there,
-    /// and need not be copied
+    /// Renders the rays of a batch whose lists are fit. Sets `params.lists`, so that
+    /// diff/forward/trace can identify the other rays. If the device has no memory for
+    /// lists, `params.lists` stays empty and diff/forward/trace renders all rays. All
+    /// calls must use the same stream.
+    /// @param kept  hit storage of `params`; lists use its memory if it is large enough,
+    /// which avoids a copy
     void run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
              const KeptHits* kept = nullptr);
-    std::uint32_t room() const { return room_; }  ///< hits that a list has room for
+    std::uint32_t room() const { return room_; }  ///< capacity of a list in hits
 
 private:
     Device& device_;
@@ -44,13 +46,13 @@ private:
     Kernel<shared::SortHitsParams> sort_;
     std::uint32_t most_room_, room_;
     bool grows_ = true;
-    Array<shared::Hit> hits_;      ///< empty where lists are in the memory of kept hits
-    std::uint32_t hits_room_ = 0;  ///< of a list there
+    Array<shared::Hit> hits_;      ///< empty if lists use the memory of kept hits
+    std::uint32_t hits_room_ = 0;  ///< capacity of a list in `hits_`
     Array<std::uint32_t, shared::ListLengths> lengths_;
     Array<std::uint32_t, shared::OverflowCount> n_overflows_;
     Readback overflows_;
-    std::uint64_t counted_until_ = 0;     ///< ticket of the submission that reads the count back
-    std::uint32_t overflows_before_ = 0;  ///< what was read last
+    std::uint64_t counted_until_ = 0;     ///< ticket of the submission that reads the count
+    std::uint32_t overflows_before_ = 0;  ///< overflow count that was read before
 
     void make_hits(std::size_t n_lists);
     shared::HitLists make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The composition of activation, acceleration structure and forward pass, and the arrays
-// of what rays render.
+// Combines activation, acceleration structure and forward pass, and owns the arrays of
+// rendered values.
 #include <relidar/diff/forward.hpp>
 
 #include <algorithm>
@@ -26,7 +26,7 @@ struct Renderer::Impl {
     ForwardPass forward;
     bool placed = false;
     glm::vec3 view_origin_m{0.0f};
-    Array<DeviceRay> host_rays;  ///< of forward()
+    Array<DeviceRay> host_rays;  ///< rays of forward()
     Array<shared::RenderedRay> rendered;
     std::optional<KeptHits> kept;
     std::optional<Array<shared::RenderedSurface>> surfaces;
@@ -52,7 +52,7 @@ struct Renderer::Impl {
     }
 
     void make_kept_hits(std::size_t n_threads) {
-        kept.reset();  // before others are there: nobody reads them any more
+        kept.reset();  // freed before the allocation; no command reads them any more
         if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
         batch.kept = kept ? &*kept : nullptr;
     }
@@ -66,7 +66,7 @@ Renderer::~Renderer() = default;
 void Renderer::place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m) {
     Impl& r = *impl_;
     r.view_origin_m = view_origin_m;
-    r.scene.place(r.stream, placed);  // Eq. 4-5
+    r.scene.place(r.stream, placed);  // Eq. 4-5 of the paper
     r.scene.activate(r.stream, r.model, view_origin_m);
     r.accel->update(r.stream, r.scene);
     r.placed = true;
@@ -91,19 +91,19 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.stream.finish();
         r.make_room(rays.n_rays);
     }
-    if (r.kept && !r.kept->hold(rays)) {  // tiles of an image are whole
+    if (r.kept && !r.kept->hold(rays)) {  // the tiles of an image need more threads than rays
         r.stream.finish();
         r.make_kept_hits(trace_threads(rays));
     }
     r.batch.rays = rays;
-    // Eq. 2-4
+    // Eq. 2-4 of the paper
     r.forward.run(r.stream, r.scene, *r.accel, rays, r.rendered, r.kept ? &*r.kept : nullptr,
                   r.batch.surfaces);
 }
 
 Rendering Renderer::forward(const WorldRays& rays) {
     Impl& r = *impl_;
-    r.stream.finish();  // nothing may still read the rays before
+    r.stream.finish();  // earlier commands may still read the rays
     if (rays.size() > r.host_rays.size()) r.host_rays = Array<DeviceRay>(r.device, rays.size(), "rays");
     r.host_rays.upload(to_device_rays(rays));
     record_forward({&r.host_rays, 0, 1, static_cast<std::uint32_t>(rays.size())});

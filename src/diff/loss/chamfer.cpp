@@ -14,9 +14,10 @@ namespace relidar {
 
 namespace {
 
-/// Points, tiles of points and groups of tiles, each as a rectangle of rows and columns.
+/// Sizes of the three levels: points, tiles of points and groups of tiles, in rows and
+/// columns.
 struct Levels {
-    glm::uvec2 tile{4, 8};  ///< points of a tile, tiles of a group
+    glm::uvec2 tile{4, 8};  ///< points per tile, tiles per group
     glm::uvec2 points, tiles, groups;
 
     explicit Levels(const TargetBatch& batch) {
@@ -28,7 +29,7 @@ struct Levels {
     }
 };
 
-/// A cloud and the boxes over it.
+/// A point cloud and its bounding boxes.
 struct Cloud {
     Array<glm::vec3, shared::CloudPoints> points;
     Array<glm::vec3, shared::TileLows> tile_low;
@@ -36,7 +37,8 @@ struct Cloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Most tiles has an image of one column: ceil(n / 4); so have groups of tiles.
+    /// Allocates a cloud. An image of one column has the most tiles: ceil(n / 4). The
+    /// same holds for groups of tiles.
     Cloud(Device& device, std::size_t n, const std::string& what)
         : points(device, n, what + " points"),
           tile_low(device, n / 4 + 1, what + " tiles"),
@@ -65,7 +67,7 @@ struct ChamferLoss::Impl {
     Kernel<shared::ChamferBoxesParams> boxes;
     Kernel<shared::ChamferNearestParams> nearest;
     Kernel<shared::ChamferParams> chamfer, vjp;
-    std::uint32_t n_rays = 0;  ///< of the last batch
+    std::uint32_t n_rays = 0;  ///< rays of the last batch
 
     Impl(Device& device, const LossWeights& w, std::size_t n)
         : weights(w),
@@ -116,7 +118,8 @@ struct ChamferLoss::Impl {
                       .tile_rows = l.tile.x,
                       .tile_columns = l.tile.y});
     }
-    /// Nearest points, both ways: neither cloud waits for the other.
+    /// Finds nearest points in both directions. The two clouds are processed
+    /// concurrently.
     void search(Stream& stream, const Levels& l) const {
         {
             const Concurrent both(stream);

@@ -17,7 +17,7 @@ struct ImageLoss::Impl {
     LossWeights weights;
     Kernel<shared::ImageLossParams> kernel;
     Kernel<shared::SsimParams> ssim, ssim_vjp;
-    Array<float, shared::SsimStatistics> statistics;  ///< of structural similarity
+    Array<float, shared::SsimStatistics> statistics;  ///< statistics of structural similarity
 };
 
 ImageLoss::ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays)

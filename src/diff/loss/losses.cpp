@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The list of losses, and that the list of terms is one.
+// Creates the losses of the term list, and checks that the list is in order.
 #include <algorithm>
 
 #include "diff/loss/losses.hpp"
@@ -35,7 +35,8 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
-    std::vector<LossMaker*> makers{make_image_loss};  // outputs gradients to which the others add
+    // must be first, because it writes gradients to which the others add
+    std::vector<LossMaker*> makers{make_image_loss};
     for (const Term& term : terms)
         if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())
             makers.push_back(term.maker);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What makes each loss that the list of terms names (relidar/diff/loss_terms.h):
-// make_image_loss, make_surfel_loss and so on. A loss's own file defines it.
+// Functions that create each loss of the term list (relidar/diff/loss_terms.h):
+// make_image_loss, make_surfel_loss and so on. The file of a loss defines its function.
 #pragma once
 
 #include <relidar/diff/loss.hpp>
@@ -10,7 +10,7 @@ namespace relidar {
 using LossMaker = std::unique_ptr<Loss>(Device& device, const LossWeights& weights, std::uint32_t n_rays);
 
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) LossMaker make_##maker##_loss;
-RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // terms of one loss declare it again
+RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // terms of one loss repeat the declaration
 #undef RELIDAR_TERM
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/loss/surfel_loss: one launch over the surfels that have a term.
+// Binding of diff/loss/surfel_loss, with one launch over the surfels of models with a
+// box.
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>
@@ -37,7 +38,7 @@ void SurfelLoss::regularise(Stream& stream, const DeviceScene& scene, const Surf
     const LossWeights& w = impl_->weights;
     const std::vector<Model>& models = scene.layout().models;
     double n_boxed = 0.0;
-    std::uint32_t first = scene.size(), end = 0;  // of what has a box
+    std::uint32_t first = scene.size(), end = 0;  // range of surfels of models with a box
     for (const Model& m : models) {
         if (!has_box(m)) continue;
         n_boxed += m.count;

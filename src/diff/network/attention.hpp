@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Multi-head self-attention (Vaswani et al.) among the pixels of small images.
+// Multi-head self-attention (Vaswani et al.) between the pixels of small images.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -7,21 +7,24 @@
 
 namespace relidar::refine {
 
-/// What a pass keeps for the way back.
+/// Results of the forward pass that the backward pass needs.
 struct AttentionState {
-    Tensor share;    ///< [n, heads, pixels, pixels] softmax of the scores: what a pixel (row) takes from each
-    Tensor d_share;  ///< the same shape, scratch of the way back
+    /// [n, heads, pixels, pixels] softmax of the scores; a row holds the weights of one
+    /// query pixel
+    Tensor share;
+    Tensor d_share;  ///< same shape, scratch of the backward pass
 };
 
 class Attention {
 public:
-    /// @param heads  between which the channels are divided
+    /// Creates the kernels.
+    /// @param heads  number of heads; the channels are divided between them
     Attention(Device& device, std::uint32_t heads);
 
     AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;
-    /// to[h] = V softmax(K^T Q / sqrt(channels of a head))  for each head h.
-    /// @param qkv [n, 3 channels, rows, columns] query, key and value of each pixel
-    /// @param to [n, channels, rows, columns]
+    /// Computes to[h] = V softmax(K^T Q / sqrt(channels per head)) for each head h.
+    /// @param qkv  [n, 3 channels, rows, columns] query, key and value of each pixel
+    /// @param to  [n, channels, rows, columns]
     void forward(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& to);
     void vjp(Stream& stream, const Slice& qkv, AttentionState& state, const Slice& d_to, const Slice& d_qkv);
 

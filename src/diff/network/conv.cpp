@@ -14,10 +14,10 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kConvThreads = 64;  // of a workgroup
-// rows of an image that a subgroup of diff/network/conv_weights sums
+constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
+// Rows of an image that a subgroup of diff/network/conv_weights sums.
 constexpr std::uint32_t kLinesOfPart = 8;
-constexpr std::size_t kMostPartial = 1 << 24;  // floats
+constexpr std::size_t kMostPartial = 1 << 24;  // limit of the memory for partial sums, in floats
 
 std::uint32_t inputs_of_subgroup(std::uint32_t taps) { return taps == 1 ? RELIDAR_CONV_IN : 1; }
 

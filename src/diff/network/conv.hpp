@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Convolutions 1x1 and 3x3: columns are a ring, rows end in zeros.
+// Convolutions 1x1 and 3x3. Columns wrap around, rows are padded with zeros.
 #pragma once
 
 #include <cstdint>
@@ -9,26 +9,31 @@
 
 namespace relidar::refine {
 
-/// Kernels of all convolutions of one size, and room for their partial sums.
+/// Kernels of all convolutions of one size, and memory for their partial sums.
 class Conv {
 public:
     using Weights = Address<float, shared::ConvWeights>;
     using Bias = Address<float, shared::ConvBias>;
 
-    /// @param taps  1 (1x1) or 9 (3x3) @throws DeviceError naming what the device lacks
+    /// Creates the kernels.
+    /// @param taps  1 (1x1) or 9 (3x3)
+    /// @throws DeviceError with the name of a missing device feature
     Conv(Device& device, std::uint32_t taps);
 
-    /// to = bias + weights * from. @param weights [to.channels, from.channels, taps]
-    /// @param bias [to.channels], or nowhere
-    /// @param accumulate adds to what `to` holds
+    /// Computes to = bias + weights * from.
+    /// @param weights  [to.channels, from.channels, taps]
+    /// @param bias  [to.channels], or a null address
+    /// @param accumulate  true: adds to the content of `to`
     void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to,
                  bool accumulate = false);
-    /// dL/d(from), from dL/d(to). @param accumulate adds to what d_from holds
+    /// Computes dL/d(from) from dL/d(to).
+    /// @param accumulate  true: adds to the content of `d_from`
     void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
                    bool accumulate = false);
-    /// dL/d(weights) [to.channels, from.channels, taps]. Summed in a fixed order.
+    /// Computes dL/d(weights) [to.channels, from.channels, taps]. The order of summation
+    /// is fixed.
     void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights);
-    /// Floats that weights_vjp needs for its partial sums.
+    /// Returns the number of floats that weights_vjp() needs for its partial sums.
     std::size_t partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;
     void reserve(Device& device, std::size_t floats) {
         partial_.reserve(device, floats, "partial sums of weights");

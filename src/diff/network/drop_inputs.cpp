@@ -89,7 +89,8 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen,
     make(stream, chosen, params, images);
 }
 
-/// @param params  which samples and targets
+/// Records the kernel that assembles a batch.
+/// @param params  addresses of samples and targets
 void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params,
                       const Tensor& images) {
     std::vector<std::uint32_t> samples, turns;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images that wait on the device, and batches of them, normalised and turned.
+// Training images on the device, and normalised, rotated batches of them.
 #pragma once
 
 #include <span>
@@ -12,36 +12,36 @@
 
 namespace relidar::refine {
 
-/// Scale and shift [channels, 2] by which each input has mean 0 and deviation 1 over the
-/// images; one that never changes is 0.
+/// Returns scale and shift [channels, 2] that give each input mean 0 and standard
+/// deviation 1 over the images. A constant input becomes 0.
 std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::size_t n_channels);
 
 class DropInputs {
 public:
     DropInputs(Device& device, const DropNetwork& network);
 
-    /// Puts images on the device in place of those that were there. @param images  of one
-    /// shape, checked
+    /// Uploads images and replaces earlier ones.
+    /// @param images  images of one shape, already checked
     void keep(Device& device, std::span<const DropImage> images);
 
-    /// An image, and by how many columns what it shows is turned.
+    /// Index of an image, and the number of columns by which its scene is rotated.
     struct Chosen {
         std::uint32_t sample = 0, turn = 0;
     };
-    /// Records the making of a batch of the images that are kept. @param images [n,
-    /// channels, rows, columns] output
+    /// Records the assembly of a batch from the uploaded images.
+    /// @param images  [n, channels, rows, columns] output
     void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
-    /// The same of images that somebody else keeps, without targets. @param samples
-    /// [samples, channels, rows, columns]
+    /// Records the assembly of a batch, without targets, from images in another array.
+    /// @param samples  [samples, channels, rows, columns]
     void make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples,
               const Tensor& images);
 
-    /// [n, rows, columns] rendered logits of the last batch
+    /// Rendered logits [n, rows, columns] of the last batch.
     const Array<float, shared::StartLogits>& start() const { return start_; }
-    /// [n, rows, columns]; as DropImage::dropped
+    /// Targets [n, rows, columns] of the last batch, as in DropImage::dropped.
     const Array<float, shared::DropTargets>& target() const { return target_; }
     bool has_targets() const { return targets_.size() > 0; }
-    /// pixels of an image whose target is known
+    /// Returns the number of pixels of an image whose target is known.
     std::size_t known(std::uint32_t sample) const { return known_[sample]; }
 
 private:

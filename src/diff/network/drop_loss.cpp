@@ -7,7 +7,7 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kLossThreads = 64;  // of a workgroup
+constexpr std::uint32_t kLossThreads = 64;  // threads per workgroup
 constexpr std::size_t kPixelsOfPart = 2048;
 
 }  // namespace

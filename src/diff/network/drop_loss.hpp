@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a network's logits are worth: drop probabilities, their cross-entropy and its
-// derivative.
+// Drop probabilities of the network's logits, their cross-entropy and its derivative.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -8,29 +7,30 @@
 
 namespace relidar::refine {
 
-/// Mean over the known pixels of a batch.
+/// Means over the known pixels of a batch.
 struct DropScore {
-    double entropy = 0.0;   ///< of what happened
-    double accuracy = 0.0;  ///< share of pixels of which the likelier answer is right
+    double entropy = 0.0;   ///< cross-entropy of the measured drops
+    double accuracy = 0.0;  ///< share of pixels whose more likely class is correct
 };
 
-/// What DropLoss reads and writes, [n]; all but the logits may be nowhere.
+/// Arrays [n] that DropLoss reads and writes. All except the logits may be null.
 struct DropLossArrays {
     Address<float, shared::DropLogits> logit;
-    Address<float, shared::StartLogits> start = {};           ///< added to the logits
-    Address<float, shared::DropTargets> target = {};          ///< 1 dropped, 0 returned, negative: not known
-    Address<float, shared::DropLogitGradients> d_logit = {};  ///< output
-    Address<float, shared::DropProbabilities> probability = {};  ///< output
+    Address<float, shared::StartLogits> start = {};              ///< added to the logits
+    Address<float, shared::DropTargets> target = {};             ///< 1 dropped, 0 returned, negative: unknown
+    Address<float, shared::DropLogitGradients> d_logit = {};     ///< output: gradient of the logits
+    Address<float, shared::DropProbabilities> probability = {};  ///< output: drop probabilities
 };
 
 class DropLoss {
 public:
     DropLoss(Device& device, std::size_t n_pixels);
 
-    /// Records it for n pixels. @param known  pixels, over which the derivative's mean is
-    /// taken
+    /// Records the loss of n pixels.
+    /// @param known  number of known pixels, the divisor of the derivative's mean
     void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known);
-    /// Of the last run that is done. @param known  pixels
+    /// Returns the score of the last finished run.
+    /// @param known  number of known pixels
     DropScore score(std::size_t known) const;
 
 private:

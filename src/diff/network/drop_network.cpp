@@ -17,7 +17,8 @@ constexpr int kMostWidth = 512, kMostLevels = 6;
 
 using refine::Regularisation;
 
-/// A network's channels from full size to the smallest, over those at full size.
+/// A predefined network. Its channels per level, from full size to the smallest, are
+/// multiples of `width`.
 struct Known {
     const char* name;
     std::uint32_t width;

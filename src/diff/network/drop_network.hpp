@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What training and asking a network have in common: its shape from the options, checks
-// of networks and images.
+// Functions that training and inference of the ray-drop network share: its shape from the
+// options, and checks of images.
 #pragma once
 
 #include <cstdint>
@@ -11,33 +11,37 @@
 
 namespace relidar::refine {
 
-/// A network of the options' shape without parameters. @throws UsageError for more
-/// channels or levels than make sense
+/// Returns a network with the shape that the options describe, without parameters.
+/// @throws UsageError if the network is unknown, too wide or too deep, or its heads do
+/// not divide the channels
 DropNetwork shape_of(const RefineOptions& options);
 
-/// Returns the number of images in a training step. @throws UsageError for an unknown
-/// network
+/// Returns the number of images in a training step.
+/// @throws UsageError if the network is unknown
 int batch_of(const RefineOptions& options);
 
-/// What keeps a network in training from knowing its images by heart. Little helps small
-/// networks, and turning them cost accuracy.
+/// Settings that reduce overfitting. Dropout helps small networks little, and rotating
+/// the images reduced their accuracy.
 struct Regularisation {
     double dropout = 0.0;  ///< share of the values that a layer drops
-    /// images are turned about the sensor by random columns; what belongs to its pixels
-    /// stays
+    /// True: images are rotated around the sensor by random columns. Channels of the
+    /// sensor's pixels are not rotated.
     bool turns = false;
 };
-/// @throws UsageError for an unknown network
+/// Returns the regularisation of a network.
+/// @throws UsageError if the network is unknown
 Regularisation regularisation_of(const RefineOptions& options);
 
-/// Number of the input that is the rendered drop logit.
+/// Returns the index of the input that is the rendered drop logit.
 std::uint32_t logit_channel(const DropNetwork& network);
 
-/// Inputs at the end that belong to the sensor's pixels.
+/// Returns the number of last inputs that belong to the sensor's pixels.
 std::uint32_t fixed_channels(const DropNetwork& network);
 
-/// @param what  the image in messages @throws DataError where the image does not fit the
-/// network, or holds what is not finite
+/// Checks the size and the values of an image.
+/// @param what  description of the image for error messages
+/// @throws DataError if the image does not fit the network or has values that are not
+/// finite
 void check_image(const DropNetwork& network, const DropImage& image, const std::string& what);
 
 }  // namespace relidar::refine

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Asking a trained network.
+// Inference of a trained ray-drop network.
 #include <algorithm>
 #include <list>
 #include <optional>
@@ -48,7 +48,7 @@ void compile_drop_network(Device& device, const RefineOptions& options) {
 
 namespace {
 
-/// The network with room for images of one shape.
+/// The network with memory for images of one shape.
 struct ShapedNetwork {
     refine::Grid grid{};
     refine::DropInputs inputs;
@@ -70,12 +70,12 @@ struct ShapedNetwork {
 }  // namespace
 
 struct DropPass::Impl {
-    // kept: a rig's large sensor and its small ones are rendered by turns
+    // Number of cached shapes. A rig renders its large and its small LiDARs alternately.
     static constexpr std::size_t kShapes = 2;
 
     Device& device;
     DropNetwork network;
-    std::list<ShapedNetwork> shaped;  ///< the one used last first
+    std::list<ShapedNetwork> shaped;  ///< most recently used first
 
     Impl(Device& d, const DropNetwork& n) : device(d), network(checked(n)) {
         shaped.emplace_front(device, network);
@@ -88,7 +88,7 @@ struct DropPass::Impl {
         if (place == shaped.end() && shaped.size() < kShapes)
             place = shaped.emplace(shaped.end(), device, network);
         if (place == shaped.end()) {
-            stream.finish();  // what is there may be in use
+            stream.finish();  // the device may still use the arrays of that shape
             --place;
         }
         shaped.splice(shaped.begin(), shaped, place);

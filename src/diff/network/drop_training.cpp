@@ -14,8 +14,8 @@
 namespace relidar::refine {
 namespace {
 
-constexpr double kLastRate = 0.01;         // share of the first
-constexpr std::uint32_t kKeysOfStep = 64;  // for the layers
+constexpr double kLastRate = 0.01;         // last learning rate relative to the first
+constexpr std::uint32_t kKeysOfStep = 64;  // dropout keys per step, one for each layer
 
 void check_images(const DropNetwork& network, const std::vector<DropImage>& images) {
     if (images.empty())
@@ -51,7 +51,7 @@ DropNetwork start(const std::vector<DropImage>& images, const RefineOptions& opt
 }  // namespace
 
 struct DropTraining::Impl {
-    const DropNetwork network;  ///< its shape, normalisation and start
+    const DropNetwork network;  ///< shape, normalisation and initial parameters
     const RefineOptions options;
     const std::size_t n_images, batch;
     const Grid grid;
@@ -75,7 +75,7 @@ struct DropTraining::Impl {
           stream(device, timing) {
         inputs.keep(device, images);
         unet.reserve(device, grid, true);
-        stream.fill(unet.gradients());  // what lies between groups has none
+        stream.fill(unet.gradients());  // padding between groups has no gradient
         stream.finish();
     }
 };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A training of the ray-drop network, step by step.
+// Training of the ray-drop network, one step at a time.
 #pragma once
 
 #include <cstdint>
@@ -16,21 +16,25 @@ namespace relidar::refine {
 
 class DropTraining {
 public:
-    /// @throws DataError as train_drop_network
+    /// Prepares a training.
+    /// @throws DataError under the same conditions as train_drop_network()
     DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
                  std::uint64_t seed, bool timing = false);
     ~DropTraining();
 
-    std::size_t batch() const;           ///< images a step
-    std::size_t steps_of_epoch() const;  ///< the rest of an epoch's images is another one's turn
+    std::size_t batch() const;  ///< images per step
+    /// steps per epoch; other epochs may use the images that remain
+    std::size_t steps_of_epoch() const;
 
-    /// One step on a batch. @param step  counts from 1 @return what the network scored
-    /// before it
+    /// Trains on one batch.
+    /// @param step  number of the step, starting at 1
+    /// @return score of the network before the step
     DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
     DropNetwork download() const;
-    /// Parameters and moments; the rest of a state is the caller's.
+    /// Returns parameters and moments. The caller sets the other fields of the state.
     RefineState state() const;
-    /// @throws DataError where they are not as many as this network's
+    /// Restores parameters and moments.
+    /// @throws DataError if their sizes do not match the network
     void restore(const RefineState& state);
     const KernelTimes& times() const;
 

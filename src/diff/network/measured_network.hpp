@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Times the ray-drop network and its most expensive layer, for benchmarks.
+// Benchmarks of the ray-drop network and of its most expensive layer.
 #pragma once
 
 #include <cstdint>
@@ -10,44 +10,46 @@
 
 namespace relidar {
 
-/// A convolution 3x3 of one image.
+/// Size of a 3x3 convolution of one image.
 struct ConvolutionSize {
     std::uint32_t rows = 0, columns = 0, n_in = 0, n_out = 0;
 
-    /// Products and sums of one pass, forward or either derivative.
+    /// Returns the number of multiplications and additions of one pass, forward or either
+    /// derivative.
     double operations() const {
         return 2.0 * 9.0 * double(rows) * double(columns) * double(n_in) * double(n_out);
     }
 };
 
-/// One on a device, of values that are not zero, run pass by pass. Each call blocks until
-/// its pass is done.
+/// A convolution on a device, with non-zero values. Each call blocks until its pass is
+/// finished.
 class MeasuredConvolution {
 public:
     MeasuredConvolution(Device& device, const ConvolutionSize& size);
     ~MeasuredConvolution();
 
     void forward();
-    void by_input();    ///< derivative by the image
-    void by_weights();  ///< derivative by the weights
+    void by_input();    ///< derivative with respect to the image
+    void by_weights();  ///< derivative with respect to the weights
 
 private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 };
 
-/// A network's training and inference on noise of one image size.
+/// Training and inference of a network on noise of one image size.
 class MeasuredDropNetwork {
 public:
     MeasuredDropNetwork(Device& device, const RefineOptions& options, int rows, int columns);
     ~MeasuredDropNetwork();
 
-    void step();   ///< of training, on options.batch images; done when it returns
-    void infer();  ///< one image; done when it returns
-    /// Products and sums of an inference; a step of training takes three times as many
-    /// for each image.
+    void step();   ///< one training step on options.batch images; blocks
+    void infer();  ///< inference of one image; blocks
+    /// Returns the number of multiplications and additions of one inference. A training
+    /// step needs three times as many per image.
     double operations() const;
-    /// Milliseconds of the kernels of step(), by name, where the device has timestamps.
+    /// Returns the milliseconds of the kernels of step() by name, if the device has
+    /// timestamps.
     const KernelTimes& times() const;
 
 private:

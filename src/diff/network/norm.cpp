@@ -10,14 +10,15 @@
 namespace relidar::refine {
 namespace {
 
-constexpr std::uint32_t kNormThreads = 64;  // of a workgroup
+constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
-/// Parts of all images whose sums are taken by themselves: a part lies in one image.
+/// Returns the number of parts whose sums are computed separately. A part lies within one
+/// image.
 std::uint32_t norm_parts(const Grid& grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64));
 }
-/// Threads that make each pixel of a slice.
+/// Returns the number of threads that process all pixels of a slice.
 std::size_t threads_of(const Slice& slice) {
     constexpr std::size_t kStretch = std::size_t(kNormThreads) * RELIDAR_NORM_PIXELS;
     return std::size_t(slice.grid.n) * slice.channels * ((slice.grid.pixels() + kStretch - 1) / kStretch) *

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batch normalisation, ReLU and dropout as one layer; sums over the pixels of channels.
+// Batch normalisation, ReLU and dropout as one layer, and sums over the pixels of
+// channels.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -7,23 +8,24 @@
 
 namespace relidar::refine {
 
-/// Parameters of a normalisation.
+/// Parameters of a normalisation layer.
 struct NormWeights {
-    Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels]
-    /// [channels] mean and variance of the batches seen, for evaluation
+    Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
+    /// [channels] Running mean and variance of the batches, for evaluation.
     Address<glm::vec2, shared::RunningMoments> running;
 };
 
-/// Where the derivatives by beta and gamma go: [channels, 2] from `first` on.
+/// Destination of the derivatives with respect to beta and gamma: [channels, 2] from
+/// `first` on.
 struct NormGradient {
     const Array<float>& all;
     std::size_t first = 0;
 };
 
-/// What a pass of one layer keeps for the way back.
+/// Results of a layer's forward pass that its backward pass needs.
 struct NormState {
-    Array<glm::vec2, shared::NormMoments> moments;     ///< [channels]
-    Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels]
+    Array<glm::vec2, shared::NormMoments> moments;     ///< [channels] mean and 1 / deviation of each channel
+    Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels] scale and shift of each channel
     std::uint32_t dropout_key = 0;
     float dropout = 0.0f;
 
@@ -32,25 +34,26 @@ struct NormState {
         : moments(device, channels, "moments"), scale_shift(device, channels, "scale and shift") {}
 };
 
-/// Kernels of all normalisations.
+/// Kernels of all normalisation layers.
 class Norm {
 public:
     explicit Norm(Device& device);
 
-    /// to = dropout(relu(gamma x^ + beta)), x^ normalised by the moments of the batch,
-    /// which join the running ones.
+    /// Computes to = dropout(relu(gamma x^ + beta)), where x^ is normalised by the
+    /// moments of the batch. Updates the running moments.
     void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
                  const Slice& to);
-    /// The same by the running moments, nothing dropped.
+    /// Computes the layer with the running moments and without dropout.
     void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
                   const Slice& to);
-    /// dL/d(from), and dL/d(beta, gamma), from dL/d(to) of forward().
-    /// @param accumulate adds to what d_from holds
+    /// Computes dL/d(from) and dL/d(beta, gamma) from dL/d(to) of forward().
+    /// @param accumulate  true: adds to the content of `d_from`
     void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to,
              const Slice& d_from, const NormGradient& gradient, bool accumulate = false);
-    /// Sum of each channel over all images [channels]: derivative by a bias.
+    /// Computes the sum of each channel over all images [channels], the derivative with
+    /// respect to a bias.
     void bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
-    /// Makes room for images of so many channels and pixels.
+    /// Allocates memory for images of this number of channels and pixels.
     void reserve(Device& device, std::uint32_t channels, const Grid& grid);
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images made smaller and larger again.
+// Pooling and upsampling of images.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -7,20 +7,21 @@
 
 namespace relidar::refine {
 
-/// Half the rows and columns, rounded down.
+/// Returns the grid with half the rows and columns, rounded down.
 Grid pooled(const Grid& grid);
 
 class Resample {
 public:
     explicit Resample(Device& device);
 
-    /// Largest of 2 x 2. @param to  of the grid pooled(from.grid)
+    /// Computes the maximum over 2 x 2 pixels.
+    /// @param to  images of the grid pooled(from.grid)
     void pool(Stream& stream, const Slice& from, const Slice& to);
     /// Adds dL/d(from) of pool() to d_from.
     void pool_vjp(Stream& stream, const Slice& from, const Slice& d_to, const Slice& d_from);
-    /// Bilinear interpolation to the grid of `to`.
+    /// Interpolates bilinearly to the grid of `to`.
     void upsample(Stream& stream, const Slice& from, const Slice& to);
-    /// dL/d(from) of upsample().
+    /// Computes dL/d(from) of upsample().
     void upsample_vjp(Stream& stream, const Slice& d_to, const Slice& d_from);
 
 private:

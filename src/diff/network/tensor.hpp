@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images on the device: [n, channels, rows, columns], columns fastest. Columns are a
-// ring.
+// Images on the device: [n, channels, rows, columns], columns fastest. Columns wrap
+// around.
 #pragma once
 
 #include <cstddef>
@@ -14,19 +14,19 @@
 
 namespace relidar::refine {
 
-/// Rows and columns of n images.
+/// Number, rows and columns of images.
 struct Grid {
     std::uint32_t n = 0, rows = 0, columns = 0;
 
-    std::size_t pixels() const { return std::size_t(rows) * columns; }  ///< of an image
+    std::size_t pixels() const { return std::size_t(rows) * columns; }  ///< pixels of one image
     std::size_t all_pixels() const { return n * pixels(); }
     friend bool operator==(const Grid&, const Grid&) = default;
 };
 
-/// So many of `size` hold n.
+/// Returns the number of tiles of `size` elements that cover n elements.
 inline std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
 
-/// Some consecutive channels of a tensor.
+/// Consecutive channels of a tensor.
 struct Slice {
     shared::ImageSlice view;
     std::uint32_t channels = 0;

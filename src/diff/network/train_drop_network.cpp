@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of the ray-drop network: images in a new order each epoch, turned by random
-// columns, cross-entropy (Eq. 13), Adam.
+// Training of the ray-drop network with cross-entropy (Eq. 13) and Adam. Each epoch
+// shuffles the images and rotates them by random columns.
 #include <chrono>
 #include <cmath>
 #include <numeric>
@@ -16,14 +16,14 @@
 namespace relidar {
 namespace {
 
-/// Sample and turn of each image of an epoch, by a generator of its own, so that no epoch
-/// depends on how another one was drawn.
+/// Draws the image order and rotations of an epoch. Each epoch has a separate random
+/// generator, so that it does not depend on other epochs.
 std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, bool turn, std::uint64_t seed,
                                                    int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
     std::vector<refine::DropInputs::Chosen> chosen(n);
     for (std::size_t i = 0; i < n; ++i) {
-        const std::size_t j = random() % (i + 1);  // Fisher and Yates, inside out
+        const std::size_t j = random() % (i + 1);  // Fisher-Yates shuffle, inside-out variant
         if (i != j) chosen[i].sample = chosen[j].sample;
         chosen[j].sample = std::uint32_t(i);
     }
@@ -32,12 +32,12 @@ std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, b
     return chosen;
 }
 
-/// Where a training stands between two steps.
+/// Progress of a training between two steps.
 struct Course {
-    const std::size_t batch, n_steps;  ///< images of a step, steps of an epoch
-    RefineProgress told;
+    const std::size_t batch, n_steps;  ///< images per step, steps per epoch
+    RefineProgress report;
     double entropy, accuracy;  ///< sums over the steps of the epoch
-    const double before_s;     ///< that earlier sessions took
+    const double before_s;     ///< seconds of earlier sessions
     const std::chrono::steady_clock::time_point begin = std::chrono::steady_clock::now();
 
     Course(const refine::DropTraining& training, const RefineOptions& options, const RefineState& start)
@@ -46,41 +46,42 @@ struct Course {
           entropy(start.entropy),
           accuracy(start.accuracy),
           before_s(start.seconds) {
-        told.step = start.step;
-        told.n_epochs = options.epochs;
-        told.n_steps = options.epochs * int(n_steps);
-        if (told.step < 0 || told.step > told.n_steps)
+        report.step = start.step;
+        report.n_epochs = options.epochs;
+        report.n_steps = options.epochs * int(n_steps);
+        if (report.step < 0 || report.step > report.n_steps)
             throw DataError(fmt::format("resuming the ray-drop network: found step {}, expected at most {}",
-                                        told.step, told.n_steps));
+                                        report.step, report.n_steps));
     }
 
-    /// The next step: begins an epoch where one is over. @return its place in the epoch
+    /// Advances to the next step, and to the next epoch after the last step of an epoch.
+    /// @return index of the step in the epoch
     std::size_t advance() {
-        const std::size_t k = std::size_t(told.step++) % n_steps;
+        const std::size_t k = std::size_t(report.step++) % n_steps;
         if (k == 0) entropy = accuracy = 0.0;
         return k;
     }
-    int epoch() const { return int(std::size_t(told.step - 1) / n_steps); }
+    int epoch() const { return int(std::size_t(report.step - 1) / n_steps); }
 
     void add(const refine::DropScore& score, std::size_t k) {
         entropy += score.entropy;
         accuracy += score.accuracy;
-        told.epoch = epoch() + 1;
-        told.entropy = entropy / double(k + 1);
-        told.accuracy = accuracy / double(k + 1);
-        told.seconds =
+        report.epoch = epoch() + 1;
+        report.entropy = entropy / double(k + 1);
+        report.accuracy = accuracy / double(k + 1);
+        report.seconds =
             before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
             throw DataError(
                 fmt::format("training the ray-drop network: the loss is {} in step {}, expected a number; "
                             "try a smaller refine.rate",
-                            score.entropy, told.step));
+                            score.entropy, report.step));
     }
     RefineState put_into(RefineState state) const {
-        state.step = told.step;
+        state.step = report.step;
         state.entropy = entropy;
         state.accuracy = accuracy;
-        state.seconds = told.seconds;
+        state.seconds = report.seconds;
         return state;
     }
 };
@@ -95,14 +96,14 @@ DropNetwork train_drop_network(Device& device, const std::vector<DropImage>& ima
     if (start) training.restore(*start);
     const auto state = [&] { return course.put_into(training.state()); };
     std::vector<refine::DropInputs::Chosen> order;
-    while (course.told.step < course.told.n_steps) {
+    while (course.report.step < course.report.n_steps) {
         const std::size_t k = course.advance();
         if (k == 0 || order.empty())
             order = draw_epoch(images.size(), images[0].columns, refine::regularisation_of(options).turns,
                                seed, course.epoch());
         const auto chosen = std::span(order).subspan(k * course.batch, course.batch);
-        course.add(training.step(chosen, course.told.step, course.told.n_steps), k);
-        if (progress && !progress(course.told, state)) break;
+        course.add(training.step(chosen, course.report.step, course.report.n_steps), k);
+        if (progress && !progress(course.report, state)) break;
     }
     return training.download();
 }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Passes of the network. On the way down a block writes into the part of the larger image
-// that the way up will join, so nothing is copied; on the way back the gradient of that
-// part waits there for the one from below.
+// Passes of the U-Net. A block of the encoder writes directly into the part of the larger
+// image that the decoder joins, so nothing is copied. In the backward pass, the gradient
+// of that part stays there until the gradient from the smaller level is added.
 #include "diff/network/unet.hpp"
 
 #include <algorithm>
@@ -64,7 +64,7 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     if (inputs_.grid == grid && (with_gradients_ || !with_gradients)) return;
     with_gradients_ = with_gradients;
     most_active_ = 0;
-    levels_.clear();  // before the new ones are made: memory for both may not be there
+    levels_.clear();  // freed before the allocation, because there may not be enough memory for both
     levels_.resize(widths_.size());
     down_states_.resize(plan_.down.size());
     up_states_.resize(plan_.up.size());

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ray-drop network: a U-Net (Ronneberger et al.) of [normalise, ReLU, dropout,
-// convolution] twice a level, attention at the smallest size, and skips to the way up.
-// Its parameters, and passes over images of one size.
+// The ray-drop network: a U-Net (Ronneberger et al.) with two blocks of [normalisation,
+// ReLU, dropout, convolution] per level, attention at the smallest size, and skip
+// connections. Holds its parameters and passes over images of one size.
 #pragma once
 
 #include <optional>
@@ -16,38 +16,39 @@
 
 namespace relidar::refine {
 
-/// Where the parameters of a convolution lie among all.
+/// Offsets of a convolution's parameters in the parameter array.
 struct ConvLayer {
     std::uint32_t n_in = 0, n_out = 0, taps = 1;
     std::size_t weights = 0;
     std::optional<std::size_t> bias = {};
 };
 
-/// Normalise, ReLU, dropout, convolution.
+/// Offsets of a block: normalisation, ReLU, dropout, convolution.
 struct Block {
     std::size_t beta_gamma = 0, running = 0;
     ConvLayer conv;
 };
 
-/// Where everything lies.
+/// Offsets of all parameters of a network.
 struct UnetPlan {
-    ConvLayer head, tail;         ///< inputs to full-size channels, these to a logit
-    std::vector<Block> down, up;  ///< two a level; up from the smallest
+    ConvLayer head, tail;         ///< `head`: inputs to full-size channels, `tail`: these channels to a logit
+    std::vector<Block> down, up;  ///< two blocks per level; `up` starts at full size
     std::optional<Block> query;   ///< attention: query, key, value
-    ConvLayer project;            ///< and back
+    ConvLayer project;            ///< attention: projection of the result
     std::size_t n_parameters = 0, n_running = 0;
 
     explicit UnetPlan(const DropNetwork& network);
 };
 
-/// Channels at a level: what its way up ends with, what comes from the smaller images,
-/// and both what comes and the skip.
+/// Return the number of channels at a level: the output of the decoder, the input from
+/// the next smaller images, and the sum of that input and the skip connection.
 std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
-/// Parameters as they start: Kaiming's uniform, norms at 1 and 0, the last convolution at
-/// 0, so that a residual network starts as nothing.
+/// Initialises the parameters: Kaiming's uniform distribution, norms with gamma 1 and
+/// beta 0. The last convolution of a residual network is 0, so that the network initially
+/// changes nothing.
 void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed);
 
 /// A network on a device.
@@ -55,36 +56,39 @@ class Unet {
 public:
     Unet(Device& device, const DropNetwork& network);
 
-    /// Makes room for passes over images of a grid. @param with_gradients  for backward()
+    /// Allocates memory for passes over images of a grid.
+    /// @param with_gradients  true: also for backward()
     void reserve(Device& device, const Grid& grid, bool with_gradients);
-    /// Records a pass in training mode. @param dropout_key  of the step
+    /// Records a pass in training mode.
+    /// @param dropout_key  key of the step's dropout masks
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout);
-    /// The same in evaluation mode: by running moments, nothing dropped.
+    /// Records a pass in evaluation mode: running moments, no dropout.
     void evaluate(Stream& stream);
     /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit().
     void backward(Stream& stream);
 
-    /// Takes other values, as many as there are. Nothing on the device may still use
-    /// those it has.
+    /// Replaces all parameters. The sizes must match. No command on the device may still
+    /// use the old values.
     void upload(const std::vector<float>& parameters, const std::vector<float>& running) {
         parameters_.upload(parameters);
         running_.upload(running);
     }
 
-    const Tensor& inputs() const { return inputs_; }  ///< to be filled
+    const Tensor& inputs() const { return inputs_; }  ///< the caller fills it
     const Tensor& logit() const { return logit_; }
-    const Tensor& d_logit() const { return d_logit_; }  ///< to be filled
+    const Tensor& d_logit() const { return d_logit_; }  ///< the caller fills it
     const Array<float>& parameters() const { return parameters_; }
     const Array<float>& gradients() const { return gradients_; }
     const Array<float>& running() const { return running_; }
 
 private:
-    /// A block's activations: what follows the normalisation.
+    /// Activations of a block after the normalisation.
     struct BlockState {
         Tensor active;
         NormState norm;
     };
-    /// Images of one size: [from below, skip], between the blocks of either way.
+    /// Images of one size: the joined input [from below, skip], the images between two
+    /// blocks, and their gradients.
     struct Level {
         Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
             d_pooled;
@@ -105,8 +109,8 @@ private:
     BlockState query_state_;
     std::vector<Level> levels_;
     std::vector<BlockState> down_states_, up_states_;
-    std::size_t most_active_ = 0;  ///< values behind a norm, of the largest block
-    Tensor scratch_;               ///< their gradients
+    std::size_t most_active_ = 0;  ///< activations after a norm in the largest block
+    Tensor scratch_;               ///< gradients of these activations
 
     Conv::Weights weights(std::size_t first) const {
         return parameters_.address_as<float, shared::ConvWeights>(first);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Where the parameters of a network lie, and what they start as. The order is that of the
-// declaration in UnetPlan's constructor; each group begins at a multiple of four floats,
-// as arrays on the device do.
+// Offsets and initial values of a network's parameters. The order is that of the calls in
+// UnetPlan's constructor. Each group begins at a multiple of four floats, as device
+// arrays do.
 #include <cmath>
 #include <random>
 
@@ -16,7 +16,7 @@ std::size_t take(std::size_t& n, std::size_t floats) {
     return first;
 }
 
-/// Between -1 and 1, the same with every compiler.
+/// Returns a random number between -1 and 1 that is the same with every compiler.
 float draw(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
 
 }  // namespace
@@ -80,7 +80,8 @@ void initialise(DropNetwork& network, const UnetPlan& plan, std::uint64_t seed) 
     };
     draw_conv(plan.head);
     for (const Block& block : plan.down) draw_block(block);
-    if (plan.query) draw_block(*plan.query);  // what it adds starts at nothing: `project` stays 0
+    // `project` stays 0, so that attention initially adds nothing
+    if (plan.query) draw_block(*plan.query);
     for (const Block& block : plan.up) draw_block(block);
     if (!network.residual) draw_conv(plan.tail);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/optimizer/adam, one launch a parameter group.
+// Binding of diff/optimizer/adam, with one launch per parameter group.
 #include <relidar/diff/optimizer.hpp>
 
 #include <algorithm>
@@ -22,7 +22,8 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 
 namespace {
 
-constexpr std::uint32_t kStreamingThreads = 128;  // of a workgroup: with 32 a GPU could not fill itself
+// workgroup size; with 32 threads a GPU would not be fully occupied
+constexpr std::uint32_t kStreamingThreads = 128;
 
 std::vector<Constant> adam_constants(bool per_float) {
     return {{ConstantId::PER_FLOAT, per_float ? 1u : 0u}, {ConstantId::WORKGROUP_SIZE, kStreamingThreads}};
@@ -36,7 +37,7 @@ struct Adam::Impl {
     SurfelArrays moment1, moment2;
     Array<float, shared::ScaleBounds> max_log_scale;
     Kernel<shared::AdamParams> kernel;
-    std::optional<TouchedList> list;  ///< where it steps nothing else
+    std::optional<TouchedList> list;  ///< set if only touched rows are updated
 
     Impl(Device& device, std::uint32_t n_surfels, const AdamOptions& o, ParameterSet of)
         : options(o),
@@ -54,7 +55,9 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, 
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
-    stream.finish();  // here, not in the first step: a resumed run puts its moments in between
+    // Must finish before the first step, because a resumed run uploads its moments in
+    // between.
+    stream.finish();
 }
 Adam::~Adam() = default;
 SurfelArrays& Adam::moment1() { return impl_->moment1; }
@@ -78,11 +81,11 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
     const bool listed = a.list && touched;
     if (listed) a.list->find(stream, touched->address(first), n_rows);
     const std::uint32_t active_harmonics = static_cast<std::uint32_t>((sh_degree + 1) * (sh_degree + 1));
-    const Concurrent groups(stream);  // none of them reads what another writes
+    const Concurrent groups(stream);  // the groups are independent
     for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        // of all but the first float of a block
+        // Factor of all columns of a block except the first.
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();

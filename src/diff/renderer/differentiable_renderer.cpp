@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The backward pass behind a renderer's forward pass, and the gradients between them.
+// Adds the backward pass and its gradients to the renderer.
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
@@ -13,7 +13,7 @@ namespace relidar {
 
 namespace {
 
-/// Rays that a renderer has room for.
+/// Returns the maximum number of rays of a batch.
 std::uint32_t room(const Renderer& renderer) {
     return static_cast<std::uint32_t>(renderer.rendered().rendered->size());
 }
@@ -24,7 +24,7 @@ struct Lane {
     float shared::RayGradient::*at;
 };
 
-/// As the backward pass reads them.
+/// Converts gradients of rendered values to the layout of the backward pass.
 std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::size_t n_rays) {
     using shared::RayGradient;
 #define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, d.name, &RayGradient::name},
@@ -41,7 +41,7 @@ std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::
     return result;
 }
 
-/// An array's values, or none where it was not asked for.
+/// Downloads an array, or returns an empty vector if the gradient was not requested.
 std::vector<float> values_of(const Array<float>& array, std::size_t n) {
     return array.size() ? array.download(n) : std::vector<float>{};
 }
@@ -51,7 +51,7 @@ std::vector<float> values_of(const Array<float>& array, std::size_t n) {
 struct DifferentiableRenderer::Impl {
     GradientOptions options;
     BackwardPass backward;
-    std::optional<Gradients> gradients;  ///< none while surfels are added or removed
+    std::optional<Gradients> gradients;  ///< empty while surfels are added or removed
     Array<shared::RayGradient> upstream;
 
     void make_gradients(Renderer& renderer) {
@@ -76,7 +76,7 @@ DifferentiableRenderer::~DifferentiableRenderer() = default;
 RenderedBatch DifferentiableRenderer::batch() {
     Device& device = stream().device();
     const std::size_t n_rays = room(*this);
-    if (impl_->upstream.size() < n_rays) {  // the renderer has made room for more rays
+    if (impl_->upstream.size() < n_rays) {  // the capacity of the renderer has grown
         stream().finish();
         impl_->upstream = Array<shared::RayGradient>(device, n_rays, "loss gradients");
         if (impl_->options.wanted.rays) impl_->gradients->rays = {device, 6 * n_rays, "ray gradient"};
@@ -88,7 +88,8 @@ RenderedBatch DifferentiableRenderer::batch() {
 
 void DifferentiableRenderer::record_backward() {
     impl_->backward.set_sh_degree(model().sh_degree);
-    impl_->backward.run(stream(), scene(), accel(), batch(), view_origin_m(), *impl_->gradients);  // Eq. 9
+    // Eq. 9 of the paper
+    impl_->backward.run(stream(), scene(), accel(), batch(), view_origin_m(), *impl_->gradients);
 }
 
 HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_rendered) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/traversal/collect_hits: all hits of each ray in order.
+// Binding of diff/traversal/collect_hits, which writes all hits of each ray in order.
 #include "diff/traversal/collect_hits.hpp"
 
 #include <fmt/format.h>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The traversal contract made visible for its conformance tests
+// Collects all hits of each ray, for conformance tests of the traversal contract
 // (shaders/diff/traversal/README.md).
 #pragma once
 
@@ -12,16 +12,16 @@
 
 namespace relidar {
 
-/// Ordered hits of each ray, all of them: for tests of the traversal contract.
+/// All hits of each ray in order.
 struct CollectedHits {
     std::uint32_t max_hits = 0;
     std::vector<std::uint32_t> counts;    ///< [n_rays] may exceed max_hits
-    std::vector<float> t;                 ///< [n_rays, max_hits] metres
-    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits]
-    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits]
+    std::vector<float> t;                 ///< [n_rays, max_hits] distance of each hit in metres
+    std::vector<std::uint32_t> instance;  ///< [n_rays, max_hits] instance of each hit
+    std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
-/// A scene with its instances placed, and how it is traced.
+/// A scene with the poses of its instances, and the options of its tracing.
 struct PlacedScene {
     const Scene* scene = nullptr;
     std::vector<InstancePose> world_from_instance;
@@ -30,8 +30,9 @@ struct PlacedScene {
     TraceOptions trace;
 };
 
-/// @param max_hits  hits kept a ray; all are counted @throws DeviceError where a ray
-/// reaches the cap of passes
+/// Returns all hits of each ray in order.
+/// @param max_hits  number of stored hits per ray; all hits are counted
+/// @throws DeviceError if a ray reaches the maximum number of passes
 CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
                            std::uint32_t max_hits);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prepares rays for the device and sizes what is dispatched and kept for them.
+// Converts rays for the device and computes launch and buffer sizes for them.
 #include <relidar/diff/traversal.hpp>
 
 #include <algorithm>

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The host side of shaders/diff/traversal: fills the part of the parameters that all
-// tracing kernels share, names their variants. Infrastructure of forward and backward
-// alike, so neither reaches into the other.
+// Host side of shaders/diff/traversal: fills the parameters that all tracing kernels
+// share, and selects kernel variants. Used by the forward and the backward pass.
 #pragma once
 
 #include <relidar/diff/accel.hpp>
@@ -13,7 +12,7 @@
 
 namespace relidar {
 
-/// What a kernel searches, without the rays.
+/// Returns the scene parameters of a tracing kernel, without rays.
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel,
                                       const ImageModel& model) {
     return {.tlas = accel.tlas,
@@ -59,23 +58,23 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     return traced;
 }
 
-/// Which build of a tracing kernel a device runs.
+/// Returns the kernel variant for the traversal backend of a device.
 inline KernelVariant traversal_variant(const Device& device) {
     if (tests_every_surfel(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
 }
 
-/// TOGETHER of the tracing kernels: whether rays of a subgroup walk the software tree
-/// together. This is faster on lavapipe (docs/performance.md). On a GPU lanes
-/// are free to part; on a CPU they are those of one vector, and load surfels for each
-/// other.
+/// Returns the constant TOGETHER of the tracing kernels: 0 if each ray walks the software
+/// tree alone, otherwise the joint walk. GPU lanes diverge freely, CPU lanes are those of
+/// one vector. On a CPU (value 2) the lanes also load surfels cooperatively. The joint
+/// walk is faster on lavapipe (docs/performance.md).
 inline std::uint32_t walks_together(const Device& device, const TraceOptions& options) {
     const bool is_cpu = device.info().type == "CPU";
     if (options.walk == Walk::automatic ? !is_cpu : options.walk == Walk::lane) return 0;
     return is_cpu ? 2 : 1;
 }
 
-/// Specialisation constants of the tracing kernels (shaders/diff/traversal).
+/// Returns the specialisation constants of the tracing kernels (shaders/diff/traversal).
 inline std::vector<Constant> trace_constants(const Device& device, Proxy proxy, const TraceOptions& options,
                                              const ImageModel& model) {
     return {{ConstantId::CHUNK, static_cast<std::uint32_t>(options.chunk)},

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sweeps of datasets that tell which firing took each point, by its time or by the order
-// of the file.
+// Determines the firings of sweeps in datasets whose points have firing times or whose
+// file order shows the firings.
 #pragma once
 
 #include <vector>
@@ -9,14 +9,14 @@
 
 namespace relidar {
 
-/// Names the firing of each point (Points::firing), firings arranged by azimuth of
-/// the head, the mean of their points'. A sweep may be more than a turn: two firings of
-/// one azimuth stay two. A firing without a point, as where the vehicle hides the world
-/// from all beams, is looked for between its neighbours, as far from an even turn as they
-/// are.
-/// @param points  with rings, at least one
-/// @param numbers  [n] of firings in order of time
-/// @param step_rad  of an even turn, from one firing to the next; negative for a
+/// Assigns a firing to each point (Points::firing). The firings are sorted by the mean
+/// head azimuth of their points. A sweep may be longer than one revolution, so two
+/// firings with the same azimuth stay separate. A firing without points, for example
+/// where the vehicle blocks all beams, is interpolated between its neighbours. It
+/// deviates from an even rotation as much as they do.
+/// @param points  points with rings, at least one
+/// @param numbers  [n] firing number of each point, in order of time
+/// @param step_rad  azimuth step between firings at an even rotation; negative for a
 /// clockwise head
 Sweep arrange_firings(Points& points, const std::vector<int>& numbers, const SpinningSensor& sensor,
                       double step_rad);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a log that cannot be read: the first one ends the reading, or
-// (dataset.skip_broken) each is left out with a note.
+// Handling of scans that cannot be read. The first broken scan ends the reading, or
+// (dataset.skip_broken) broken scans are skipped with a note.
 #pragma once
 
 #include <cstddef>
@@ -13,14 +13,14 @@
 
 namespace relidar {
 
-/// By number, as the reader counts them: frames of the sequence, or files.
+/// Broken scans by number. The reader counts either frames of the sequence or files.
 class BrokenScans {
 public:
     explicit BrokenScans(bool skip) : skip_(skip) {}
 
-    /// Does a step of reading scan i, on any thread. A scan that an earlier step found
-    /// broken is passed over.
-    /// @throws DataError of the step, where broken scans are not left out
+    /// Runs a reading step of scan i. Can be called from any thread. Does nothing if an
+    /// earlier step of the scan failed.
+    /// @throws DataError of the step, unless broken scans are skipped
     template <class Step>
     void attempt(std::size_t i, const Step& step) {
         if (has(i)) return;
@@ -35,12 +35,13 @@ public:
     bool has(std::size_t i) const;
     std::size_t size() const { return reasons_.size(); }
 
-    /// A note for each. @param n  scans there are @throws DataError where all of them are
-    /// broken
+    /// Adds a note for each broken scan.
+    /// @param n  number of scans
+    /// @throws DataError if all scans are broken
     void tell(Sequence& sequence, std::size_t n) const;
-    /// Where scans are counted as the frames of the sequence: tells, and takes those
-    /// frames out, with the poses of moments that no other frame has. @throws DataError
-    /// as tell()
+    /// Adds the notes and removes the broken frames, with the poses that no other frame
+    /// uses. Scans must be counted as the frames of the sequence.
+    /// @throws DataError as tell()
     void leave_out(Sequence& sequence) const;
 
 private:

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What every log has to be, whoever read it. One line names the frame or box, the field,
-// what was found and what was expected.
+// Checks that every reader's log must pass. An error is one line with the frame or box,
+// the field, the value and the expected value.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -16,17 +16,18 @@
 namespace relidar {
 namespace {
 
-constexpr double kUnit = 1e-3;  // a direction's or quaternion's length may differ from 1 by this
-// between frames that are not of one time: poses closer than this have no velocity
+constexpr double kUnit = 1e-3;  // tolerance of the length of a direction or quaternion
+// Minimum time between frames with different times. Poses closer in time have no
+// meaningful velocity.
 constexpr double kLeastStep_s = 1e-3;
-constexpr double kLongestOffset_s = 10.0;  // of a firing from its frame's time
-constexpr double kFarthest_m = 1e6;        // of anything from the world's origin, and of a return
+constexpr double kLongestOffset_s = 10.0;  // maximum time between a firing and its frame
+constexpr double kFarthest_m = 1e6;        // maximum distance from the world's origin, and maximum range
 constexpr double kBoxReach_m =
-    // of a box from the vehicle: farther than the longest log, nearer than the origin of
-    // a map's coordinates
+    // Maximum distance of a box from the vehicle: longer than the longest log, shorter
+    // than the distance to the origin of map coordinates.
     1e5;
-constexpr double kLargestOrigin_m = 1000.0;  // of a ray from its sensor
-constexpr double kWidestBeam_rad = 6.3;      // full angle
+constexpr double kLargestOrigin_m = 1000.0;  // maximum distance of a ray's origin from its sensor
+constexpr double kWidestBeam_rad = 6.3;      // limit of the divergence, as a full angle
 
 [[noreturn]] void fail(const std::string& where, const std::string& found, const std::string& expected) {
     throw DataError(fmt::format("{}: {}, expected {}", where, found, expected));
@@ -45,7 +46,7 @@ void check_pose(const Pose& pose, const std::string& where) {
         fail(where, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "1");
 }
 
-/// Times that rise, with a pose each.
+/// Checks that times increase and each time has a pose.
 void check_track(const PoseTrack& track, const std::string& where) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
         fail(where, fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
@@ -133,7 +134,7 @@ void check_sizes(const Scan& scan, const std::string& where) {
     }
 }
 
-/// What is wrong with a return, or nothing. A NaN is within no limits.
+/// Returns the name of an invalid value of a return, or null. A NaN is invalid.
 const char* wrong_return(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
@@ -184,7 +185,8 @@ void check_boxes(const Sequence& sequence) {
         check_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
-            if (!sequence.world_from_vehicle.covers(t_s)) continue;  // labelled where there are no frames
+            // the label is outside the time of the frames
+            if (!sequence.world_from_vehicle.covers(t_s)) continue;
             const double away_m = glm::distance(box.world_from_box.pose[k].translation,
                                                 sequence.world_from_vehicle.at(t_s).translation);
             if (away_m > kBoxReach_m)
@@ -194,7 +196,7 @@ void check_boxes(const Sequence& sequence) {
     }
 }
 
-/// A step between frames that is longer than a number of usual ones.
+/// A step between frames that is much longer than usual.
 struct Gap {
     const Frame *before, *after;
     double step_s() const { return after->time_s - before->time_s; }

@@ -10,8 +10,9 @@
 namespace relidar::bag {
 namespace {
 
-constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;  // of a cloud's times, in steps from cloud to cloud
-constexpr double kBesideStamp_s = 2.0;                // a time of a point from the stamp
+// allowed time span of a cloud, relative to the step between clouds
+constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
+constexpr double kBesideStamp_s = 2.0;  // maximum difference between a point's time and the stamp
 
 struct TimeUnit {
     const char* name;
@@ -23,7 +24,7 @@ struct TimeRange {
     double first, last, stamp_s;
 };
 
-/// First and last time of each cloud that has any.
+/// Returns the first and last time of each cloud that has times.
 std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds,
                                  const std::vector<double>& stamps_s) {
     std::vector<TimeRange> ranges;

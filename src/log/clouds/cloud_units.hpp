@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What numbers of a topic's points mean, as some of its clouds show it: drivers do not
-// say.
+// Determines the units of a topic's point values from some of its clouds, because drivers
+// do not publish them.
 #pragma once
 
 #include <string>
@@ -11,24 +11,25 @@
 
 namespace relidar::bag {
 
-/// What times of points count from.
+/// Zero of the points' times.
 enum class TimeZero {
-    none,      ///< there are no times that can be used
+    none,      ///< the points have no usable times
     stamp,     ///< offsets from the cloud's stamp
-    epoch,     ///< times of the clock of the stamps
-    own_clock  ///< times of another clock: the cloud's first is taken for its stamp
+    epoch,     ///< times on the clock of the stamps
+    own_clock  ///< times on another clock; the first time of a cloud is equated with its stamp
 };
 
 struct CloudUnits {
     TimeZero zero = TimeZero::none;
     double time_unit_s = 1.0;
-    bool is_deskewed = false;  ///< all points of a cloud have one time
+    bool is_deskewed = false;  ///< all points of a cloud have the same time
     double intensity_max = 1.0;
-    std::string about;  ///< in words
+    std::string about;  ///< description of the units for the log's notes
 };
 
-/// @param clouds  a few of the topic's, with their stamps @param step_s  from one cloud
-/// to the next
+/// Determines the units.
+/// @param clouds  some clouds of the topic, with their stamps
+/// @param step_s  time between clouds
 CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
                       double step_s);
 

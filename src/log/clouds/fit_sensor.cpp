@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// A spinning LiDAR from its own points: elevation of each ring, columns from the steps of
-// the azimuth, phases of rings from
-//   S_r(N) = sum of exp(i N azimuth) over the points of ring r,
-// whose length is the number of points where N is the number of columns, and whose phase
-// is N times the ring's azimuth offset.
+// Fits a spinning LiDAR to its points: the elevation of each ring, the number of columns
+// from the steps of the azimuth, and the phases of rings from
+//   S_r(N) = sum of exp(i N azimuth) over the points of ring r.
+// If N is the number of columns, the magnitude of S_r is the number of points, and its
+// phase is N times the ring's azimuth offset.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -18,10 +18,12 @@
 namespace relidar {
 namespace {
 
-constexpr double kLeastStep_rad = 2e-4;  // between two firings: 0.01 degrees
+constexpr double kLeastStep_rad = 2e-4;  // minimum step between firings: 0.01 degrees
 constexpr double kLargestStep_rad = 0.2;
-constexpr double kTried = 0.03;    // share of the estimated columns to either side that is tried
-constexpr double kCoherent = 0.5;  // of |S_r| by the number of points: below it the head has no even steps
+// candidates for the number of columns: this share of the estimate to either side
+constexpr double kTried = 0.03;
+// minimum |S_r| relative to the number of points; below, the head has no even steps
+constexpr double kCoherent = 0.5;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
 
@@ -50,7 +52,8 @@ Rings rings_of(const Points& scan, std::size_t n_rings) {
     return rings;
 }
 
-/// Median elevation of the farther half of each ring; nothing where a ring has no point.
+/// Returns the median elevation of the farther half of each ring, or nothing for a ring
+/// without points.
 std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scans, std::size_t n_rings) {
     struct Seen {
         double range_m, elevation_rad;
@@ -74,9 +77,9 @@ std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scan
     return elevations;
 }
 
-/// Columns of a sweep by the steps between neighbouring azimuths of a ring. Where many
-/// rays were dropped most steps are several columns wide: the lower quartile still is
-/// one.
+/// Returns the number of columns per sweep, from the steps between neighbouring azimuths
+/// of a ring. Uses the lower quartile: if many rays were dropped, most steps span several
+/// columns.
 int columns_by_steps(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {
@@ -95,7 +98,7 @@ int columns_by_steps(const Points& scan, const Rings& rings) {
     return int(std::lround(2.0 * kPi / middle_of(steps, 0.25)));
 }
 
-/// S_r(N) of each ring.
+/// Returns S_r(N) of each ring.
 std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const Ring& ring : rings) {
@@ -106,8 +109,8 @@ std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     return sums;
 }
 
-/// Sum of |S_r(N)| over the rings for n values of N from `first` on. Multiplies by
-/// exp(i azimuth) to get from one N to the next.
+/// Returns the sum of |S_r(N)| over the rings for n values of N from `first` on.
+/// Multiplies by exp(i azimuth) to step from one N to the next.
 std::vector<double> lengths_of(const Rings& rings, int first, std::size_t n) {
     std::vector<double> lengths(n, 0.0);
     for (const Ring& ring : rings) {
@@ -150,8 +153,9 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
     return lattice;
 }
 
-/// Turning rate of the head in radians a second, counter-clockwise above 0, by how the
-/// azimuths of a ring follow each other in time; nothing without times.
+/// Returns the rotation rate of the head in radians per second, positive for
+/// counter-clockwise, from the order of azimuths in time. Returns nothing if the points
+/// have no times.
 std::optional<double> turning_rate(const Points& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
@@ -194,7 +198,7 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
     const Lattice lattice = find_lattice(*fullest, rings);
     const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);
 
-    std::vector<std::size_t> order;  // rings from the highest down
+    std::vector<std::size_t> order;  // rings, from the highest down
     for (std::size_t r = 0; r < n_rings; ++r)
         if (elevations[r]) order.push_back(r);
     std::stable_sort(order.begin(), order.end(),

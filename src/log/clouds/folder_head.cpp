@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// sequence.json. Members that it does not know are refused, so that a slip of the pen is
-// no silent default.
+// Reads sequence.json. Unknown members are errors, so that a misspelt member is not
+// silently replaced by its default.
 #include "log/clouds/folder_head.hpp"
 
 #include <algorithm>
@@ -25,10 +25,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kLargestOfHead = 1e12;   // of any length or time
-constexpr double kFarthestWorld_m = 1e9;  // of the world's origin
+constexpr double kLargestOfHead = 1e12;   // limit of all lengths and times
+constexpr double kFarthestWorld_m = 1e9;  // limit of the world's origin
 constexpr std::int64_t kMaxFrame = 99999999;
-constexpr std::size_t kMostFieldsOfPoint = 64;  // of a point
+constexpr std::size_t kMostFieldsOfPoint = 64;  // maximum number of fields per point
 
 std::string text_or(const JsonField& field, const std::string& key, const std::string& usual,
                     std::size_t most = kLongestName) {
@@ -47,7 +47,7 @@ std::vector<std::string> texts_or_none(const JsonField& field, const std::string
     return texts;
 }
 
-/// Position in a list of words.
+/// Returns the index of a word in a list.
 std::size_t choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
     if (at == words.end())
@@ -62,8 +62,8 @@ glm::dquat quaternion(const JsonField& field) {
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.fail(fmt::format("found a quaternion of length {}", glm::length(rotation)), "expected 1");
-    // as written: check_sequence allows what normalising would only move in the last
-    // digit
+    // Not normalised, because this would only change the last digit. check_sequence()
+    // accepts such lengths.
     return rotation;
 }
 
@@ -78,10 +78,10 @@ Pose mounting(const JsonField& field, const std::string& where) {
     return {quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
-/// A sensor by name or file.
+/// Reads a sensor by name or file.
 void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
-    const double max_range_m = lidar.sensor.max_range_m;  // of a file that gives none
+    const double max_range_m = lidar.sensor.max_range_m;  // default for files without a range limit
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
     const SensorModel model =
         find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name,
@@ -92,8 +92,8 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
     set_sensor(lidar, model);
 }
 
-/// A sensor as an object: {"<kind>": {...}}, or the members of a spinning one alone.
-/// Without a period it is that of the frames' times.
+/// Reads a sensor as an object: {"<kind>": {...}}, or directly the members of a spinning
+/// sensor. The default period is the time between frames.
 void read_sensor(const JsonField& field, bool spins, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_pattern_kind(field);
@@ -169,7 +169,7 @@ std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<H
     return frames;
 }
 
-/// The scans of each LiDAR's folder in the order of their names, at an even rate.
+/// Lists the scans of each LiDAR's folder, sorted by name, at a constant rate.
 std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
                                          const fs::path& folder) {
     std::vector<HeadFrame> frames;

@@ -16,14 +16,15 @@ namespace relidar::folder {
 namespace {
 
 constexpr double kFarthestCoordinate_m = 1e6;
-// 1 - cosine of 1.4 mrad: what two returns of one ray, rounded, are apart at most
+// 1 - cosine of 1.4 mrad, the maximum angle between two rounded returns of one ray.
 constexpr float kOneRay = 1e-6f;
 
-/// Whether a return type of Nebula (ReturnType: 3 strongest, 6 identical, 9 and 10
-/// strongest and first or last) says that nothing of its ray came back stronger.
+/// Returns true if no return of the ray was stronger, by Nebula's ReturnType: 3
+/// strongest, 6 identical, 9 and 10 strongest and first or last.
 bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
-/// Points that are returns: x is a number, and they do not lie at the origin.
+/// Returns the points that are returns: x is a number, and the point is not at the
+/// origin.
 std::vector<std::uint32_t> find_returns(std::size_t n, const std::array<const FieldValues*, 3>& xyz) {
     enum : char { at_origin = 0, away = 1, no_number = 2 };
     std::vector<char> place(n, at_origin);
@@ -42,13 +43,13 @@ std::vector<std::uint32_t> find_returns(std::size_t n, const std::array<const Fi
     return returns;
 }
 
-/// Converts fields of the points that are kept.
+/// Converts fields of the selected points.
 struct Conversion {
     std::vector<std::uint32_t> kept;
     const std::string& where;
 
-    /// Calls set(k, of_value(value, point)) for the k-th point that is kept. @throws
-    /// DataError of of_value, with the point's number in front
+    /// Calls set(k, of_value(value, point)) for the k-th selected point.
+    /// @throws DataError of of_value, preceded by the point's number
     template <class OfValue, class Set>
     void each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
         field.visit([&](const auto& value_at) {
@@ -60,7 +61,7 @@ struct Conversion {
             }
         });
     }
-    /// Fills an array, one number a point that is kept. Leaves it as it is without a field.
+    /// Fills an array with one number per selected point. Does nothing without a field.
     template <class T, class OfValue>
     void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
         if (!field) return;
@@ -71,8 +72,8 @@ struct Conversion {
     }
 };
 
-/// Some files count returns from 1, as relidar's own do, others from 0. No scan has second
-/// returns alone.
+/// Returns the number of the first return. Some files count returns from 1, as relidar
+/// does, others from 0. No scan has only second returns.
 double first_return_number(const FieldValues& number, std::size_t n) {
     double least = number[0];
     number.visit([&](const auto& number_at) {
@@ -91,9 +92,9 @@ void rearrange(std::vector<T>& values, const std::vector<std::size_t>& order) {
     values = std::move(arranged);
 }
 
-/// Points of one ring and time whose directions are the same are returns of one ray: the
-/// strongest is the first of them.
-/// @param type  [n] of the points
+/// Combines points with the same ring, time and direction to returns of one ray. The
+/// strongest is the first return.
+/// @param type  [n] return type of each point
 void number_returns(Points& points, const std::vector<double>& type) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
@@ -138,7 +139,7 @@ Points points_of(const PointTable& table, const PointUnits& units, double time_s
     const Conversion convert{find_returns(table.n, {x, y, z}), where};
     Points points;
     points.position_m.resize(convert.kept.size());
-    // a point that is wrong is named with all of its coordinates
+    // The error for an invalid point contains all of its coordinates.
     const auto coordinate = [&](double value, std::size_t i) {
         if (!(std::abs(value) <= kFarthestCoordinate_m))
             throw DataError(fmt::format(": ({}, {}, {}), expected metres within {}", (*x)[i], (*y)[i],
@@ -148,7 +149,7 @@ Points points_of(const PointTable& table, const PointUnits& units, double time_s
     for (const auto& [axis, field] : {std::pair(0, x), std::pair(1, y), std::pair(2, z)})
         convert.each(*field, coordinate,
                      [&points, a = axis](std::size_t k, float value) { points.position_m[k][a] = value; });
-    const std::string of_point;  // Conversion names the point
+    const std::string of_point;  // Conversion adds the point's number
     const auto* intensity = table.find(PointValue::intensity);
     if (!intensity) points.intensity.assign(convert.kept.size(), 0.0f);
     convert.to(points.intensity, intensity,

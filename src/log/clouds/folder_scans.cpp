@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a plain folder: rays as npz and EXR have them, or points that are put on the
-// rays that took them. What points do not say, rings and beams, is found from a few scans
-// of each LiDAR first.
+// Reads the scans of a plain folder: rays from npz and EXR, or points that are assigned
+// to rays. Missing rings and beams are first estimated from a few scans of each LiDAR.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -24,10 +23,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kSamples = 6;     // scans of a LiDAR from which its beams are found
-constexpr double kUsualPeriod_s = 0.1;  // of a sweep, where there is one frame alone
+constexpr std::size_t kSamples = 6;     // number of scans per LiDAR for estimating its beams
+constexpr double kUsualPeriod_s = 0.1;  // period of a sweep, if there is only one frame
 
-/// First returns that spinning_scan() has a ray for, if none lie on one.
+/// Counts the first returns for which spinning_scan() has a ray, if no two are on the
+/// same ray.
 std::size_t count_first_returns(const Points& points) {
     constexpr float kLeastRange_m = 1e-3f;
     std::size_t n = 0;
@@ -39,12 +39,12 @@ std::size_t count_first_returns(const Points& points) {
     return n;
 }
 
-/// How the points of a LiDAR become scans.
+/// Settings for converting the points of a LiDAR to scans.
 struct Plan {
-    bool ordered = false;                       ///< by beams and columns
-    bool has_rings = false, has_times = false;  ///< in its files
-    bool undo = false;                          ///< motion compensation
-    std::vector<std::uint16_t> beam_of_ring;    ///< kNoBeam: points of the ring are left out
+    bool ordered = false;                       ///< arranged by beams and columns
+    bool has_rings = false, has_times = false;  ///< properties of its files
+    bool undo = false;                          ///< undo motion compensation
+    std::vector<std::uint16_t> beam_of_ring;    ///< kNoBeam: ignores the points of the ring
 };
 
 /// Scans of a folder.
@@ -90,7 +90,7 @@ public:
 
     void find_sensors() {
         for (std::size_t l = 0; l < plans_.size(); ++l) {
-            std::vector<std::size_t> with_points;  // frames
+            std::vector<std::size_t> with_points;  // frames with points
             for (std::size_t i = 0; i < sequence_.frames.size(); ++i)
                 if (sequence_.frames[i].lidar == int(l) && source_.has_points(i)) with_points.push_back(i);
             if (sequence_.lidars[l].sensor.name.empty()) sequence_.lidars[l].sensor.name = sequence_.name;
@@ -147,11 +147,11 @@ private:
     const ScanSource& source_;
     const bool has_poses_;
     BrokenScans& broken_;
-    std::vector<Plan> plans_;                ///< [lidars]
-    std::map<std::size_t, Points> samples_;  ///< [frames] that the plans were made from
-    std::vector<std::size_t> left_out_;      ///< [frames] points
-    std::vector<std::size_t> n_first_;       ///< [frames] first returns
-    std::vector<std::size_t> behind_;        ///< [frames] of them: on rays that have another one
+    std::vector<Plan> plans_;                ///< [lidars] plan of each LiDAR
+    std::map<std::size_t, Points> samples_;  ///< [frames] samples from which the plans were made
+    std::vector<std::size_t> left_out_;      ///< [frames] number of ignored points
+    std::vector<std::size_t> n_first_;       ///< [frames] number of first returns
+    std::vector<std::size_t> behind_;        ///< [frames] first returns on rays that already have one
 
     void note(const std::string& text) {
         if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end())
@@ -170,7 +170,8 @@ private:
         return points;
     }
 
-    /// Between the frames of a LiDAR, in the middle, unless it is known.
+    /// Returns the median time between frames of a LiDAR, or the known duration of a
+    /// revolution.
     double frame_step_s(std::size_t lidar) const {
         if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
         std::vector<double> steps;
@@ -185,7 +186,7 @@ private:
         return steps[steps.size() / 2];
     }
 
-    /// A LiDAR whose scans are rays spins where its sensor is given.
+    /// Sets the period of a LiDAR whose scans are rays. It spins if its sensor is given.
     void check_rays(std::size_t l) {
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
@@ -195,7 +196,7 @@ private:
     void make_plan(std::size_t l, const std::vector<std::size_t>& frames) {
         Plan& plan = plans_[l];
         std::vector<Points> samples;
-        std::vector<std::size_t> of_sample;  // frame
+        std::vector<std::size_t> of_sample;  // frame of each sample
         const auto add_sample = [&](std::size_t i) {
             broken_.attempt(i, [&] {
                 samples.push_back(read_points(i, head_.motion_compensated && has_poses_));
@@ -224,7 +225,7 @@ private:
                  "rays start at the sensor of the "
                  "frame's time");
         for (std::size_t k = 0; k < samples.size(); ++k) {
-            if (!plan.has_rings) samples[k].ring.clear();  // recovered for the fit alone
+            if (!plan.has_rings) samples[k].ring.clear();  // rings were estimated only for the fit
             samples_.emplace(of_sample[k], std::move(samples[k]));
         }
     }
@@ -293,7 +294,7 @@ private:
         }
     }
 
-    /// Rings as relidar counts them.
+    /// Renumbers rings to relidar's convention.
     Points renumbered(const Points& points, const Plan& plan, std::size_t i) {
         Points kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
@@ -316,7 +317,7 @@ private:
     }
 };
 
-/// Frames whose scans are read: all, or so many of each LiDAR.
+/// Returns the frames whose scans are read: all, or a limited number per LiDAR.
 std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans) {
     std::vector<std::vector<std::size_t>> own(sequence.lidars.size());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)

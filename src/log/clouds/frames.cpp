@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Frames, poses and boxes of a log as it is read.
+// Builds the frames, poses and boxes of a log while it is read.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// When a spinning head fired: head = zero + tick * 2 pi / n_ticks.
+// Lattice of the firings of a spinning head: head = zero + tick * 2 pi / n_ticks.
 #include <relidar/log/clouds.hpp>
 
 #include <cmath>
@@ -24,13 +24,13 @@ Sweep even_sweep(const Points& points, const SpinningSensor& sensor) {
     Sweep sweep{{sensor.columns, 0.0}, {}};
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
     const BeamGeometry ideal((Beam()));
-    std::complex<double> sum = 0.0;  // its phase is the mean of the heads' within a step
+    std::complex<double> sum = 0.0;  // its phase is the mean of the head azimuths within a step
     for (std::size_t i = 0; i < points.size(); ++i) {
         const BeamGeometry& beam = points.ring[i] < beams.size() ? beams[points.ring[i]] : ideal;
         sum += std::polar(1.0, sensor.columns * beam.head_azimuth(glm::dvec3(points.position_m[i])));
     }
     sweep.lattice.zero_rad = std::arg(sum) / sensor.columns;
-    // ticks from the one nearest to +pi downwards
+    // Ticks in descending order, from the one nearest to +pi.
     int last = sweep.lattice.tick(kPi);
     if (sweep.lattice.azimuth_of(last) < 0.0) last = (last + sensor.columns - 1) % sensor.columns;
     for (int i = 0; i < sensor.columns; ++i)

@@ -10,18 +10,20 @@
 namespace relidar {
 namespace {
 
-// of the elevations of a ring, between a tenth and nine tenths of its farther half
+// Maximum spread of the elevations of a ring, between the 10th and 90th percentile of its
+// farther half.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
-// of azimuths without a point: less may be hidden by the vehicle
+// Minimum gap of azimuths without points. A smaller gap may be blocked by the vehicle.
 constexpr double kLeastGap_rad = kPi / 3.0;
-constexpr double kOtherPeriod = 0.2;       // share by which a turn differs from the step of the scans
-constexpr std::size_t kFewestPoints = 50;  // of a ring
+// relative difference between a revolution and the step of the scans
+constexpr double kOtherPeriod = 0.2;
+constexpr std::size_t kFewestPoints = 50;  // minimum number of points per ring
 
 double elevation_of(const glm::vec3& p) {
     return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
 }
 
-/// Median over the rings.
+/// Returns the median spread of the rings.
 double spread_of_rings(const Points& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
@@ -42,7 +44,7 @@ double spread_of_rings(const Points& scan) {
     return spreads[spreads.size() / 2];
 }
 
-/// The widest range of azimuths without a point of any scan.
+/// Returns the widest range of azimuths without a point of any scan.
 double widest_gap(const std::vector<Points>& scans) {
     constexpr std::size_t kBins = 360;
     std::array<bool, kBins> seen{};
@@ -51,7 +53,7 @@ double widest_gap(const std::vector<Points>& scans) {
             seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] =
                 true;
     std::size_t widest = 0, run = 0;
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // twice around: a gap may lie across the end
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // runs twice around, because a gap may cross the end
         run = seen[b % kBins] ? 0 : run + 1;
         widest = std::max(widest, std::min(run, kBins));
     }

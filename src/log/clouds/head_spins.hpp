@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Whether points are those of a spinning head, or of a LiDAR that scans a window or draws
-// petals.
+// Checks whether points come from a spinning head, or from a LiDAR that scans a window or
+// a rosette.
 #pragma once
 
 #include <string>
@@ -10,11 +10,12 @@
 
 namespace relidar {
 
-/// Why points cannot be of a spinning head, in words; empty where they may be. Rings of
-/// one have an elevation each; where it sees a part of the turn alone, it takes the time
-/// of a turn for a turn all the same.
-/// @param scans  a few, with rings @param fitted  to them @param step_s  from scan to
-/// scan
+/// Returns the reason why points cannot come from a spinning head, or an empty string if
+/// they can. Each ring of a spinning head has one elevation. A head with a limited view
+/// still needs the time of a full revolution.
+/// @param scans  some scans, with rings
+/// @param fitted  sensor that was fitted to them
+/// @param step_s  time between scans
 std::string why_no_head(const std::vector<Points>& scans, const SpinningSensor& fitted, double step_s);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Names of the paper's parts as drives and frames.
+// Converts the names of the paper's parts to drives and frames.
 #include "log/clouds/lidar_rt_benchmark.hpp"
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Frames of KITTI-360 and Waymo on which the LiDAR-RT paper is evaluated, by the names of
-// its supplementary tables.
+// Frames of KITTI-360 and Waymo that the LiDAR-RT paper evaluates, by the names in its
+// supplementary tables.
 #pragma once
 
 #include <optional>
@@ -15,8 +15,8 @@ namespace relidar {
 struct BenchmarkSequence {
     const char* name;
     const char* drive;  ///< part of the drive's name in its dataset
-    int first, last;    ///< frames
-    /// the four frames that the published results hold out: test_first, test_first +
+    int first, last;    ///< first and last frame
+    /// The four frames that the published results hold out: test_first, test_first +
     /// test_every, ...
     int test_first, test_every;
 };
@@ -36,17 +36,17 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
     {"wd3", "100721", 1, 50, 10, 10},     {"wd4", "105003", 148, 197, 157, 10},
 };
 
-/// What DatasetOptions::sequence and frames ask for.
+/// Selection by DatasetOptions::sequence and frames.
 struct ChosenSequence {
-    std::string drive;  ///< as given, or the paper's
-    FrameRange frames;  ///< of a part of the paper those that were asked for as well
+    std::string drive;  ///< name as given by the user, or of the paper
+    FrameRange frames;  ///< for a part of the paper, the intersection with the requested frames
     bool is_benchmark = false;
-    /// of a part of the paper: those that are held out in published results, of the
-    /// frames asked for
+    /// For a part of the paper: the frames that published results hold out, within the
+    /// requested frames.
     std::vector<int> test_frames = {};
 };
-/// @throws UsageError where the frames asked for have none in common with the paper's
-/// part
+/// Returns the selection.
+/// @throws UsageError if the requested frames do not overlap the paper's part
 ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts);
 
 }  // namespace relidar

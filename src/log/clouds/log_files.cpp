@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scans of a KITTI raw drive, n x float32 {x, y, z, reflectance}, and what a folder is
-// that is no such drive.
+// Reads scans of a KITTI raw drive, n x float32 {x, y, z, reflectance}, and explains what
+// a folder is if it is not such a drive.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -16,7 +16,8 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// no LiDAR return lies ten kilometres away: a file of another type or byte order
+// A larger range indicates another file type or byte order, because no LiDAR measures ten
+// kilometres.
 constexpr double kFarthestReturn_m = 1e4;
 
 }  // namespace

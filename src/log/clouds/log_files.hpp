@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The single files of a KITTI raw drive, each checked while read. Formats: KITTI raw
-// development kit.
+// Readers for the files of a KITTI raw drive, which check what they read. Formats: KITTI
+// raw development kit.
 #pragma once
 
 #include <filesystem>
@@ -14,71 +14,73 @@
 
 namespace relidar::kitti {
 
-/// Frame numbers of the scans in a folder within [begin, end), ascending; end -1 = open.
-/// @throws DataError without that folder or any scan, UsageError where none lies in the
-/// range
+/// Returns the frame numbers of the scans in a folder within [begin, end), ascending. end
+/// -1: no limit.
+/// @throws DataError if the folder or its scans do not exist, UsageError if no scan is in
+/// the range
 std::vector<int> list_scans(const std::filesystem::path& folder, int begin, int end);
 
-/// Points of a scan: x, y, z (metres, sensor frame), reflectance. @throws DataError for a
-/// truncated, empty or impossible scan
+/// Reads the points of a scan: x, y, z (metres, sensor frame), reflectance.
+/// @throws DataError if the scan is truncated, empty or invalid
 std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
 
-/// Which scans between the first and the last of the frames are missing and left out, in
-/// words; empty where none is.
-/// @throws DataError where some are missing that may not be
+/// Describes the missing scans between the first and the last frame. Returns an empty
+/// string if none is missing.
+/// @throws DataError if scans are missing and allow_missing is false
 std::string note_gaps(const std::filesystem::path& folder, const std::vector<int>& frames,
                       bool allow_missing);
 
-/// What a folder is that is no drive, and what to give instead: a KITTI odometry
-/// sequence, a folder of drives, a folder within one.
-/// @param marker  folder that tells a drive @return empty where it is none of these
+/// Explains what a folder is if it is not a drive, and what to use instead: a KITTI
+/// odometry sequence, a folder of drives, or a folder within a drive.
+/// @param marker  folder that identifies a drive
+/// @return an empty string if the folder is none of these
 std::string describe_stranger(const std::filesystem::path& folder, const std::string& marker);
 
-/// Times of the given frames, seconds after the file's first (days included): frame i
-/// stands on line i, lines of missing scans are empty.
-/// @throws DataError for a line that is no time, a frame without one, or times that do
-/// not rise
+/// Reads the times of the given frames in seconds after the file's first time (across
+/// days). Frame i is on line i, and lines of missing scans are empty.
+/// @throws DataError if a line is not a time, a frame has no time, or times do not
+/// increase
 std::vector<double> read_times(const std::filesystem::path& file, const std::vector<int>& frames);
 
-/// Median time of one sweep from timestamps_start.txt and timestamps_end.txt, over the
-/// lines that both have.
+/// Returns the median duration of a sweep from timestamps_start.txt and
+/// timestamps_end.txt, over the lines that both files have.
 double read_period(const std::filesystem::path& drive);
 
-/// Median time of one sweep from a single file of timestamps: from each line to the next.
+/// Returns the median duration of a sweep from a single timestamp file, as the difference
+/// of consecutive lines.
 double read_step(const std::filesystem::path& file);
 
-/// Rigid transform with the keys R (9 numbers, row-major) and T (3).
+/// Reads a rigid transform with the keys R (9 numbers, row-major) and T (3 numbers).
 Pose read_calibration(const std::filesystem::path& file);
 
-/// Rigid transform of a line "key: 12 numbers", 3x4 row-major, of a file of such lines.
+/// Reads a rigid transform from a line "key: 12 numbers", 3x4 row-major.
 Pose read_transform(const std::filesystem::path& file, const std::string& key);
 
-/// world_from_sensor of the given frames from OXTS: Mercator about the latitude of the
-/// log's first frame, x east, y north. Dataset's world: origin at the IMU in the log's
-/// first frame.
-/// @throws DataError naming the file, or the setting that helps where the drive has no
-/// OXTS
+/// Reads world_from_sensor of the given frames from OXTS: Mercator projection at the
+/// latitude of the log's first frame, x east, y north. The origin of the dataset's world
+/// is the IMU in the log's first frame.
+/// @throws DataError with the file, or with the setting to use if the drive has no OXTS
 std::vector<Pose> read_oxts_poses(const std::filesystem::path& drive, const std::vector<int>& frames);
 
-/// world_from_sensor of the given frames: 12 numbers a line, 3x4 row-major, frame i on
-/// line i.
+/// Reads world_from_sensor of the given frames: 12 numbers per line, 3x4 row-major, frame
+/// i on line i.
 std::vector<Pose> read_pose_file(const std::filesystem::path& file, const std::vector<int>& frames);
 
-/// What a log says of itself with kNoPoses.
+/// Note of a log that is loaded with kNoPoses.
 inline constexpr const char* kNoPosesNote =
     "no poses are read (dataset.poses=none): they have to be found from the scans";
 
-/// Gives a sequence the poses of DatasetOptions::poses_file; its boxes go along. Leaves
-/// it as it is where that is empty.
+/// Replaces the poses of a sequence by those of DatasetOptions::poses_file. Boxes keep
+/// their position relative to the vehicle. Does nothing if the path is empty.
 void take_given_poses(Sequence& sequence, const std::filesystem::path& poses_file);
 
-/// Poses of a file with a frame's number and 12 numbers a line, 3x4 row-major, the frames
-/// rising.
+/// Reads poses from a file with a frame number and 12 numbers per line, 3x4 row-major,
+/// with increasing frame numbers.
 std::map<int, Pose> read_numbered_poses(const std::filesystem::path& file);
 
-/// Boxes of tracklet_labels.xml for the given frames, in the world of the poses; none
-/// without that file.
-/// @param world_from_sensor one entry for each of `frames`
+/// Reads the boxes of tracklet_labels.xml for the given frames, in the world frame of the
+/// poses. Returns none without this file.
+/// @param world_from_sensor  one pose per frame
 std::vector<BoxTrack> read_tracklets(const std::filesystem::path& file, const std::vector<int>& frames,
                                      const PoseTrack& world_from_sensor);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// PCD 0.7: a text header, then the points as text, packed, or packed field by field and
+// Reads PCD 0.7: a text header, then the points as text, packed, or packed by field and
 // compressed with LZF.
 #include <cstdint>
 #include <cstring>
@@ -14,13 +14,14 @@
 namespace relidar::folder {
 namespace {
 
-constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // of a point
-constexpr std::size_t kMostExpansion = 264;                      // LZF: three bytes give at most this many
+constexpr std::size_t kMostPcdFields = 256, kMostBytes = 65536;  // limits per point
+// maximum expansion of LZF: three bytes give at most this many
+constexpr std::size_t kMostExpansion = 264;
 
 struct PcdHeader {
     std::vector<std::string> names;
     std::vector<double> sizes, counts;
-    std::string types;  ///< a letter a field
+    std::string types;  ///< one letter per field
     double points = -1.0, width = 0.0, height = 1.0;
     std::string data;
     std::size_t length = 0;  ///< bytes of the header
@@ -105,9 +106,9 @@ std::vector<PointField> fields_of(const PcdHeader& header, const std::string& wh
         fmt::format("{}: its compressed data is damaged, expected LZF of the size that is given", where));
 }
 
-/// LZF: a byte below 32 is followed by that many bytes and one more as they are; any
-/// other says, with one or two more, how many bytes to repeat and how far back they
-/// stand.
+/// Unpacks LZF. A byte b below 32 is followed by b + 1 literal bytes. Any other byte,
+/// with one or two more bytes, specifies the number of bytes to repeat and their
+/// distance.
 std::string unpack_lzf(std::string_view packed, std::size_t size, const std::string& where) {
     std::string out;
     out.reserve(size);
@@ -129,14 +130,14 @@ std::string unpack_lzf(std::string_view packed, std::size_t size, const std::str
         length += 2;
         const std::size_t back = ((control & 31) << 8) + next() + 1;
         if (back > out.size() || length > size - out.size()) fail_packed(where);
-        // it may repeat what it has just written
+        // the source may overlap the output
         for (std::size_t i = 0; i < length; ++i) out += out[out.size() - back];
     }
     if (out.size() != size) fail_packed(where);
     return out;
 }
 
-/// Sizes, then the bytes that unpack to the fields one after the other.
+/// Unpacks the data: two sizes, then compressed bytes with one field after the other.
 std::string unpack(std::string_view data, const std::string& where) {
     if (data.size() < 8)
         throw DataError(fmt::format("{}: truncated: {} bytes behind the header, expected 8 with sizes", where,

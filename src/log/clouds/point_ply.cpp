@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// PLY: the vertices, which have to be its first element, as text or little-endian.
+// Reads PLY: the vertices, which must be the first element, as text or little-endian.
 #include <cstdint>
 #include <sstream>
 

@@ -17,13 +17,13 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // as many as a scan may have rays
+constexpr std::size_t kMostPoints = std::size_t(1) << 24;  // maximum number of rays of a scan
 
 struct FieldName {
     std::string_view name;
     PointValue value;
 };
-/// Of the names of one value the first that is there counts.
+/// If several names of one value exist, the first one in this list is used.
 constexpr FieldName kFieldNames[] = {
     {"x", PointValue::x},
     {"y", PointValue::y},
@@ -141,7 +141,7 @@ PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& f
                                     data.bytes.size(), n, record));
     PointTable table(n);
     table.keep(data.memory);
-    std::size_t before = 0;  // bytes of the fields before this one, of a point
+    std::size_t before = 0;  // bytes per point of the preceding fields
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_point_field(field.name)) {
@@ -161,7 +161,7 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
         throw DataError(
             fmt::format("{}: truncated: {} bytes of text, expected {} points", where, text.size(), n));
     struct Column {
-        std::size_t place;  ///< in the line
+        std::size_t place;  ///< index in the line
         const std::string& name;
         std::vector<double> values;
     };
@@ -194,10 +194,10 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
-/// Returns true if relidar wrote the point cloud and deskewed it or moved it to the
-/// world.
+/// Returns true if relidar wrote the point cloud and deskewed it or moved it to the world
+/// frame.
 bool says_deskewed(std::string_view bytes) {
-    constexpr std::size_t kHeader = 4096;  // bytes that are looked at
+    constexpr std::size_t kHeader = 4096;  // number of bytes that are searched
     const std::string_view header = bytes.substr(0, kHeader);
     return header.find(" points_in sensor at time_s") != header.npos ||
            header.find(" points_in world") != header.npos;

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points as people's files hold them: PCD, PLY, .bin, .npy. Each format says where its
-// fields lie; the rest is the same for all. Numbers keep the type of the file, and are
-// read where they lie.
+// Table of points from user files: PCD, PLY, .bin, .npy. Each format only describes the
+// layout of its fields. Numbers keep the type of the file and are not copied.
 #pragma once
 
 #include <cstddef>
@@ -23,21 +22,24 @@ namespace relidar::folder {
 /// A value of a point that relidar reads.
 enum class PointValue { x, y, z, intensity, ring, time, return_number, return_type };
 
-/// The value that a field of this name holds; nothing for fields that relidar does not
-/// read, such as colours and normals. The only list of names.
+/// Returns the meaning of a field name, or nothing for fields that relidar does not read,
+/// such as colours and normals. All field names are defined here.
 std::optional<PointValue> value_of_field(std::string_view name);
 inline bool is_point_field(std::string_view name) { return value_of_field(name).has_value(); }
 
 enum class NumberType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
-/// The numbers of one field, in the type and at the place that the file gives them.
+/// The values of one field, in the type and memory of the file.
 class FieldValues {
 public:
-    /// @param first  the number of point 0 @param step  bytes from one point to the next
+    /// Refers to the values in memory.
+    /// @param first  value of point 0
+    /// @param step  bytes between consecutive points
     FieldValues(NumberType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls use(value_at), where value_at(i) is the number of point i in its own type.
+    /// Calls use(value_at), where value_at(i) returns the value of point i in its
+    /// original type.
     template <class Use>
     void visit(const Use& use) const {
         switch (type_) {
@@ -63,7 +65,7 @@ public:
                 return use(reader<std::uint64_t>());
         }
     }
-    /// One number. For all numbers visit() is faster.
+    /// Returns one value. visit() is faster for all values.
     double operator[](std::size_t i) const {
         double value = 0.0;
         visit([&](const auto& value_at) { value = double(value_at(i)); });
@@ -85,18 +87,20 @@ private:
     }
 };
 
-/// Fields of the points, those that relidar knows. Copies share the numbers.
+/// Known fields of the points. Copies share the values.
 class PointTable {
 public:
     explicit PointTable(std::size_t n_points = 0) : n(n_points) {}
 
-    std::size_t n;             ///< points
-    bool is_deskewed = false;  ///< the file says that its points are deskewed or in the world
+    std::size_t n;             ///< number of points
+    bool is_deskewed = false;  ///< the file states that its points are deskewed or in the world frame
 
-    /// The field of a value, or nullptr. If several names of the value are there, the one
-    /// that the list of names has first.
+    /// Returns the field with a meaning, or nullptr. If several names for it exist,
+    /// returns the first one in the list of names.
     const FieldValues* find(PointValue value) const;
-    /// @param where  file, for messages @throws DataError if there is a field of this name
+    /// Adds a field.
+    /// @param where  file for error messages
+    /// @throws DataError if the field exists already
     void add(const std::string& name, const FieldValues& values, const std::string& where);
     template <class T>
     void add(const std::string& name, NumberType type, std::vector<T> values, const std::string& where) {
@@ -105,7 +109,7 @@ public:
         add(name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, where);
     }
     void remove(PointValue value);
-    /// Keeps memory that fields look at.
+    /// Keeps the memory alive to which fields refer.
     void keep(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
@@ -116,35 +120,35 @@ private:
 /// A field of a record.
 struct PointField {
     std::string name;
-    char kind;         ///< 'F' floating, 'I' signed, 'U' unsigned
-    std::size_t size;  ///< bytes of a number
+    char kind;         ///< 'F' floating point, 'I' signed, 'U' unsigned
+    std::size_t size;  ///< bytes per number
     std::size_t count = 1;
 };
 
-/// How the numbers of n points lie in bytes.
+/// Layout of the values of n points in memory.
 enum class Packing {
-    by_point,  ///< a record a point
-    by_field   ///< all values of the first field, then all of the second
+    by_point,  ///< one record per point
+    by_field   ///< all values of the first field, then all values of the second field
 };
 
-/// Fields of packed numbers, little-endian. @throws DataError for kinds and sizes there
-/// are no numbers of, or too few bytes
+/// Returns the fields of packed little-endian numbers.
+/// @throws DataError if a type does not exist or there are too few bytes
 PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t n,
                        Packing packing, const std::string& where);
-/// Fields of n lines of numbers parted by blanks.
+/// Returns the fields of n lines of numbers separated by blanks.
 PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n,
                       const std::string& where);
 
-/// Whether a file's ending is that of one of the formats.
+/// Returns true if a file has the ending of a supported point format.
 bool is_point_file(const std::filesystem::path& file);
-/// Whether a file's ending is that of images, which hold a ray each pixel.
+/// Returns true if a file has the ending of an image format, with one ray per pixel.
 bool is_image_file(const std::filesystem::path& file);
-/// Points of a file, its format by its ending. @param columns  fields of .bin and .npy;
-/// empty: x y z intensity
-/// @throws DataError naming the file
+/// Reads the points of a file. The ending determines the format.
+/// @param columns  fields of .bin and .npy; empty: x y z intensity
+/// @throws DataError with the file
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
 
-/// The two formats with headers; point_pcd.cpp, point_ply.cpp.
+/// Read the two formats with headers (point_pcd.cpp, point_ply.cpp).
 PointTable read_pcd(const SharedBytes& file, const std::string& where);
 PointTable read_ply(const SharedBytes& file, const std::string& where);
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rings of points that do not say theirs. A beam sweeps a cone: seen from the sensor's
-// centre all its far points have one elevation, so a histogram of elevations has a narrow
-// band for each beam, and nothing between them.
+// Recovers the rings of points without ring numbers. A beam sweeps a cone. Seen from the
+// sensor's centre, all its far points have nearly the same elevation. So a histogram of
+// elevations has a narrow band for each beam, with empty bins between them.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -15,24 +15,28 @@
 namespace relidar {
 namespace {
 
-constexpr double kBin_rad = 0.01 * kPi / 180.0;  // the closest beams of real sensors are 0.1 degrees apart
-constexpr int kLeastGap = 3;                     // empty bins between two bands
+// the closest beams of real sensors are 0.1 degrees apart
+constexpr double kBin_rad = 0.01 * kPi / 180.0;
+constexpr int kLeastGap = 3;  // minimum number of empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
-constexpr double kWidest = 0.5;   // of a band, as a share of the distance to its nearest neighbour
-constexpr double kStray = 0.005;  // bins with less than this share of what a full bin holds count as empty
-// beams to either side that are tried: origins of beams move elevations by a few
+// maximum width of a band, relative to the distance to its nearest neighbour
+constexpr double kWidest = 0.5;
+constexpr double kStray = 0.005;  // bins with less than this share of a full bin count as empty
+// Number of beams to either side that are tried. The origins of beams shift elevations by
+// a few beams.
 constexpr std::ptrdiff_t kReach = 6;
 
 double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x, v.y)); }
 
-/// Elevations of the farther half of the points within each degree, where the origins of
-/// beams matter least; ascending. Beams that look down have no far points at all.
+/// Returns the elevations of the farther half of the points within each degree,
+/// ascending. The origins of beams have the smallest effect there. Beams that point down
+/// have no far points.
 std::vector<double> far_elevations(const std::vector<Points>& scans) {
     struct Seen {
         float range_m;
         double elevation_rad;
     };
-    std::vector<std::vector<Seen>> seen(181);  // by degree
+    std::vector<std::vector<Seen>> seen(181);  // one list per degree of elevation
     for (const Points& scan : scans)
         for (const glm::vec3& p : scan.position_m) {
             const double elevation = elevation_of(glm::dvec3(p));
@@ -50,11 +54,11 @@ std::vector<double> far_elevations(const std::vector<Points>& scans) {
 }
 
 struct Band {
-    int first, last;       ///< bins
-    double elevation_rad;  ///< median
+    int first, last;       ///< first and last bin
+    double elevation_rad;  ///< median elevation of the band
 };
 
-/// Runs of bins that are not empty.
+/// Returns the runs of bins that are not empty.
 std::vector<Band> bands_of(const std::vector<double>& elevations) {
     const int n_bins = int(kPi / kBin_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
@@ -81,7 +85,7 @@ std::vector<Band> bands_of(const std::vector<double>& elevations) {
     return bands;
 }
 
-/// Whether every band is narrow beside the distance to its neighbours.
+/// Returns true if every band is narrow compared with the distance to its neighbours.
 bool are_apart(const std::vector<Band>& bands) {
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;

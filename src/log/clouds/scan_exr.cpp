@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scan as an EXR range image: the channels that `relidar render --format exr` writes,
-// under the names that scans as npz have.
+// Reads a scan from an EXR range image: the channels that `relidar render --format exr`
+// writes, with the names of scans in npz.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/base/images.hpp>
@@ -17,7 +17,7 @@ namespace {
 
 constexpr const char* kAxes[] = {".x", ".y", ".z"};
 
-/// Three channels as one array of vectors, where all three are there.
+/// Combines three channels to an array of vectors, if all three exist.
 void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name,
                  const std::string& where, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
@@ -54,7 +54,7 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
                                         values.data(), values.size()));
     add_vectors(image, "direction", "directions", where, arrays);
     add_vectors(image, "origin", "origin", where, arrays);
-    const auto frame = image.notes.find("points_in");  // as a rendering says it
+    const auto frame = image.notes.find("points_in");  // as a rendering stores it
     const bool moved = frame != image.notes.end() &&
                        (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
     const std::int32_t deskewed = moved ? 1 : 0;
@@ -62,8 +62,9 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
     return arrays;
 }
 
-/// The LiDAR, with the sensor that the file names where sequence.json gives none. Only
-/// names: a file does not say what else is read.
+/// Completes the LiDAR with the sensor that the file names, if sequence.json gives none.
+/// Accepts only names of known sensors, so that a file cannot cause other files to be
+/// read.
 Lidar completed(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;

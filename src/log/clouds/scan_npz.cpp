@@ -16,7 +16,7 @@ namespace {
 constexpr double kLongestOffset_s = 10.0;
 constexpr std::size_t kMostReturns = 8;
 
-/// The arrays of one file, looked up by name, their sizes checked against the image's.
+/// The arrays of one file by name. Checks their sizes against the size of the image.
 class Arrays {
 public:
     Arrays(const std::string& where, std::vector<NamedArray> arrays)
@@ -36,18 +36,19 @@ public:
         if (const NamedArray* array = find(name)) return *array;
         throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));
     }
-    /// A number of all rays.
+    /// Returns a single number for all rays.
     double number(const std::string& name) const {
         if (at(name).count() != 1)
             throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name,
                                         fmt::join(at(name).shape, ", ")));
         return at(name).as_double()[0];
     }
-    /// A number a ray. @param usual  of all, where the array is missing
+    /// Returns one number per ray.
+    /// @param usual  value of all rays if the array is missing
     std::vector<double> image(const std::string& name, double usual) const {
         return find(name) ? values(name, 1) : std::vector<double>(rows * columns, usual);
     }
-    /// `width` numbers a ray.
+    /// Returns `width` numbers per ray.
     std::vector<double> values(const std::string& name, std::size_t width) const {
         if (at(name).count() != rows * columns * width)
             throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name,
@@ -92,7 +93,7 @@ std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
     return intensity;
 }
 
-/// Rays of images that hold none: those of the LiDAR's sensor.
+/// Returns the rays of the LiDAR's sensor, for images without rays.
 RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
@@ -106,7 +107,8 @@ RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     return rays;
 }
 
-/// Images whose first row is the lowest beam, as relidar counts them.
+/// Flips images whose first row is the lowest beam. In relidar, row 0 is the highest
+/// beam.
 void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     for (NamedArray& array : arrays) {
         const std::size_t row =
@@ -120,7 +122,7 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     }
 }
 
-/// What images say of times, rings and divergence, where they do.
+/// Adds times, rings and divergence, if the images contain them.
 void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
     const PointUnits& units = source.head.units;
     const std::size_t n = rays.size();
@@ -207,7 +209,8 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     Scan scan;
     scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
     add_what_is_said(arrays, source, scan.rays);
-    // of a rendering: the surface that a ray met, where the mean lies between two
+    // For a rendering, uses the median: it is on the surface that a ray hits, while the
+    // mean may lie between two surfaces.
     const std::vector<float> range_m =
         ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scan as npz: every ray, the dropped ones too. Arrays of `relidar render --format npz`
-// are read as they are; scan_exr.cpp reads the same from EXR.
+// Scans as npz with every ray, including dropped rays. Arrays of `relidar render --format
+// npz` can be read directly. scan_exr.cpp reads the same data from EXR.
 #pragma once
 
 #include <filesystem>
@@ -12,39 +12,44 @@
 
 namespace relidar::folder {
 
-/// Where images are from, and what they do not say themselves.
+/// Context of images, for data that they do not contain.
 struct ImageSource {
     const Head& head;
-    const HeadLidar& of_head;  ///< the LiDAR as sequence.json has it
-    const Lidar& lidar;  ///< the same with what was completed; gives images without directions their rays
-    double time_s;       ///< of the frame
+    const HeadLidar& of_head;  ///< the LiDAR in sequence.json
+    const Lidar& lidar;        ///< the completed LiDAR, which defines the rays of images without directions
+    double time_s;             ///< time of the frame
 };
 
-/// @throws DataError for a file that is damaged, lacks an array, or whose arrays are of
-/// different sizes
+/// Reads a scan.
+/// @throws DataError if the file is damaged, an array is missing, or sizes differ
 Scan read_scan_npz(const std::filesystem::path& file, const ImageSource& source);
-/// The same from channels: range, median_range, intensity, drop_prob, time, ring,
-/// range_2, intensity_2 ..., and x, y and z of direction and origin. @throws DataError
-/// likewise
+/// Reads a scan from EXR channels: range, median_range, intensity, drop_prob, time, ring,
+/// range_2, intensity_2 ..., and x, y and z of direction and origin.
+/// @throws DataError as read_scan_npz()
 Scan read_scan_exr(const std::filesystem::path& file, const ImageSource& source);
-/// What both have in common. @param where  file, for messages
+/// Creates a scan from arrays. Used for both formats.
+/// @param where  file for error messages
 Scan scan_of_images(const std::string& where, std::vector<NamedArray> arrays, const ImageSource& source);
 
-/// Bit-equal when it is read again, except that all times of a motion-compensated scan
-/// are 0.
+/// Writes a scan. Reading it again gives identical bits, except that all times of a
+/// motion-compensated scan are 0.
 void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool motion_compensated);
 
-/// @param is_deskewed  the file says that its points are deskewed or in the world
-/// @throws DataError if the log's head does not say that too
+/// Checks that the file and the log's head agree about deskewed points.
+/// @param is_deskewed  true: the file states that its points are deskewed or in the world
+/// frame
+/// @throws DataError if the log's head does not state this
 void check_deskewed(bool is_deskewed, const Head& head, const std::string& where);
 
-/// A file's intensity as 0..1. @throws DataError where it is no number, or brighter than
-/// what sequence.json calls bright by default
+/// Converts an intensity of a file to 0..1.
+/// @throws DataError if it is not a number, or larger than the default maximum of
+/// sequence.json
 float unit_intensity(double found, const PointUnits& units, const std::string& where);
-/// A file's time of a point as seconds from its frame's. @throws DataError where it is
-/// farther from it than any sweep takes
+/// Converts a point time of a file to seconds relative to its frame.
+/// @throws DataError if the difference is longer than any sweep
 float time_offset(double found, const PointUnits& units, double frame_time_s, const std::string& where);
-/// A file's ring. @throws DataError where it is no number of a beam
+/// Converts a ring number of a file.
+/// @throws DataError if it is not a valid beam number
 std::uint16_t ring_number(double found, const std::string& where);
 
 }  // namespace relidar::folder

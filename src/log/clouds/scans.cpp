@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Puts points on the rays that took them. Ray of beam k at head azimuth theta:
-// beam_ray(beam_k, theta), range = |point - origin|, fired at
-//   -theta / (2 pi) * period (clockwise, 0 = facing forward), or as measured.
+// Assigns points to rays. The ray of beam k at head azimuth theta is beam_ray(beam_k,
+// theta). The range is |point - origin|. The firing time is
+//   -theta / (2 pi) * period (clockwise, 0 = facing forward), or the measured time.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -17,11 +17,11 @@ namespace relidar {
 namespace {
 
 constexpr int kEmpty = -1;
-constexpr std::size_t kMostReturns = 8;  // of a ray: sensors give two or three
-constexpr int kMostTicks = 1 << 16;      // of a sweep: a step of 0.005 degrees
-constexpr double kLeastRange_m = 1e-3;   // nearer than this there is no direction
+constexpr std::size_t kMostReturns = 8;  // maximum returns per ray; sensors have two or three
+constexpr int kMostTicks = 1 << 16;      // maximum ticks per sweep: a step of 0.005 degrees
+constexpr double kLeastRange_m = 1e-3;   // a point nearer to the origin has no direction
 
-/// Index of the point in each cell [ring][firing], kEmpty = dropped.
+/// Index of the point in each cell [ring][firing]; kEmpty: dropped.
 struct ImageCells {
     std::size_t n_firings;
     std::vector<int> point;
@@ -34,7 +34,8 @@ std::size_t number_of(const Points& points, std::size_t point) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point]) - 1;
 }
 
-/// @param n_beams  of the rings; 0: they are not needed
+/// Checks the sizes of the arrays and the rings.
+/// @param n_beams  number of beams; 0: rings are not needed
 void check_points(const Points& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t n, bool may_be_empty) {
         if (n != points.size() && !(may_be_empty && n == 0))
@@ -56,7 +57,7 @@ void check_points(const Points& points, std::size_t n_beams) {
     }
 }
 
-/// Firing nearest in time to each tick.
+/// Returns the firing nearest in time to each tick.
 std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firings.size(); ++f)
@@ -72,8 +73,8 @@ std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     return filled;
 }
 
-/// Firing that each column's slot shows: all in order, some twice where there are fewer
-/// firings than columns.
+/// Returns the firing of each column. If there are fewer firings than columns, some
+/// firings are repeated.
 std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -93,10 +94,11 @@ std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     return slot;
 }
 
-/// Points of each return number by cell: [0] the first returns.
+/// Points by cell for each return number. Index 0 has the first returns.
 class Assignment {
 public:
-    /// @param head_rad  [points] azimuth of the head when it measured each point
+    /// Assigns the points to cells.
+    /// @param head_rad  [points] azimuth of the head at each point
     Assignment(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
@@ -107,14 +109,14 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);
     }
     std::vector<ImageCells> by_return;
-    std::vector<int> firing_of;  ///< [points] kEmpty where it is beyond the range
+    std::vector<int> firing_of;  ///< [points] kEmpty if the point is beyond the range
 
 private:
     const Points& points_;
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
     const std::vector<double>& head_rad_;
-    std::vector<int> nearest_;  ///< firing of each tick, where points do not tell theirs
+    std::vector<int> nearest_;  ///< firing of each tick, if points have no firing numbers
 
     float range_of(int point) const {
         return glm::length(points_.position_m[static_cast<std::size_t>(point)]);
@@ -141,7 +143,7 @@ private:
         ImageCells& cells = cells_of(number);
         int point = static_cast<int>(i);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // a second return belongs to its ray
+            // a second return stays with its ray
             if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.at(ring, f), point);
             break;
@@ -149,7 +151,8 @@ private:
         if (point != kEmpty && range < range_of(cells.at(ring, firing))) cells.at(ring, firing) = point;
     }
 
-    /// A point beyond the sensor's range gets its ray only if no other point wants it.
+    /// Assigns a point beyond the sensor's range to its ray only if the ray has no other
+    /// point.
     void add_beyond(std::size_t i) {
         if (!(double(range_of(static_cast<int>(i))) > sensor_.max_range_m)) return;
         const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
@@ -158,8 +161,8 @@ private:
     }
 };
 
-/// When each firing was: the mean of its points' times; of a firing without points, from
-/// the nearest that has some.
+/// Returns the time of each firing: the mean time of its points. For a firing without
+/// points, extrapolates from the nearest firing with points.
 std::vector<double> firing_times(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                                  const std::vector<int>& firing_of) {
     const std::size_t n = sweep.firings.size();
@@ -174,7 +177,7 @@ std::vector<double> firing_times(const Points& points, const SpinningSensor& sen
                 count[std::size_t(firing_of[i])] += 1.0;
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
-        std::size_t from = f;  // firings before and after in turn
+        std::size_t from = f;  // alternates between the firings after and before
         for (std::size_t d = 0; d < n && count[from] == 0.0; ++d)
             from = d % 2 == 0 ? (f + d / 2 + 1) % n : (f + n - d / 2 - 1) % n;
         if (count[from] == 0.0) return time_s;
@@ -199,17 +202,17 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
     scan.second_returns.assign(n_second_returns, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
 }
 
-/// The modelled ray of a firing, with range 0.
+/// Sets the modelled ray of a firing, with range 0.
 void set_dropped(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad) {
     const BeamRay model = beam.ray(head_rad);
     scan.rays.origin[at] = glm::vec3(model.origin_m);
     scan.rays.direction[at] = glm::vec3(model.direction);
 }
 
-/// Sets the ray of a point, in its own direction. Returns false, and sets nothing, if the
-/// point is too near to its ray's origin to have a direction.
-/// @param head_rad  of the point itself, not of the lattice: its origin is exact even if
-/// the lattice has only even steps
+/// Sets the ray of a point, with the direction of the point. Returns false, and sets
+/// nothing, if the point is too near to the ray's origin to have a direction.
+/// @param head_rad  azimuth at the point, not of the lattice, so that its origin is exact
+/// even if the lattice has only even steps
 bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad, const Points& points,
                   std::size_t i) {
     const glm::dvec3 p(points.position_m[i]);
@@ -224,7 +227,7 @@ bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double h
     return true;
 }
 
-/// A second return of a ray, where it has a first one.
+/// Sets a second return of a ray, if the ray has a first return.
 void set_second_return(Scan& scan, std::size_t at, const Points& points, std::size_t i) {
     if (scan.range_m[at] == 0.0f) return;
     SecondReturn& echo = scan.second_returns[number_of(points, i) - 1];
@@ -283,7 +286,7 @@ Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Swe
 
 Scan unordered_scan(const Points& points) {
     check_points(points, 0);
-    std::vector<std::size_t> first;  // return of each ray
+    std::vector<std::size_t> first;  // first return of each ray
     std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
         throw UsageError(

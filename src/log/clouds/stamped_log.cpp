@@ -22,15 +22,18 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kStep_m = 1.0;         // of a vehicle, long beside the errors of two poses
-constexpr double kLongestStep_s = 1.0;  // what takes longer may be anything
-constexpr std::size_t kSamples = 6;     // scans whose points are looked at
-// half the points, in distances between beams; those of another LiDAR: 0.25
+constexpr double kStep_m = 1.0;  // minimum step of a vehicle, long compared with the errors of two poses
+// longer steps are ignored, because the motion in between is unknown
+constexpr double kLongestStep_s = 1.0;
+constexpr std::size_t kSamples = 6;  // number of scans for estimates
+// Maximum median distance of points from their beams, relative to the distance between
+// beams. Another LiDAR has 0.25.
 constexpr double kNearBeam = 0.15;
-constexpr double kSameTime = 1e-6;            // share of a gap: the pose is one of the two
-constexpr double kLargestCoordinate_m = 1e8;  // of poses as written: UTM has 10^7
+constexpr double kSameTime = 1e-6;  // share of a gap within which a pose is used without interpolation
+// limit of pose coordinates in files; UTM coordinates reach 10^7
+constexpr double kLargestCoordinate_m = 1e8;
 
-/// A stamp of a table. Some writers give it a fraction or an exponent.
+/// Parses a stamp of a table. Some writers add a fraction or an exponent.
 std::optional<std::int64_t> stamp_of_cell(std::string_view cell) {
     if (const auto whole = parse_stamp(cell)) return whole;
     const std::optional<double> number = parse_number(cell);
@@ -67,7 +70,7 @@ std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
     return track.at(time_s);
 }
 
-/// Scans of files whose points are completed and turned.
+/// Scans of files, with completed and rotated points.
 class StampedPoints : public folder::ScanSource {
 public:
     StampedPoints(const Sequence& sequence, const std::vector<fs::path>& files, const PointFormat& format)
@@ -97,7 +100,7 @@ private:
     const PointFormat& format_;
 };
 
-/// Points of a few scans, of those that can be read.
+/// Returns the points of a few readable scans.
 std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_scans) {
     std::vector<Points> samples;
     const std::size_t n = std::min(kSamples, n_scans);
@@ -106,14 +109,14 @@ std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_sca
             samples.push_back(source.points(k * n_scans / n));
             if (samples.back().size() == 0) samples.pop_back();
         } catch (const DataError&) {
-            continue;  // told where the scan is read
+            continue;  // the error is reported later, when the scan is read
         }
     }
     return samples;
 }
 
-/// Whether points lie near their beams, beside the distance to the next one: of another
-/// LiDAR they lie anywhere.
+/// Returns true if points are near their beams, relative to the distance to the next
+/// beam. Points of another LiDAR have any distance.
 bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
     const std::vector<Beam>& beams = fit.sensor.beams;
     std::vector<double> off;  // in distances between beams
@@ -121,7 +124,7 @@ bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit)
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const std::size_t b = fit.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
-            for (const std::size_t next : {b - 1, b + 1})  // below 0 is far above the last
+            for (const std::size_t next : {b - 1, b + 1})  // an index below 0 wraps to a large number
                 if (next < beams.size())
                     apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
             const glm::dvec3 p(scan.position_m[i]);
@@ -132,8 +135,8 @@ bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit)
     return *middle < kNearBeam;
 }
 
-/// Nominal beams where the points have them. Nothing where they are of another LiDAR, or
-/// where their azimuths have no steps, as those of points that were moved to one time.
+/// Fits the nominal beams to the points. Returns nothing if the points come from another
+/// LiDAR, or if their azimuths have no steps, such as points that were moved to one time.
 std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, const PointFormat& format) {
     if (samples.empty()) return std::nullopt;
     FittedSensor fit;
@@ -146,7 +149,8 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
-    for (const bool is_second : {false, true})  // the phase that all share, then what each has beside it
+    // first pass: the common phase; second pass: the offset of each beam
+    for (const bool is_second : {false, true})
         for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
             if (fit.beam_of_ring[r] == kNoBeam) continue;
             const Beam& found = fit.sensor.beams[fit.beam_of_ring[r]];
@@ -179,7 +183,8 @@ std::vector<StampedScan> list_scans(const fs::path& folder) {
         throw DataError(
             fmt::format("{}: no scan, expected files named by their times, such as 1598990189106857.bin",
                         folder.string()));
-    std::ranges::sort(scans, {}, &StampedScan::stamp);  // names of fewer digits come first
+    // by number, because names with fewer digits would sort wrongly
+    std::ranges::sort(scans, {}, &StampedScan::stamp);
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
     return scans;
 }
@@ -190,7 +195,7 @@ std::vector<StampedRow> read_rows(const fs::path& file, std::size_t n_values) {
     for (std::size_t l = 0; l < lines.size(); ++l) {
         if (trimmed(lines[l]).empty()) continue;
         const std::vector<std::string_view> cells = csv_cells(lines[l]);
-        if (l == 0 && !parse_number(cells[0])) continue;  // names of the columns
+        if (l == 0 && !parse_number(cells[0])) continue;  // skips a line of column names
         StampedRow row = row_of(cells, n_values, fmt::format("{} line {}", file.string(), l + 1));
         if (!rows.empty() && row.stamp == rows.back().stamp) continue;
         if (!rows.empty() && row.stamp < rows.back().stamp)
@@ -212,7 +217,7 @@ Driving find_driving(const PoseTrack& world_from_rider) {
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_rider.time_s[to] - world_from_rider.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        if (!is_late) {  // as seen at both ends of the step: halfway through a bend
+        if (!is_late) {  // as seen at both ends of the step, for the middle of a curve
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 seen =
                 0.5 * (glm::conjugate(poses[from].rotation) * d + glm::conjugate(poses[to].rotation) * d);
@@ -301,7 +306,7 @@ void read_points(Sequence& sequence, const std::vector<fs::path>& files, PointFo
                 "one of the nominal beam that passes nearest",
                 sensor.beams.size(), sensor.columns));
         } else {
-            format.beams.clear();  // source looks at it
+            format.beams.clear();  // `source` reads the beams
         }
     }
     head.name = sequence.name;
@@ -319,7 +324,7 @@ Brightness find_brightness(const std::vector<fs::path>& files, const std::vector
         try {
             samples.push_back(folder::read_point_file(files[k * files.size() / n], columns));
         } catch (const DataError&) {
-            continue;  // told where the scan is read
+            continue;  // the error is reported later, when the scan is read
         }
     }
     const bag::CloudUnits units = bag::find_units(samples, std::vector<double>(samples.size(), 0.0), 0.0);

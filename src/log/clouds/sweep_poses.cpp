@@ -12,19 +12,20 @@
 namespace relidar::bag {
 namespace {
 
-constexpr double kStep_s = 1e-3;   // between corrections, which are interpolated
-constexpr double kLeast_m = 1e-3;  // of the farthest move of a sweep: sensors measure ten times as coarsely
-constexpr double kReach_m = 50.0;  // at which a turn counts
+constexpr double kStep_s = 1e-3;  // step between corrections, which are interpolated
+// minimum motion for a correction; the accuracy of sensors is ten times coarser
+constexpr double kLeast_m = 1e-3;
+constexpr double kReach_m = 50.0;  // distance at which a rotation is converted to a motion
 
-/// What a correction moves a point at kReach_m by, at most.
+/// Returns the maximum motion of a point at distance kReach_m by a correction.
 double size_of(const Pose& correction) {
     const double sine =
         glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// From the sensor as it was to where the log's poses have it, by the time from the
-/// frame's.
+/// Returns the corrections from the true sensor pose to the log's pose, by time relative
+/// to the frame.
 PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt& world_from_vehicle) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
@@ -40,7 +41,8 @@ PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt
     return track;
 }
 
-/// @return the farthest move, metres
+/// Corrects the rays of a frame.
+/// @return the largest motion in metres
 double place_rays_of(Frame& frame, const PoseTrack& corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, size_of(pose));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses between the frames of a log, which a recording has and a Sequence has not.
+// Corrects rays with poses between the frames of a log. A recording has such poses, but a
+// Sequence has not.
 #pragma once
 
 #include <functional>
@@ -10,15 +11,15 @@
 
 namespace relidar::bag {
 
-/// Nothing where it is not known.
+/// Returns the pose at a time, or nothing if it is unknown.
 using PoseAt = std::function<std::optional<Pose>(double)>;
 
-/// Starts and turns the rays of each sweep so that they are fired from where the sensor
-/// was, although the log's poses are those of its frames and straight between them: in a
-/// bend at 10 m/s and 0.5 rad/s that is 5 cm beside. A sweep that this moves by less than
-/// a millimetre stays as it is.
-/// @param world_from_vehicle  by time, in the log's recentred world
-/// @return a note, empty where nothing was moved
+/// Moves and rotates the rays of each sweep so that they start at the true sensor
+/// position. The log's poses are those of its frames, with straight lines between them.
+/// In a curve at 10 m/s and 0.5 rad/s this causes an error of 5 cm. Sweeps with an error
+/// below a millimetre are not changed.
+/// @param world_from_vehicle  pose by time, in the log's recentred world
+/// @return a note, or an empty string if nothing was moved
 std::string place_rays(Sequence& sequence, const PoseAt& world_from_vehicle);
 
 }  // namespace relidar::bag

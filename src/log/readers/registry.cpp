@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which reader a dataset path belongs to: one row a kind. A new dataset is one reader and
-// one row here.
+// Selects the reader of a dataset path. The table has one row per kind of dataset. A new
+// dataset needs one reader and one row.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -35,12 +35,14 @@ namespace fs = std::filesystem;
 
 struct DatasetKind {
     const char* name;
-    /// File or folder that tells the kind; "name*": one whose name begins so; ".ending":
-    /// a file with it, or a folder of such files. Any of several, parted by blanks.
+    /// File or folder that identifies the kind. "name*": a name with this beginning.
+    /// ".ending": a file with this ending, or a folder of such files. Alternatives are
+    /// separated by blanks.
     const char* marker;
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
-    bool holds_drives = false;  ///< several, of which DatasetOptions::sequence names one
+    /// true: contains several drives, and DatasetOptions::sequence selects one
+    bool holds_drives = false;
 };
 
 constexpr DatasetKind kKinds[] = {
@@ -97,8 +99,8 @@ bool is_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Scans that lack nothing but sequence.json. @throws DataError with the line that would
-/// do
+/// Checks for a folder of scans in which only sequence.json is missing.
+/// @throws DataError with the content that the file should have
 void check_bare_folder(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
@@ -118,10 +120,10 @@ void check_bare_folder(const fs::path& path) {
     }
 }
 
-/// Farthest return of a LiDAR in whole metres, rounded up; 80 m if the log has no return.
-/// Points are cut at 80 m in KITTI.
+/// Returns the farthest return of a LiDAR in whole metres, rounded up, or 80 m if the log
+/// has no return.
 double farthest_return_m(const Sequence& sequence, int lidar) {
-    constexpr float kFarthest_m = 1000.0f;  // a point beyond it is no return of a LiDAR on a vehicle
+    constexpr float kFarthest_m = 1000.0f;  // farther points are not returns of a LiDAR on a vehicle
     constexpr double kWithoutReturns_m = 80.0;
     std::vector<float> farthest(sequence.frames.size(), 0.0f);
     parallel_for(static_cast<int>(farthest.size()), [&](int i) {
@@ -139,7 +141,8 @@ double farthest_return_m(const Sequence& sequence, int lidar) {
     return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
 }
 
-/// Gives a LiDAR whose limit is not known the farthest return of the log, with a note.
+/// Sets the range limit of LiDARs without a known limit to the farthest return of the
+/// log, and adds a note.
 void find_farthest(Sequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -152,7 +155,7 @@ void find_farthest(Sequence& sequence) {
     }
 }
 
-/// Returns of a scan that its LiDAR's limits exclude.
+/// Number of returns of a scan that are outside the LiDAR's range limits.
 struct OutsideRange {
     std::size_t near = 0, far = 0, all = 0;
 };
@@ -170,7 +173,8 @@ OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
     return counts;
 }
 
-/// Notes for each LiDAR how many returns its limits exclude. @param counts  [frames]
+/// Adds a note for each LiDAR about the number of returns outside its limits.
+/// @param counts  [frames]
 void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         OutsideRange sum;
@@ -191,7 +195,8 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
     }
 }
 
-/// No LiDAR sees anything beyond its own limits and the given ones.
+/// Limits each LiDAR to the overlap of its range limits and the requested limits, and
+/// drops returns outside.
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     find_farthest(sequence);
     for (Lidar& lidar : sequence.lidars) {
@@ -224,7 +229,8 @@ void note_missing_intensities(Sequence& sequence) {
             "scored");
 }
 
-/// Leaves the named LiDARs, in the log's order; frames and poses of the others alone go.
+/// Keeps the named LiDARs, in the log's order. Removes frames and poses that only other
+/// LiDARs use.
 void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     std::vector<int> place(sequence.lidars.size(), -1);
     for (const std::string& name : names) place[std::size_t(find_lidar(sequence, name))] = 0;
@@ -252,7 +258,7 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
         sequence.notes.push_back(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
 }
 
-/// "kind:path" as kind and path; the kind is empty where none is named.
+/// Splits "kind:path" into kind and path. The kind is empty if none is given.
 std::pair<std::string, fs::path> parted(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -262,7 +268,9 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
                     : std::pair(std::string(), fs::path(dataset));
 }
 
-/// The reader of a log, of which a part may be named.
+/// Returns the reader of a dataset.
+/// @param sequence  name of a drive in the dataset, or empty
+/// @throws UsageError if a name is given but the dataset is a single drive
 const DatasetKind& reader_of(const std::string& dataset, const std::string& sequence) {
     const auto [kind, path] = parted(dataset);
     const std::string name = kind.empty() ? recognise_dataset(path) : kind;
@@ -280,7 +288,7 @@ void check_range(const FrameRange& range) {
     }
 }
 
-/// Where and when each sweep began, and where its head pointed.
+/// Determines the start of each sweep and its azimuth shift.
 void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)
@@ -300,7 +308,7 @@ bool is_dataset(const fs::path& path) {
         return std::any_of(std::begin(kKinds), std::end(kKinds),
                            [&](const DatasetKind& kind) { return is_kind(path, kind); });
     } catch (const DataError&) {
-        return false;  // what cannot be read
+        return false;  // the path cannot be read
     }
 }
 
@@ -324,7 +332,7 @@ std::string recognise_dataset(const fs::path& path) {
 std::string absolute_dataset(const std::string& dataset) {
     const auto [kind, path] = parted(dataset);
     if (path.empty()) return dataset;
-    // without a slash at the end
+    // without a trailing slash
     const std::string absolute = (fs::absolute(path) / "").lexically_normal().parent_path().string();
     return kind.empty() ? absolute : kind + ":" + absolute;
 }

@@ -24,7 +24,7 @@ constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
 // Expected number of scans per cell. If there are fewer scans, more points of each are
 // kept, because a plane needs eight points.
 constexpr double kScansOnACell = 24.0;
-constexpr RegisterRound kLast{0.5, 0.05};  // cells and kernel of the last rounds
+constexpr RegisterRound kLast{0.5, 0.05};  // cell size and kernel scale of the last rounds
 // Cells and kernel of the last odometry step. A map of running sums is coarser.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // numbers for held-out scans

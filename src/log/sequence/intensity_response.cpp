@@ -118,7 +118,7 @@ struct Layout {
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    double by_albedo, error;  ///< error: measured - expected
+    double by_albedo, error;  ///< `error`: measured - expected
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
 

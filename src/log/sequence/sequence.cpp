@@ -338,7 +338,8 @@ RayTable nominal_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// How long after the frame's time a LiDAR that does not spin faces an azimuth.
+/// Returns the time after the frame's time at which a LiDAR that does not spin measures
+/// an azimuth.
 double facing_offset(const SensorPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
     const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);
     const double middle_s = start ? start->time_s + 0.5 * period_s : 0.0;

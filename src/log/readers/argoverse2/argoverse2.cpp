@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Argoverse 2 sensor. A sweep is a table of points of both LiDARs, brought by the dataset
-// to the vehicle at the time in the file's name. That is undone with the poses of the
-// frames, by which rays are placed again: points lie in the world where the dataset has
-// them.
+// Reader of Argoverse 2 sensor logs. A sweep is a table with the points of both LiDARs.
+// The dataset has transformed all points to the vehicle frame at the time in the file
+// name. The reader undoes this with the poses of the frames, which also place the rays
+// later. So points have the same world position as in the dataset.
 #include "log/readers/argoverse2/argoverse2.hpp"
 
 #include <algorithm>
@@ -29,10 +29,11 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-constexpr std::int64_t kLongestOffset_ns = 200'000'000;  // two turns
-constexpr double kFarthestHit_m = 1e4;                   // of a point
+// limit of a point's time offset: two revolutions
+constexpr std::int64_t kLongestOffset_ns = 200'000'000;
+constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
-/// A sweep's file, and its number in the whole log.
+/// File of a sweep, and the number of the sweep in the log.
 struct SweepFile {
     int number = 0;
     std::int64_t time_ns = 0;
@@ -68,7 +69,7 @@ std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const Fram
     return {sweeps.begin() + begin, sweeps.begin() + end};
 }
 
-/// Rigid transforms of a table: quaternion w x y z, translation, a row each.
+/// Returns the rigid transforms of a table, one per row: quaternion w x y z, translation.
 std::vector<Pose> poses_of(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
@@ -86,7 +87,7 @@ std::vector<Pose> poses_of(const Feather& table) {
     return poses;
 }
 
-/// Lidars of the log, where they are mounted.
+/// Reads the LiDARs of the log and their mounting.
 std::vector<Lidar> read_lidars(const fs::path& file) {
     const Feather table(file);
     const std::vector<std::string> names = table.texts("sensor_name");
@@ -97,7 +98,8 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
         if (row == names.end())
             throw DataError(fmt::format("{}, column 'sensor_name': no {}, expected one", table.name(), name));
         const Pose& mounted = poses[std::size_t(row - names.begin())];
-        // Both heads turn clockwise seen from above; the lower one hangs upside down.
+        // Both heads rotate clockwise seen from above. The lower LiDAR is mounted upside
+        // down.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
         lidars.push_back({name, vlp32c(upright), mounted});
     }
@@ -106,7 +108,7 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
 
 double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(time_ns - origin_ns) * 1e-9; }
 
-/// The vehicle's poses at the times of some sweeps, city frame.
+/// Returns the vehicle's poses at the times of some sweeps, in the city frame.
 PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
     const Feather table(file);
     const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
@@ -154,7 +156,7 @@ RawSweep read_sweep(const fs::path& file) {
     return sweep;
 }
 
-/// Both LiDARs' points of each sweep.
+/// Points of both LiDARs for each sweep.
 using SweepPairs = std::vector<std::array<LidarSweep, 2>>;
 
 SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
@@ -178,8 +180,8 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     return sweeps;
 }
 
-/// Frames of the sweeps and their scans. A LiDAR without any point in a sweep has no
-/// frame there.
+/// Adds the frames of the sweeps and their scans. A LiDAR without points in a sweep gets
+/// no frame.
 void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses,
                 SweepPairs sweeps, const Progress& progress, const BrokenScans& broken) {
     broken.tell(sequence, files.size());
@@ -213,8 +215,8 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
         });
 }
 
-/// Labels at the times of the sweeps that are read, each in the vehicle's frame of its
-/// sweep.
+/// Reads the labels at the times of the loaded sweeps. Each label is in the vehicle frame
+/// of its sweep.
 std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFile>& sweeps,
                                  const PoseTrack& poses) {
     const Feather table(file);
@@ -245,15 +247,15 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
 
 }  // namespace
 
-Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "an Argoverse 2 log (sensors/lidar/, city_SE3_egovehicle.feather)");
+    const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
                                  sweeps = in_range(all, options.frames);
-    const PoseTrack own = read_way(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
+    const PoseTrack vehicle_track = read_way(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     Sequence sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "vehicle x forward, y left, z up, origin at the rear axle; metres; time = name of the sweep, seconds "
         "after the log's first; world: "
@@ -262,11 +264,11 @@ Sequence load_argoverse2(const fs::path& given, const DatasetOptions& options) {
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (path_exists(folder / "annotations.feather"))
-        sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, own);
+        sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, vehicle_track);
     else sequence.notes.push_back("no annotations.feather: nothing in this log is labelled");
     BrokenScans broken(options.skip_broken);
-    SweepPairs read = read_sweeps(sweeps, sequence.lidars, own, options.progress, broken);
-    add_sweeps(sequence, sweeps, own, std::move(read), options.progress, broken);
+    SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
+    add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
     kitti::take_given_poses(sequence, options.poses_file);
     recentre(sequence);
     return sequence;

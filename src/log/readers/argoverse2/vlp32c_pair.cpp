@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Every 55.296 us a VLP-32C fires its 32 lasers, a pair every 2.304 us. The head turns on
-// meanwhile: a laser's azimuth from the head of its firing is its own and the turn since
-// the first pair.
+// A VLP-32C fires its 32 lasers every 55.296 us, one pair every 2.304 us, while the head
+// rotates. So the azimuth of a laser relative to the head at its firing is its azimuth
+// offset plus the rotation since the first pair.
 #include "log/readers/argoverse2/vlp32c_pair.hpp"
 
 #include <algorithm>
@@ -20,31 +20,22 @@ struct Laser {
     int number;  ///< Argoverse's laser_number, modulo 32
     double elevation_deg, azimuth_deg;
 };
-// In order of firing, a pair a line. Angles: VeloView-VLP-32C.yaml of
-// ros-drivers/velodyne (BSD), nominal. Argoverse's numbers and the order of firing were
-// found from the times and elevations of points in a published sweep.
+// Lasers in order of firing, one pair per line. The nominal angles are those of
+// VeloView-VLP-32C.yaml of ros-drivers/velodyne (BSD). Argoverse's numbers and the order
+// of firing were derived from the times and elevations of points in a published sweep.
 constexpr Laser kTable[kLasers] = {
-    {31, -25.000, -1.4}, {13, -1.000, 4.2},   //
-    {1, -1.667, -1.4},   {17, -15.639, 1.4},  //
-    {29, -11.310, -1.4}, {9, 0.000, 1.4},     //
-    {3, -0.667, -4.2},   {21, -8.843, 1.4},   //
-    {27, -7.254, -1.4},  {12, 0.333, 4.2},    //
-    {5, -0.333, -1.4},   {16, -6.148, 1.4},   //
-    {25, -5.333, -4.2},  {8, 1.333, 1.4},     //
-    {7, 0.667, -4.2},    {20, -4.000, 1.4},   //
-    {22, -4.667, -1.4},  {2, 1.667, 4.2},     //
-    {10, 1.000, -1.4},   {28, -3.667, 4.2},   //
-    {23, -3.333, -4.2},  {6, 3.333, 1.4},     //
-    {11, 2.333, -1.4},   {24, -2.667, 1.4},   //
-    {18, -3.000, -1.4},  {0, 7.000, 1.4},     //
-    {14, 4.667, -1.4},   {30, -2.333, 4.2},   //
-    {19, -2.000, -4.2},  {4, 15.000, 1.4},    //
-    {15, 10.333, -1.4},  {26, -1.333, 1.4},   //
+    {31, -25.000, -1.4}, {13, -1.000, 4.2},  {1, -1.667, -1.4},  {17, -15.639, 1.4}, {29, -11.310, -1.4},
+    {9, 0.000, 1.4},     {3, -0.667, -4.2},  {21, -8.843, 1.4},  {27, -7.254, -1.4}, {12, 0.333, 4.2},
+    {5, -0.333, -1.4},   {16, -6.148, 1.4},  {25, -5.333, -4.2}, {8, 1.333, 1.4},    {7, 0.667, -4.2},
+    {20, -4.000, 1.4},   {22, -4.667, -1.4}, {2, 1.667, 4.2},    {10, 1.000, -1.4},  {28, -3.667, 4.2},
+    {23, -3.333, -4.2},  {6, 3.333, 1.4},    {11, 2.333, -1.4},  {24, -2.667, 1.4},  {18, -3.000, -1.4},
+    {0, 7.000, 1.4},     {14, 4.667, -1.4},  {30, -2.333, 4.2},  {19, -2.000, -4.2}, {4, 15.000, 1.4},
+    {15, 10.333, -1.4},  {26, -1.333, 1.4},
 };
 
 double radians(double degrees) { return degrees * kPi / 180.0; }
 
-/// Entry of the table, highest first.
+/// Returns the entries of the table, highest laser first.
 std::array<int, kLasers> rows_of_table() {
     std::array<int, kLasers> entries;
     std::iota(entries.begin(), entries.end(), 0);
@@ -53,7 +44,7 @@ std::array<int, kLasers> rows_of_table() {
     return entries;
 }
 
-/// What is known of a laser by its number.
+/// Row, firing delay and elevation of a laser.
 struct LaserPlace {
     std::uint16_t row = 0;
     double after_first_ns = 0.0;
@@ -71,7 +62,8 @@ std::array<LaserPlace, kLasers> laser_places() {
     return places;
 }
 
-/// Mean distance of elevations from those of the table, each cut at a degree.
+/// Returns the mean difference between the elevations of points and those of the table.
+/// Limits each difference to one degree.
 double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
     const std::array<LaserPlace, kLasers> places = laser_places();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
@@ -87,8 +79,8 @@ double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
     return n > 0.0 ? sum / n : 0.0;
 }
 
-/// Number of the firing of each point, from that of the first one. Packets have a clock
-/// of their own, whose phase all points share.
+/// Returns the firing number of each point, relative to the first firing. The clock of
+/// the packets is independent of the sweep's time, but all points share its phase.
 std::vector<int> firing_numbers(const std::vector<double>& first_pair_ns) {
     std::complex<double> sum = 0.0;
     for (const double t : first_pair_ns) sum += std::polar(1.0, 2.0 * kPi * t / kCycle_ns);
@@ -125,22 +117,22 @@ LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const 
                        double time_s) {
     const std::array<LaserPlace, kLasers> places = laser_places();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
-    LidarSweep found;
+    LidarSweep result;
     std::vector<double> first_pair_ns;
     for (std::size_t i = 0; i < raw.point_m.size(); ++i) {
         if (raw.laser[i] / kLasers != half) continue;
         const LaserPlace& laser = places[std::size_t(raw.laser[i] % kLasers)];
-        found.points.position_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
-        found.points.intensity.push_back(float(raw.intensity[i] / 255.0));
-        found.points.ring.push_back(laser.row);
-        found.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));
+        result.points.position_m.emplace_back(lidar_from_vehicle * raw.point_m[i]);
+        result.points.intensity.push_back(float(raw.intensity[i] / 255.0));
+        result.points.ring.push_back(laser.row);
+        result.points.time_offset_s.push_back(float(double(raw.offset_ns[i]) * 1e-9));
         first_pair_ns.push_back(double(raw.offset_ns[i]) - laser.after_first_ns);
     }
-    if (found.points.size() == 0) return found;
-    undo_compensation(found.points, world_from_sensor, time_s);
+    if (result.points.size() == 0) return result;
+    undo_compensation(result.points, world_from_sensor, time_s);
     const double step_rad = (lidar.sensor.clockwise ? -2.0 : 2.0) * kPi * kRate_hz * kCycle_ns * 1e-9;
-    found.sweep = arrange_firings(found.points, firing_numbers(first_pair_ns), lidar.sensor, step_rad);
-    return found;
+    result.sweep = arrange_firings(result.points, firing_numbers(first_pair_ns), lidar.sensor, step_rad);
+    return result;
 }
 
 }  // namespace relidar::argoverse2

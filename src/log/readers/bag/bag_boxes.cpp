@@ -21,12 +21,12 @@ namespace {
 
 constexpr const char* kNoCategory = "unknown";
 
-/// Poses of frames in the world.
+/// Poses of frames in the world frame.
 class WorldFrames {
 public:
     explicit WorldFrames(const BoxPlaces& places) : places_(places) {}
 
-    /// Nothing where the frame's place is not known at the time.
+    /// Returns the pose of a frame, or nothing if it is unknown at that time.
     std::optional<Pose> at(const std::string& frame, double t_s) {
         if (places_.is_own_world && frame == places_.poses.world) return Pose{};
         auto known = apart_.find(frame);
@@ -45,7 +45,8 @@ private:
     std::map<std::string, std::optional<FramesApart>> apart_;
 };
 
-/// Labels in the order of time, one a thing and time.
+/// Sorts labels by time and removes duplicates of one object at the same time.
+/// @return number of removed labels
 std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
     std::map<std::string, double> last_s;
@@ -55,8 +56,8 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     });
 }
 
-/// Trackers change their minds about what a thing is and how long: the usual size and
-/// category of each hold.
+/// Gives each object its most frequent category and its median size, because trackers
+/// change both over time.
 void settle(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
@@ -78,7 +79,7 @@ void settle(std::vector<BoxLabel>& labels) {
     for (BoxLabel& label : labels) std::tie(label.size_m, label.category) = settled[label.id];
 }
 
-/// Boxes of a topic, label by label.
+/// Reads the boxes of a topic as labels.
 class LabelReader {
 public:
     LabelReader(const BoxPlaces& places, double first_s, double last_s)
@@ -124,7 +125,7 @@ private:
     WorldFrames frames_;
     double first_s_, last_s_;
     std::vector<BoxLabel> labels_;
-    std::set<std::string> unplaced_;  ///< frames
+    std::set<std::string> unplaced_;  ///< frames without a known pose
     std::size_t n_unplaced_ = 0;
 };
 

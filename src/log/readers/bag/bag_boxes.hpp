@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of a recording, in whatever frame, as tracks in the world.
+// Converts the boxes of a recording from any frame to tracks in the world frame.
 #pragma once
 
 #include <functional>
@@ -14,13 +14,14 @@
 
 namespace relidar::bag {
 
-/// Where the frames of boxes are.
+/// Transforms and poses that locate the frames of boxes.
 struct BoxPlaces {
     const FrameTree& frames;
-    const PoseChoice& poses;  ///< their clock, and the frame that is the world
-    std::string vehicle;      ///< frame of which the poses are known
+    const PoseChoice& poses;  ///< their clock, and the frame of the world
+    std::string vehicle;      ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
-    /// poses are the recording's own: boxes in the world's frame are there already
+    /// True if the poses come from the recording. Boxes in the world frame then need no
+    /// transform.
     bool is_own_world = false;
 };
 
@@ -28,7 +29,9 @@ struct BoxTracks {
     std::vector<BoxTrack> tracks;
     std::vector<std::string> notes;
 };
-/// @param times_s  ascending, of the log: boxes more than a step beside them are left out
+/// Reads the tracks of a topic.
+/// @param times_s  ascending times of the log; boxes more than one step outside are
+/// ignored
 BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
                       const std::vector<double>& times_s);
 

@@ -16,18 +16,18 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr const char* kMetadata = "metadata.yaml";
-constexpr std::int64_t kLatest_ns = 4294967296000000000;  // as late as stamps of ROS 1 can be
+constexpr std::int64_t kLatest_ns = 4294967296000000000;  // latest stamp that ROS 1 can represent
 constexpr std::array kEndings = {".mcap", ".db3", ".bag", ".pcap", ".pcapng"};
 
 bool is_part(const fs::path& file) {
     return std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
-/// What metadata.yaml of rosbag2 says of the files beside it, line by line as rosbag2
-/// writes it.
+/// Content of rosbag2's metadata.yaml about the files next to it. Parsed line by line in
+/// the format that rosbag2 writes.
 struct Metadata {
     std::vector<std::string> files;
-    std::string compression, mode;  ///< "zstd"; "file" or "message", lower case
+    std::string compression, mode;  ///< "zstd"; "file" or "message", in lower case
 };
 
 std::string unquoted(std::string_view text) {
@@ -54,7 +54,7 @@ Metadata read_metadata(const fs::path& file) {
     return metadata;
 }
 
-/// Parts without a list of them: _2 comes before _10.
+/// Returns the parts of a folder without a list, sorted so that _2 comes before _10.
 std::vector<fs::path> parts_by_name(const fs::path& folder) {
     std::vector<fs::path> parts;
     for (const fs::path& file : list_folder(folder))
@@ -84,7 +84,7 @@ Bag::Bag(const fs::path& path, bool skip_broken) {
     } else if (path_exists(path / kMetadata)) {
         metadata = read_metadata(path / kMetadata);
         for (const std::string& name : metadata.files) {
-            const fs::path file = path / fs::path(name).filename();  // of a folder that was renamed, too
+            const fs::path file = path / fs::path(name).filename();  // the folder may have been renamed
             if (path_exists(file)) paths_.push_back(file);
             else
                 note(fmt::format("{}: a part of the recording that {} lists is missing", file.string(),

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings of ROS: MCAP, rosbag2 in SQLite, ROS 1 bags, captures of a network, and
-// folders of their parts, as one list of messages. Nothing of a message is looked at
-// here.
+// Access to recordings as one list of messages: MCAP, rosbag2 in SQLite, ROS 1 bags,
+// network captures, and folders of their parts. This layer does not interpret the
+// messages.
 #pragma once
 
 #include <compare>
@@ -20,37 +20,40 @@
 
 namespace relidar::bag {
 
-/// A topic of a recording. Two of one name and different types are two.
+/// A topic of a recording. Topics with the same name but different types are separate.
 struct Topic {
     std::string name;
-    std::string type;      ///< "sensor_msgs/PointCloud2": the "/msg/" of ROS 2 is left out
-    std::string encoding;  ///< of its messages: "cdr", "ros1", "protobuf" ...
+    std::string type;      ///< "sensor_msgs/PointCloud2": without the "/msg/" of ROS 2
+    std::string encoding;  ///< encoding of its messages: "cdr", "ros1", "protobuf" ...
 };
 
-/// Where a message lies.
+/// Position of a message in a recording.
 struct Place {
     static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
 
-    /// byte of the chunk, or of the message's record, in its file; of SQLite: its row
+    /// Byte offset of the chunk, or of the message's record, in its file. For SQLite, the
+    /// row.
     std::uint64_t at = 0;
-    std::uint64_t in_chunk = kNoChunk;  ///< byte of the message's record in the unpacked chunk
-    std::uint32_t file = 0;             ///< of the recording
+    std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
+    std::uint32_t file = 0;             ///< index of the file in the recording
 
     auto operator<=>(const Place&) const = default;
 };
 
 struct Message {
-    std::size_t topic = 0;    ///< in Bag::topics()
-    std::int64_t log_ns = 0;  ///< when it was recorded
-    std::string_view bytes;   ///< valid during the call alone; none of a topic whose messages are not wanted
+    std::size_t topic = 0;    ///< index in Bag::topics()
+    std::int64_t log_ns = 0;  ///< time of recording
+    /// valid only during the call; empty if messages of this topic were not requested
+    std::string_view bytes;
     Place place;
 };
 
-/// Whether what a topic's messages hold is of interest, or only that and when they came.
+/// Returns true if the content of a topic's messages is needed. Otherwise only their
+/// times are reported.
 using Wanted = std::function<bool(const Topic&)>;
 using Take = std::function<void(const Message&)>;
 
-/// The topics of all files of a recording, as they are met.
+/// The topics of all files of a recording, in order of appearance.
 class TopicTable {
 public:
     std::size_t number_of(Topic topic);
@@ -64,48 +67,51 @@ private:
 class BagFile {
 public:
     virtual ~BagFile() = default;
-    /// What each() needs beside the file.
+    /// Callbacks of each().
     struct Pass {
         const Wanted& wanted;
         const Take& take;
-        std::function<void(const std::string&)> note;  ///< what is wrong with the file
-        std::function<void(double)> done;              ///< share of the file that is read
+        std::function<void(const std::string&)> note;  ///< receives problems of the file
+        std::function<void(double)> done;              ///< receives the share of the file that has been read
     };
-    /// All messages in the order of the file. @throws DataError naming what is wrong at
-    /// which byte
+    /// Reads all messages in the order of the file.
+    /// @throws DataError with the problem and its byte offset
     virtual void each(TopicTable& topics, const Pass& pass) = 0;
-    /// One message again; from any thread.
+    /// Reads one message again. Can be called from any thread.
     virtual SharedBytes read(const Place& place) const = 0;
-    /// Frame of the points as relidar's own recordings say it, after a pass; empty for
-    /// other recordings.
+    /// Returns the frame of the points that relidar's recordings store, after a pass.
+    /// Empty for other recordings.
     virtual std::string points_in() const { return ""; }
 };
 
-/// By the kinds of file. @param skip_broken  damaged chunks are left out with a note, not
-/// an error
+/// Opens a file of a given kind.
+/// @param skip_broken  true: skips damaged chunks with a note instead of an error
 std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken);
 std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken);
-/// @param packed  rosbag2 compressed each message with zstd
+/// Opens a rosbag2 database.
+/// @param packed  true: rosbag2 has compressed each message with zstd
 std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed);
 
-/// A recording of one file or of several.
+/// A recording of one or several files.
 class Bag {
 public:
-    /// @param path  a file, or a folder of files, with metadata.yaml or without @throws
-    /// DataError naming the file
+    /// Opens a recording.
+    /// @param path  a file, or a folder of files, with or without metadata.yaml
+    /// @throws DataError with the file
     Bag(const std::filesystem::path& path, bool skip_broken);
 
-    const std::vector<Topic>& topics() const { return topics_.topics(); }  ///< that passes have met
-    const std::vector<std::string>& notes() const { return notes_; }       ///< what the files lack
+    /// topics that earlier passes have read
+    const std::vector<Topic>& topics() const { return topics_.topics(); }
+    const std::vector<std::string>& notes() const { return notes_; }  ///< problems of the files
     const std::vector<std::filesystem::path>& files() const { return paths_; }
-    /// Frame of the points as relidar's own recordings say it, after a pass; empty for
-    /// other recordings.
+    /// Returns the frame of the points that relidar's recordings store, after a pass.
+    /// Empty for other recordings.
     std::string points_in() const;
 
-    /// A pass over all files. Messages come in the order in which they lie there.
+    /// Reads all files. Messages are passed in the order of the files.
     void each(const Wanted& wanted, const Take& take, const Progress& progress = {});
-    /// One message again; from any thread.
+    /// Reads one message again. Can be called from any thread.
     SharedBytes read(const Place& place) const;
 
 private:

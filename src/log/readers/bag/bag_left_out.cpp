@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stands in for src/log/readers/bag where what it needs was missing, or RELIDAR_BAGS is off.
+// Replaces src/log/readers/bag if its dependencies are missing or RELIDAR_BAGS is off.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Clouds of a recording as scans of a log's frames.
+// Converts point clouds of a recording to the scans of a log's frames.
 #pragma once
 
 #include <functional>
@@ -15,34 +15,36 @@
 
 namespace relidar::bag {
 
-/// One cloud, and when its frame is.
+/// A cloud and the time of its frame.
 struct FrameCloud {
-    int number = 0;        ///< of the frame
-    double time_s = 0.0;   ///< of the frame
-    double cloud_s = 0.0;  ///< of the cloud, by the same clock
+    int number = 0;        ///< number of the frame
+    double time_s = 0.0;   ///< time of the frame
+    double cloud_s = 0.0;  ///< time of the cloud on the same clock
     std::size_t lidar = 0;
     CloudEntry entry;
 };
 
-/// The topic of a LiDAR.
+/// Topic of a LiDAR.
 struct LidarTopic {
     const CloudTopic* clouds = nullptr;
     CloudUnits units = {};
-    /// clouds that the units were found from, so that they are not read once more
+    /// clouds from which the units were determined, kept so that they are not read again
     std::map<Place, folder::PointTable> samples = {};
-    SpinningSensor sensor = {};  ///< of packets
+    SpinningSensor sensor = {};  ///< sensor of a topic of packets
 };
-/// Finds what numbers of a topic's points mean, by some of its clouds. @param step_s  from
-/// cloud to cloud
+/// Determines the units of a topic's point values from some of its clouds.
+/// @param step_s  time between clouds
 LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
-/// world_from_lidar at a time of the log.
+/// Returns world_from_lidar at a time of the log.
 using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;
 
 class BagScans : public folder::ScanSource {
 public:
+    /// Prepares the reading of scans.
     /// @param clouds  [frames]
-    /// @param deskewed_by  poses that moved points to the time of their cloud: undone
+    /// @param deskewed_by  poses with which the points were moved to the time of their
+    /// cloud; this motion is undone
     BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds,
              Clock clock, LidarPose deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}

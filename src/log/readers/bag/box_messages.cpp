@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes of vision_msgs/Detection3DArray and of Autoware's TrackedObjects. Recordings of
-// SQLite and MCAP do not always hold definitions, so which of the versions of vision_msgs
-// a message is of is found by which of them ends where it ends.
+// Reads boxes of vision_msgs/Detection3DArray and of Autoware's TrackedObjects.
+// Recordings in SQLite and MCAP do not always contain definitions. So the version of
+// vision_msgs is determined by trial: the right version consumes the complete message.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -16,8 +16,8 @@
 namespace relidar::bag {
 namespace {
 
-constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // numbers
-constexpr std::size_t kPadding = 3;  // bytes that CDR may have behind its last field
+constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // number of doubles
+constexpr std::size_t kPadding = 3;  // CDR may add this many bytes after the last field
 
 void pass_numbers(MessageReader& reader, std::size_t n) {
     for (std::size_t i = 0; i < n; ++i) reader.number<double>();
@@ -29,7 +29,7 @@ glm::dvec3 read_vector(MessageReader& reader) {
     return v;
 }
 
-/// What a message says of a box, before it is known to be one.
+/// Values of a box as in the message, before they are checked.
 struct Draft {
     Header header;
     std::string id, category;
@@ -48,22 +48,23 @@ void add_box(BoxList& list, const Draft& draft) {
     }
 }
 
-/// How versions of vision_msgs lay a Detection3D out: header, results, box, and then.
+/// Layout of a Detection3D in the versions of vision_msgs: header, results, box, then
+/// these fields.
 struct DetectionLayout {
-    bool has_text;      ///< classes are named by texts, not numbers
-    bool has_cloud;     ///< source_cloud
-    bool is_flagged;    ///< is_tracking
-    bool has_identity;  ///< id, before called tracking_id
+    bool has_text;      ///< classes are strings instead of numbers
+    bool has_cloud;     ///< the message has the field source_cloud
+    bool is_flagged;    ///< the message has the flag is_tracking
+    bool has_identity;  ///< id, formerly tracking_id
 };
 constexpr DetectionLayout kDetectionLayouts[] = {
-    {true, false, false, true},   // 3 and 4 of ROS 2
-    {true, true, true, true},     // 2 of ROS 2
-    {true, true, false, false},   // 1 of ROS 2
-    {false, true, false, false},  // of ROS 1
-    {false, true, true, true},    // of ROS 1, later
+    {true, false, false, true},   // versions 3 and 4, ROS 2
+    {true, true, true, true},     // version 2 for ROS 2
+    {true, true, false, false},   // version 1 for ROS 2
+    {false, true, false, false},  // older version for ROS 1
+    {false, true, true, true},    // newer version for ROS 1
 };
 
-/// The most likely class.
+/// Returns the most likely class.
 std::string read_class(MessageReader& reader, const DetectionLayout& layout) {
     constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
     std::string best;
@@ -89,7 +90,8 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
                   read_class(reader, layout),
                   read_pose_numbers(reader),
                   read_vector(reader)};
-        if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();  // is_dense
+        // the flag is_dense
+        if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();
         if (layout.is_flagged) reader.number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.text();
         if (box.header.frame.empty()) box.header = list.header;
@@ -113,7 +115,7 @@ BoxList read_detections(const MessageReader& reader) {
     throw DataError(fmt::format("no version of vision_msgs/Detection3DArray; as the newest: {}", why));
 }
 
-/// Of ObjectClassification, by their numbers.
+/// Classes of ObjectClassification, by number.
 constexpr const char* kLabels[] = {"unknown",    "car",     "truck",      "bus",   "trailer",
                                    "motorcycle", "bicycle", "pedestrian", "animal"};
 
@@ -129,7 +131,7 @@ std::string read_label(MessageReader& reader) {
     return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
 }
 
-/// As the number is usually written; empty where it is 0.
+/// Returns a UUID in the usual notation, or an empty string if it is 0.
 std::string read_uuid(MessageReader& reader) {
     constexpr std::size_t kBytes = 16;
     const std::string_view bytes = reader.take(kBytes);
@@ -141,8 +143,8 @@ std::string read_uuid(MessageReader& reader) {
     return std::ranges::all_of(bytes, [](char c) { return c == '\0'; }) ? "" : text;
 }
 
-/// The box about a shape: a polygon has a footprint about the pose in the place of length
-/// and width.
+/// Reads the bounding box of a shape. A polygon has a footprint around the pose instead
+/// of length and width.
 void read_shape(MessageReader& reader, Draft& box) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.number<std::uint8_t>();
@@ -163,22 +165,23 @@ void read_shape(MessageReader& reader, Draft& box) {
     box.size_m = {most - least, box.size_m.z};
 }
 
-/// @param is_auto  of autoware_auto_perception_msgs, which has what is known of the
-/// heading before the speed
+/// Reads a list of objects.
+/// @param is_auto  true for autoware_auto_perception_msgs, which stores the availability
+/// of the heading before the twist
 BoxList read_objects(MessageReader& reader, bool is_auto) {
     constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
     BoxList list{read_header(reader), {}, 0};
     const std::size_t n = reader.length(kLeastObject);
     for (std::size_t i = 0; i < n; ++i) {
         Draft box{list.header, read_uuid(reader), {}, {}, {}};
-        reader.number<float>();  // how likely it is there
+        reader.number<float>();  // skips the existence probability
         box.category = read_label(reader);
         box.pose = read_pose_numbers(reader);
         pass_numbers(reader, kCovariance);
         if (is_auto) reader.number<std::uint8_t>();
-        pass_numbers(reader, 2 * kTwist);  // speed, acceleration
+        pass_numbers(reader, 2 * kTwist);  // skips twist and acceleration
         if (!is_auto) reader.number<std::uint8_t>();
-        reader.number<std::uint8_t>();  // whether it stands
+        reader.number<std::uint8_t>();  // skips the flag that the object is stationary
         read_shape(reader, box);
         add_box(list, box);
     }

@@ -15,7 +15,8 @@
 namespace relidar::bag {
 namespace {
 
-constexpr double kLeastRate = 0.5, kMostRate = 2.0;  // of a LiDAR that sweeps along with the main one
+// allowed rate of a further LiDAR, relative to the main LiDAR
+constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 
 std::string topics_text(const Bag& bag) {
     std::vector<std::string> texts;
@@ -25,7 +26,8 @@ std::string topics_text(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// Messages of packets that relidar does not read, and what makes clouds of them.
+/// Packages with packets that relidar does not read, and the drivers that make clouds
+/// from them.
 struct PacketDriver {
     const char* package;
     const char* driver;
@@ -37,7 +39,7 @@ constexpr PacketDriver kDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
-/// Why messages that might have been clouds are none.
+/// Explains why messages that could be clouds were not usable.
 std::string broken_text(const Bag& bag, const Survey& survey) {
     std::string text;
     for (const std::string& note : bag.notes()) text += fmt::format(" ({})", note);
@@ -53,7 +55,8 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
     return text;
 }
 
-/// How likely a topic's clouds are what a LiDAR measured, and not what was made of them.
+/// Returns a score for how likely a topic has raw LiDAR measurements instead of processed
+/// clouds.
 double rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);
@@ -71,10 +74,12 @@ bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
     return std::ranges::find(frames, clouds.frame) != frames.end();
 }
 
-/// Clouds in frames of the vehicle or the world are merged, or maps.
+/// Returns true if clouds are in a sensor's frame. Clouds in a vehicle or world frame are
+/// merged clouds or maps.
 bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle); }
 
-/// What is no scan of a LiDAR is refused, or said to be taken for one.
+/// Rejects topics that do not hold LiDAR scans. If it cannot be sure, it accepts the
+/// topic and adds a note.
 void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
     if (is_in(clouds, kOfWorld))
         throw DataError(
@@ -89,7 +94,7 @@ void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice&
             name, clouds.frame));
 }
 
-/// Of sweeps, which may be several messages each.
+/// Returns the rate of sweeps. A sweep may consist of several messages.
 double rate_of(const Survey& survey, const CloudTopic& clouds) {
     const TopicFacts& facts = survey.facts[clouds.topic];
     return facts.rate_hz() * double(clouds.clouds.size()) /
@@ -113,8 +118,8 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
     return lidars;
 }
 
-/// What parts LiDARs: the frame, of clouds that were made of packets that are there too
-/// that of the packets.
+/// Returns the name that separates LiDARs: the frame of the clouds. For clouds that were
+/// made from packets in the same recording, returns the frame of those packets.
 const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     for (const CloudTopic& other : survey.clouds)
         if (!other.turns.empty() &&
@@ -123,7 +128,7 @@ const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     return clouds.frame;
 }
 
-/// The rawest topic of each LiDAR.
+/// Selects the topic with the highest score for each LiDAR.
 std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(

@@ -12,16 +12,16 @@
 namespace relidar::bag {
 namespace {
 
-/// What poses may come from, before a clock is chosen.
+/// A possible source of poses, before a clock is chosen.
 struct PoseSource {
-    std::string outer;                 ///< a frame on the way up from the LiDAR, or that of the topic
-    const PoseTopic* topic = nullptr;  ///< nothing: of /tf
+    std::string outer;                 ///< an ancestor of the LiDAR's frame, or the frame of the topic
+    const PoseTopic* topic = nullptr;  ///< pose topic, or null for /tf
     std::string vehicle;
     std::string about;
 };
 
-/// Of a way up, the frame below the lowest link that moves: everything beneath it is
-/// mounted. The frame itself where nothing moves.
+/// Returns the frame below the lowest moving transform on the path to the root, because
+/// everything below is mounted on it. Returns the frame itself if nothing moves.
 std::string vehicle_on(const FrameTree& frames, const std::vector<std::string>& way,
                        const std::string& outer) {
     for (const std::string& frame : way) {
@@ -59,7 +59,7 @@ PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& to
     return source;
 }
 
-/// Odometry before single poses, the densest of each.
+/// Returns the pose topic with the most samples. Prefers odometry to single poses.
 const PoseTopic* densest(const Bag& bag, const Survey& survey) {
     const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of a cloud, whatever the order, types, padding and endianness of its fields.
+// Reads the points of a cloud for any order, type, padding and endianness of its fields.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -12,7 +12,7 @@
 namespace relidar::bag {
 namespace {
 
-/// Known fields by their places, and what lies between them as fields that nobody reads.
+/// Returns the known fields by offset, and unused fields for the gaps between them.
 std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
     std::vector<folder::PointField> layout;
     std::size_t at = 0;
@@ -33,14 +33,14 @@ std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<
     return layout;
 }
 
-/// All points without anything between rows, in the order of this machine's bytes.
+/// Returns all points without padding between rows, in native byte order.
 std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
     const std::size_t row = cloud.width * cloud.point_step;
     std::string points;
     points.reserve(cloud.height * row);
     for (std::size_t r = 0; r < cloud.height; ++r)
         points += cloud.data.substr(r * (cloud.height > 1 ? cloud.row_step : 0), row);
-    points.resize(cloud.height * row, '\0');  // the last one may end with its last field
+    points.resize(cloud.height * row, '\0');  // the last point may end after its last field
     if (!cloud.is_big_endian) return points;
     for (std::size_t i = 0; i < cloud.size(); ++i)
         for (const Cloud::Field& field : known)

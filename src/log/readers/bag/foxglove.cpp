@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Clouds, transforms and boxes by Foxglove's schemas in protobuf, as `relidar render
+// Reads clouds, transforms and boxes of Foxglove's protobuf schemas, as `relidar render
 // --format mcap` writes them.
 #include <cmath>
 
@@ -23,11 +23,11 @@ constexpr auto kBytes = pbf_wire_type::length_delimited, kFixed32 = pbf_wire_typ
 
 std::string_view view_of(const protozero::data_view& view) { return {view.data(), view.size()}; }
 
-/// x y z w, those that are not there 0.
+/// Reads x y z w. Missing values are 0.
 glm::dvec4 vector_of(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
-        const int at = int(reader.tag()) - 1;  // reading a value forgets its tag
+        const int at = int(reader.tag()) - 1;  // must be read before the value, which resets the tag
         if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64) v[at] = reader.get_double();
         else reader.skip();
     }
@@ -41,7 +41,7 @@ std::int64_t timestamp_of(pbf_reader reader) {
         else if (reader.tag_and_type() == tag_and_type(2, kVarint)) nanoseconds = reader.get_int32();
         else reader.skip();
     }
-    constexpr std::int64_t kLatest_s = 4294967295;  // as ROS has them
+    constexpr std::int64_t kLatest_s = 4294967295;  // limit of ROS times
     if (seconds < 0 || seconds > kLatest_s)
         throw DataError(fmt::format("a time of {} s, expected 0 to {}", seconds, kLatest_s));
     return seconds * 1000000000 + nanoseconds;
@@ -62,7 +62,7 @@ Cloud::Field element_field(pbf_reader reader) {
         char kind;
         std::size_t size;
     };
-    // from 1
+    // Types by number, starting at 1.
     static constexpr Type kTypes[] = {{'U', 1}, {'I', 1}, {'U', 2}, {'I', 2},
                                       {'U', 4}, {'I', 4}, {'F', 4}, {'F', 8}};
     Cloud::Field field;
@@ -80,7 +80,8 @@ Cloud::Field element_field(pbf_reader reader) {
     return field;
 }
 
-/// A pose of its own would have to be undone.
+/// Checks that the pose of a cloud is the identity. Another pose would have to be applied
+/// to the points.
 void check_identity(pbf_reader reader) {
     while (reader.next()) {
         if (reader.tag() > 2 || reader.wire_type() != kBytes) {
@@ -184,7 +185,7 @@ Cube cube_of(pbf_reader reader) {
     return cube;
 }
 
-/// The value of a foxglove.KeyValuePair of this key.
+/// Returns the value of a foxglove.KeyValuePair if it has the given key.
 std::string value_of(pbf_reader reader, std::string_view wanted) {
     std::string key, value;
     while (reader.next()) {
@@ -195,7 +196,7 @@ std::string value_of(pbf_reader reader, std::string_view wanted) {
     return key == wanted ? value : "";
 }
 
-/// An entity is a box where it is one cube.
+/// Adds an entity to the list if it consists of one cube.
 void add_entity(BoxList& list, pbf_reader reader) {
     Box box;
     std::vector<Cube> cubes;

@@ -7,10 +7,10 @@
 namespace relidar::bag {
 namespace {
 
-constexpr double kBeside_s = 0.1;     // of a time before the first and after the last pose: about a sweep
-constexpr std::size_t kDeepest = 64;  // frames above each other
+constexpr double kBeside_s = 0.1;     // tolerance before the first and after the last pose: about one sweep
+constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 
-/// By more than numbers are rounded.
+/// Returns true if two poses differ by more than rounding errors.
 bool differ(const Pose& a, const Pose& b) {
     return glm::distance(a.translation, b.translation) > 1e-6 ||
            std::abs(glm::dot(a.rotation, b.rotation)) < 1.0 - 1e-12;
@@ -55,7 +55,7 @@ void FrameTree::add(const Transform& transform, std::int64_t log_ns, bool is_sta
     if (transform.child.empty() || transform.child == transform.header.frame) return;
     Link& link = parents_[transform.child][transform.header.frame];
     link.is_static = is_static;
-    if (is_static) link.samples.clear();  // the latest holds
+    if (is_static) link.samples.clear();  // only the latest static transform is valid
     if (!link.samples.empty())
         link.changes = link.changes || differ(link.samples.front().pose, transform.parent_from_child);
     link.samples.push_back({transform.header.stamp_ns, log_ns, transform.parent_from_child});
@@ -87,7 +87,7 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
     const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
-    // common_from_frame
+    // Returns common_from_frame, or nothing if a transform moves.
     const auto climb = [&](const std::vector<std::string>& way) -> std::optional<Pose> {
         Pose pose;
         for (const std::string& frame : way) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Two passes: one that surveys the recording, in bounded memory, and one that reads the
-// clouds of the wanted frames where they lie. What is made of them then is what is made
-// of a plain folder of clouds.
+// Reads a recording in two passes. The first pass surveys the recording in bounded
+// memory. The second pass reads the clouds of the requested frames at their file offsets.
+// The clouds are then processed like those of a plain folder.
 #include "log/readers/bag/load_ros_bag.hpp"
 
 #include <algorithm>
@@ -26,8 +26,8 @@ namespace {
 using namespace bag;
 
 constexpr std::int64_t kSecond_ns = 1000000000;
-constexpr double kLeastStep_s = 2e-3;  // between sweeps
-constexpr double kBeside = 0.6;        // steps: a LiDAR's cloud from the main LiDAR's of the same sweep
+constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
+constexpr double kBeside = 0.6;        // maximum time between clouds of one sweep, in steps of the main LiDAR
 
 class BagLog {
 public:
@@ -47,7 +47,7 @@ public:
     Sequence load() {
         has_poses_ = options_.poses_file.empty() && poses_.path;
         is_deskewed_ = bag_.points_in() == "sensor at the stamp";
-        tell_topics();
+        note_topics();
         find_frames();
         add_lidars();
         add_frames();
@@ -79,10 +79,11 @@ private:
     PoseChoice poses_;
     BoxChoice boxes_;
     Sequence sequence_;
-    std::vector<LidarTopic> lidars_;  ///< [LiDARs]
-    std::vector<FrameCloud> frames_;  ///< [frames]
-    bool has_poses_ = false;          ///< of the recording's own
-    bool is_deskewed_ = false;        ///< relidar wrote the points in the sensor's frame at the stamp
+    std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
+    std::vector<FrameCloud> frames_;  ///< cloud of each frame
+    bool has_poses_ = false;          ///< the recording has poses
+    /// relidar wrote the points in the sensor's frame at the time of the stamp
+    bool is_deskewed_ = false;
 
     const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
     const CloudTopic& main() const { return topic_of(clouds_.main); }
@@ -98,7 +99,7 @@ private:
         if (!text.empty()) sequence_.notes.push_back(text);
     }
 
-    void tell_topics() {
+    void note_topics() {
         std::vector<bool> used(bag_.topics().size(), false);
         for (const std::size_t c : clouds_.lidars) used[survey_.clouds[c].topic] = true;
         for (std::size_t t = 0; t < used.size(); ++t)
@@ -120,8 +121,8 @@ private:
                 note(name_of(topic_of(l)) + ": " + text);
     }
 
-    /// Sweeps of the main LiDAR in the order of time, and which clouds of the others
-    /// belong to each.
+    /// Collects the sweeps of the main LiDAR in order of time, and the clouds of other
+    /// LiDARs that belong to each sweep.
     void find_frames() {
         std::vector<FrameCloud> sweeps;
         std::size_t n_late = 0;
@@ -208,7 +209,8 @@ private:
         }
     }
 
-    /// One LiDAR is the vehicle; several are mounted on it.
+    /// Adds the LiDARs. A single LiDAR defines the vehicle frame, several LiDARs are
+    /// mounted on the vehicle.
     void add_lidars() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
@@ -241,7 +243,7 @@ private:
         return pose;
     }
 
-    /// Poses of a file, by frame numbers or by the clock of the recording.
+    /// Returns the poses of a file, by frame number or by the clock of the recording.
     std::vector<Pose> given_poses() const {
         std::vector<folder::HeadFrame> frames;
         for (const FrameCloud& frame : frames_)
@@ -253,8 +255,8 @@ private:
         return *poses;
     }
 
-    /// Boxes stand where their labels have them as seen from the vehicle, whatever its
-    /// poses are taken from.
+    /// Adds the boxes. They keep their labelled position relative to the vehicle,
+    /// whatever the source of its poses.
     void add_boxes() {
         if (!boxes_.topic) return;
         BoxPlaces places{survey_.frames, poses_, {}, {}, has_poses_};

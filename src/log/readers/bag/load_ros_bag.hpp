@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A recording of ROS as a log: rosbag2 (MCAP or SQLite), ROS 1, or MCAP of any recorder
-// that writes ROS messages.
+// Reader of ROS recordings: rosbag2 (MCAP or SQLite), ROS 1, or MCAP of any recorder that
+// writes ROS messages.
 #pragma once
 
 #include <filesystem>
@@ -9,7 +9,8 @@
 
 namespace relidar {
 
-/// @throws DataError naming file, topic or message
+/// Reads a recording.
+/// @throws DataError with file, topic or message
 Sequence load_ros_bag(const std::filesystem::path& path, const DatasetOptions& options);
 
 }  // namespace relidar

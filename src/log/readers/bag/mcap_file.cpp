@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// MCAP (mcap.dev/spec): records of a code, 8 bytes of length, and a body. They are read
-// from the first to the last, so that neither an index nor a summary is needed, nor an
-// end.
+// Reads MCAP files (mcap.dev/spec). A record has a code, 8 bytes of length, and a body.
+// Records are read sequentially, so that neither an index, a summary nor a footer is
+// needed.
 #include <algorithm>
 #include <array>
 #include <map>
@@ -18,7 +18,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::string_view kMcapMagic("\x89MCAP0\r\n", 8);
-constexpr std::size_t kRecordHead = 9;  // code, length
+constexpr std::size_t kRecordHead = 9;  // bytes of a record's code and length
 enum McapCode : std::uint8_t {
     kMcapFooter = 2,
     kMcapSchema = 3,
@@ -48,15 +48,15 @@ struct McapMessage {
 McapMessage message_of(std::string_view body) {
     ByteReader reader(body);
     const auto channel = reader.number<std::uint16_t>();
-    reader.number<std::uint32_t>();  // in the channel's order
+    reader.number<std::uint32_t>();  // skips the sequence number in the channel
     const auto log_ns = reader.number<std::uint64_t>();
-    reader.number<std::uint64_t>();  // published
+    reader.number<std::uint64_t>();  // skips the publication time
     return {channel, std::int64_t(log_ns), reader.rest()};
 }
 
 SharedBytes records_of_chunk(const SharedBytes& chunk) {
     ByteReader reader(chunk.bytes);
-    reader.take(16);  // first and last time
+    reader.take(16);  // skips the first and last time
     const auto n = reader.number<std::uint64_t>();
     const auto sum = reader.number<std::uint32_t>();
     const std::string_view compression = reader.sized();
@@ -124,7 +124,7 @@ private:
         std::string name, encoding;
     };
     std::map<std::uint16_t, Schema> schemas_;
-    std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each
+    std::map<std::uint16_t, std::size_t> channels_;  ///< topic of each channel
 
     SharedBytes body_at(std::uint64_t at) const {
         const SharedBytes head = file_.part(at, kRecordHead);
@@ -146,7 +146,7 @@ private:
         }
     }
 
-    /// Metadata that relidar writes.
+    /// Reads the metadata that relidar writes.
     void read_metadata(ByteReader reader) {
         if (reader.sized() != "relidar") return;
         for (ByteReader pairs(reader.sized()); pairs.left() > 0;) {

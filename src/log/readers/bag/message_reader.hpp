@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fields of a ROS message, one after the other: CDR as ROS 2 serialises (either
+// Reads the fields of a ROS message in order: CDR as ROS 2 serialises it (either
 // endianness, XCDR1 and plain XCDR2), or the packed little-endian numbers of ROS 1.
 #pragma once
 
@@ -17,13 +17,14 @@ namespace relidar::bag {
 
 class MessageReader {
 public:
-    /// @throws DataError where the first bytes are not those of CDR
+    /// Starts reading a message.
+    /// @throws DataError if the first bytes are not a CDR header
     MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
             throw DataError(fmt::format("{} bytes, expected a message in CDR", bytes.size()));
-        // 0, 1: XCDR1; 6, 7: XCDR2; odd ones little-endian
+        // 0, 1: XCDR1; 6, 7: XCDR2; odd values are little-endian
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
             throw DataError(fmt::format("the head {:02x} {:02x}, expected CDR: 00 00, 00 01, 00 06 or 00 07",
@@ -46,14 +47,15 @@ public:
         std::memcpy(&value, raw, sizeof(T));
         return value;
     }
-    /// Without the 0 at its end that CDR counts.
+    /// Reads a string, without the terminating 0 that CDR counts.
     std::string_view text() {
         std::string_view text = take(number<std::uint32_t>());
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
-    /// Number of entries of a list. @param least  bytes that an entry takes at least, so
-    /// that no list is longer than its message
+    /// Reads the number of entries of a list.
+    /// @param least  minimum bytes per entry, so that a list cannot be longer than its
+    /// message
     std::size_t length(std::size_t least) {
         const auto n = number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / least)

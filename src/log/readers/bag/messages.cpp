@@ -18,7 +18,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kMostPointStep = 65536;
-constexpr double kUnitLength = 1e-2;  // a quaternion's length may differ from 1 by this
+constexpr double kUnitLength = 1e-2;  // tolerance of a quaternion's length
 
 struct TypeUse {
     const char* type;
@@ -48,7 +48,7 @@ MessageReader reader_of(const Topic& topic, std::string_view bytes) {
     return {bytes, topic.encoding == "ros1"};
 }
 
-/// Type of a number by the constants of sensor_msgs/PointField.
+/// Reads a field with the type constants of sensor_msgs/PointField.
 Cloud::Field read_field(MessageReader& reader) {
     struct Type {
         char kind;
@@ -60,7 +60,7 @@ Cloud::Field read_field(MessageReader& reader) {
     field.offset = reader.number<std::uint32_t>();
     const auto type = reader.number<std::uint8_t>();
     const auto count = reader.number<std::uint32_t>();
-    field.count = std::max<std::size_t>(count, 1);  // some drivers leave it at 0
+    field.count = std::max<std::size_t>(count, 1);  // some drivers write 0
     if (type < 1 || type > std::size(kTypes))
         throw DataError(fmt::format("the field '{}' of type {}, expected 1 to {}", excerpt(field.name), type,
                                     std::size(kTypes)));
@@ -89,15 +89,16 @@ void check_layout(const Cloud& cloud) {
                                     cloud.height, cloud.width, cloud.point_step));
 }
 
-/// CustomMsg of both Livox drivers: a point is offset_time uint32 (ns), x y z float32,
-/// reflectivity, tag, line uint8. CDR pads all but the last point to 20 bytes.
+/// Reads CustomMsg of both Livox drivers. A point is offset_time uint32 (ns), x y z
+/// float32, reflectivity, tag, line uint8. CDR pads all points except the last to 20
+/// bytes.
 Cloud read_livox(MessageReader& reader) {
     constexpr std::size_t kPoint = 19;
     Cloud cloud;
     cloud.header = read_header(reader);
-    reader.number<std::uint64_t>();  // timebase: the stamp again
-    reader.number<std::uint32_t>();  // points
-    reader.take(4);                  // number of the LiDAR, reserved
+    reader.number<std::uint64_t>();  // skips the timebase, which equals the stamp
+    reader.number<std::uint32_t>();  // skips the number of points
+    reader.take(4);                  // skips the LiDAR id and reserved bytes
     const std::size_t n = reader.length(kPoint);
     cloud.height = 1;
     cloud.width = std::uint32_t(n);
@@ -110,7 +111,7 @@ Cloud read_livox(MessageReader& reader) {
     return cloud;
 }
 
-/// geometry_msgs/TransformStamped; nav_msgs/Odometry begins in the same way.
+/// Reads geometry_msgs/TransformStamped. nav_msgs/Odometry begins with the same fields.
 Transform read_transform(MessageReader& reader) {
     Transform transform{read_header(reader), std::string(reader.text()), {}};
     if (transform.child.starts_with('/')) transform.child.erase(0, 1);
@@ -127,10 +128,11 @@ std::int64_t read_time(MessageReader& reader) {
 }
 
 Header read_header(MessageReader& reader) {
-    if (reader.is_ros1()) reader.number<std::uint32_t>();  // counts messages
+    if (reader.is_ros1()) reader.number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_time(reader);
     std::string frame(reader.text());
-    if (frame.starts_with('/')) frame.erase(0, 1);  // tf of ROS 1 had both
+    // frames of ROS 1's tf exist with and without a leading slash
+    if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};
 }
 

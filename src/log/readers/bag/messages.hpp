@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The messages that a log is made of, by their definitions in sensor_msgs, tf2_msgs,
-// nav_msgs, geometry_msgs, the drivers of Livox, vision_msgs and Autoware.
+// Messages that the bag reader uses, with the definitions of sensor_msgs, tf2_msgs,
+// nav_msgs, geometry_msgs, the Livox drivers, vision_msgs and Autoware.
 #pragma once
 
 #include <array>
@@ -22,81 +22,86 @@ struct Header {
     std::string frame;
 };
 
-/// sensor_msgs/PointCloud2, or what comes to the same.
+/// sensor_msgs/PointCloud2 or an equivalent message.
 struct Cloud {
     Header header;
     std::uint32_t height = 0, width = 0;
     struct Field {
         std::string name;
-        std::size_t offset = 0;  ///< bytes, in a point
-        char kind = 'F';         ///< as PointField has it
+        std::size_t offset = 0;  ///< byte offset in a point
+        char kind = 'F';         ///< 'F', 'I' or 'U': float, signed or unsigned
         std::size_t size = 4, count = 1;
     };
     std::vector<Field> fields;
     bool is_big_endian = false;
     std::size_t point_step = 0, row_step = 0;
-    std::string_view data;  ///< of the message that was read
+    std::string_view data;  ///< view into the message
 
     std::size_t size() const { return std::size_t(height) * width; }
 };
 
 /// A pose of one frame in another.
 struct Transform {
-    Header header;      ///< its frame: the parent
-    std::string child;  ///< empty where the message does not say
+    Header header;      ///< its frame is the parent
+    std::string child;  ///< empty if the message does not name it
     Pose parent_from_child;
 };
 
-/// A thing of a list of boxes.
+/// A box of a list of boxes.
 struct Box {
     Header header;
-    std::string id;          ///< empty: the message does not say which thing of other messages it is
-    std::string category;    ///< in the words of the message; empty where it has none
+    std::string id;          ///< track id; empty if the message has none
+    std::string category;    ///< category as in the message; may be empty
     glm::dvec3 size_m{0.0};  ///< length, width, height, all above 0
-    Pose frame_from_box;     ///< of its centre
+    Pose frame_from_box;     ///< pose of the box's centre
 };
 struct BoxList {
     Header header;
     std::vector<Box> boxes;
-    std::size_t n_left_out = 0;  ///< without a size or a pose
+    std::size_t n_left_out = 0;  ///< boxes without a size or a pose
 };
 
-/// What a topic's messages may be used as. Detections without an identity are not read:
+/// Possible uses of a topic's messages. Detections without an id are not read, because
 /// they cannot be joined to tracks.
 enum class Use { nothing, cloud, packets, calibration, metadata, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
 class MessageReader;
-/// A time of ROS, in nanoseconds.
+/// Reads a ROS time in nanoseconds.
 std::int64_t read_time(MessageReader& reader);
 Header read_header(MessageReader& reader);
 /// A position, and a quaternion as x y z w.
 using PoseNumbers = std::array<double, 7>;
 PoseNumbers read_pose_numbers(MessageReader& reader);
-/// @throws DataError where the quaternion has no direction or a number is not finite
+/// Converts seven numbers to a pose.
+/// @throws DataError if the quaternion is zero or a number is not finite
 Pose pose_of(const PoseNumbers& numbers);
 Cloud read_point_cloud(MessageReader& reader);
 
-/// A cloud. @throws DataError naming the field that is wrong
+/// Reads a cloud.
+/// @throws DataError with the invalid field
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
-/// Points of a cloud by the names that relidar knows (point_table.hpp), numbers as they
-/// stand. @param message  that the cloud was read from
+/// Returns the points of a cloud with relidar's field names (point_table.hpp) and
+/// unchanged values.
+/// @param message  message from which the cloud was read
 folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message);
 
-/// Transforms of tf2_msgs/TFMessage or tf/tfMessage, or the one pose of
-/// nav_msgs/Odometry, geometry_msgs/PoseStamped and the like. Quaternions that have no
-/// direction are refused.
+/// Reads the transforms of tf2_msgs/TFMessage or tf/tfMessage, or the single pose of
+/// nav_msgs/Odometry, geometry_msgs/PoseStamped and similar messages. Rejects zero
+/// quaternions.
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);
 
-/// The same of foxglove.PointCloud and foxglove.FrameTransforms; foxglove.cpp. The
-/// fields' places are not checked yet.
+/// Read foxglove.PointCloud and foxglove.FrameTransforms (foxglove.cpp). The offsets of
+/// the fields are not checked yet.
 Cloud read_foxglove_cloud(std::string_view bytes);
 std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
 
-/// Boxes of vision_msgs/Detection3DArray, of Autoware's TrackedObjects, or of
-/// foxglove.SceneUpdate. @throws DataError
+/// Reads the boxes of vision_msgs/Detection3DArray, Autoware's TrackedObjects or
+/// foxglove.SceneUpdate.
+/// @throws DataError if the message is invalid
 BoxList read_boxes(const Topic& topic, std::string_view bytes);
-/// Of foxglove.SceneUpdate: entities of one cube each. @throws DataError
+/// Reads foxglove.SceneUpdate. Each entity with exactly one cube is a box.
+/// @throws DataError if the message is invalid
 BoxList read_foxglove_boxes(std::string_view bytes);
 
 }  // namespace relidar::bag

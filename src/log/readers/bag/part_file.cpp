@@ -21,8 +21,8 @@
 namespace relidar::bag {
 namespace {
 
-/// A chunk of point clouds is unpacked to three times its size; more than this is no
-/// recording, and would be memory for nothing.
+/// Maximum ratio of unpacked to packed size, and size that is always allowed. Chunks of
+/// point clouds have a ratio of three. A larger ratio indicates a damaged file.
 constexpr std::uint64_t kMostUnpacked = 8, kAlwaysUnpacked = std::uint64_t(8) << 20;
 
 void unpack_bz2(std::string_view from, std::span<char> to) {

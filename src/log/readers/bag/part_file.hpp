@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A file of which parts are read, and the chunks of it that were unpacked last.
+// A file that is read in parts, and a cache of its recently unpacked chunks.
 #pragma once
 
 #include <cstdint>
@@ -16,10 +16,11 @@
 
 namespace relidar::bag {
 
-/// Read from any thread.
+/// A file that any thread can read.
 class PartFile {
 public:
-    /// @throws DataError where it cannot be opened
+    /// Opens a file.
+    /// @throws DataError if it cannot be opened
     explicit PartFile(const std::filesystem::path& path);
     ~PartFile();
     PartFile(const PartFile&) = delete;
@@ -27,7 +28,8 @@ public:
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
-    /// @throws DataError where the file ends before
+    /// Reads a part of the file.
+    /// @throws DataError if the file ends before
     SharedBytes part(std::uint64_t at, std::uint64_t n) const;
 
 private:
@@ -36,8 +38,8 @@ private:
     std::uint64_t size_ = 0;
 };
 
-/// Unpacked chunks by the byte at which they begin; the newest few are kept, for messages
-/// that lie in one are often read together.
+/// Cache of unpacked chunks by their byte offset. Keeps the newest few, because messages
+/// of one chunk are often read together.
 class ChunkCache {
 public:
     SharedBytes get(std::uint64_t at, const std::function<SharedBytes()>& unpack) const;
@@ -48,11 +50,11 @@ private:
     mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
-/// A chunk as its file compressed it: "", "none", "lz4", "zstd" or "bz2". A chunk that is
-/// not compressed is not copied.
-/// @param n  its size unpacked, as the file has it; refused before anything is allocated
-/// where it cannot be
-/// @throws DataError
+/// Unpacks a chunk with the compression of its file: "", "none", "lz4", "zstd" or "bz2".
+/// Does not copy an uncompressed chunk.
+/// @param n  unpacked size from the file; an impossible size is rejected before memory is
+/// allocated
+/// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n);
 
 }  // namespace relidar::bag

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Captures of a network (pcap, pcapng) by libpcap: what each LiDAR sent is a topic,
-// called by its address and the port it sends to. Packets of a topic come as messages of
-// up to kRun of them; a message is found again by the byte of its first packet's record.
+// Reads network captures (pcap, pcapng) with libpcap. The packets of each LiDAR form a
+// topic, named by its address and destination port. Packets of a topic are grouped into
+// messages of up to kRun packets. A message is located by the byte offset of its first
+// packet's record.
 #include <pcap/pcap.h>
 
 #include <algorithm>
@@ -38,7 +39,7 @@ unsigned byte_at(std::string_view bytes, std::size_t at) {
     return at < bytes.size() ? static_cast<unsigned char>(bytes[at]) : 0u;
 }
 
-/// The IPv4 packet of a frame, or nothing.
+/// Returns the IPv4 packet of a frame, or an empty view.
 std::string_view ip_packet(std::string_view frame, int link) {
     std::size_t head = 0;
     unsigned type = kIpv4;
@@ -46,26 +47,28 @@ std::string_view ip_packet(std::string_view frame, int link) {
     if (link == DLT_LINUX_SLL) head = 16, type = big_endian(frame, 14);
     if (link == DLT_LINUX_SLL2) head = 20, type = big_endian(frame, 0);
     if (link == DLT_NULL || link == DLT_LOOP) head = 4;
-    // tags of VLANs
+    // skips VLAN tags
     for (; type == 0x8100 || type == 0x88a8 || type == 0x9100; head += 4) type = big_endian(frame, head + 2);
     if (type != kIpv4 || frame.size() < head + 20 || byte_at(frame, head) >> 4 != 4) return {};
     const std::string_view packet = frame.substr(head);
-    return packet.substr(0, std::max<std::size_t>(big_endian(packet, 2), 20));  // frames are padded
+    // removes the padding of the frame
+    return packet.substr(0, std::max<std::size_t>(big_endian(packet, 2), 20));
 }
 
-/// What one sensor sent.
+/// A UDP datagram of a sensor.
 struct Datagram {
-    std::string source;  ///< "192.168.1.201:2368": its address, the port that it sends to
+    std::string source;  ///< "192.168.1.201:2368": address of the sensor, destination port
     std::uint64_t at = 0;
     std::int64_t stamp_ns = 0;
     std::string bytes;
 };
 
-/// Puts fragments of IPv4 together: one datagram at a time of each sender, which sends
-/// them one after the other.
+/// Reassembles fragments of IPv4, one datagram at a time per sender. Senders transmit the
+/// fragments in order.
 class Fragments {
 public:
-    /// @return the UDP header and payload, where a packet completes one
+    /// Adds a packet.
+    /// @return the UDP header and payload, if the packet completes a datagram
     std::optional<Datagram> add(std::string_view packet, std::uint64_t at, std::int64_t stamp_ns) {
         const std::size_t head = 4 * (byte_at(packet, 0) & 15);
         if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdp) return std::nullopt;
@@ -96,7 +99,7 @@ public:
 private:
     struct Pending {
         unsigned id = 0;
-        std::size_t n = 0, total = 0;  ///< bytes that are there; of the whole, where its end is there
+        std::size_t n = 0, total = 0;  ///< received bytes; total size, known after the last fragment
         Datagram datagram;
     };
     std::map<std::string, Pending> pending_;
@@ -126,7 +129,7 @@ public:
 
     void each(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
-        tell_correction(topics, pass);
+        emit_correction(topics, pass);
         std::vector<std::string> broken;
         ousters_ = packets::ouster_metadata_beside(path_, broken);
         for (const std::string& text : broken) pass.note(text);
@@ -146,7 +149,7 @@ public:
         }
         for (auto& [key, stream] : streams_)
             if (stream.n > 0) flush(stream, pass);
-        if (broken.empty() || !ousters_.empty()) tell_strange_ousters(pass);
+        if (broken.empty() || !ousters_.empty()) note_unread_ousters(pass);
         if (n_cut_ > 0)
             pass.note(fmt::format("{}: the capture cut {} frames short: what they held is missing",
                                   path_.string(), n_cut_));
@@ -171,7 +174,7 @@ public:
     }
 
 private:
-    /// What one sender sends to one port: packets of one product, or anything else.
+    /// Sender, destination port and product. Other datagrams have a null product.
     using Key = std::pair<std::string, const packets::Product*>;
     struct Stream {
         std::size_t topic = 0;
@@ -181,10 +184,11 @@ private:
         std::size_t n = 0;
         std::uint64_t at = 0;
         std::int64_t log_ns = 0;
-        std::map<std::size_t, std::size_t> n_of_bytes;  ///< of no product: how many datagrams are so long
-        std::shared_ptr<const packets::OusterFormat> ouster;  ///< its metadata
+        /// for unknown products: number of datagrams by size
+        std::map<std::size_t, std::size_t> n_of_bytes;
+        std::shared_ptr<const packets::OusterFormat> ouster;  ///< metadata of the sensor
     };
-    packets::OusterFormats ousters_;  ///< of the metadata beside the file
+    packets::OusterFormats ousters_;  ///< metadata in files next to the capture
     const std::filesystem::path path_;
     const std::uint64_t bytes_;
     std::unique_ptr<pcap_t, ClosePcap> pcap_;
@@ -192,7 +196,7 @@ private:
     std::uint64_t begin_ = 0;
     std::map<Key, Stream> streams_;
     mutable std::size_t n_cut_ = 0;
-    mutable std::mutex lock_;  ///< of the place in the file
+    mutable std::mutex lock_;  ///< protects the position in the file
 
     static std::string_view payload(const Datagram& datagram) {
         return std::string_view(datagram.bytes).substr(8);
@@ -210,8 +214,8 @@ private:
             throw DataError(fmt::format("{}: byte {} cannot be reached", path_.string(), at));
     }
 
-    /// The next UDP datagram, its header included. @param pass  told where the file is
-    /// cut off
+    /// Returns the next UDP datagram, including its header.
+    /// @param pass  receives a note if the file is truncated
     std::optional<Datagram> next(Fragments& fragments, const Pass* pass) const {
         for (;;) {
             const std::uint64_t at = position();
@@ -227,7 +231,7 @@ private:
                 continue;
             }
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            // nanoseconds, as was asked for
+            // in nanoseconds, as requested from libpcap
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             auto datagram = fragments.add(ip_packet(frame, link_), at, stamp_ns);
             if (!datagram || datagram->bytes.size() < 8) continue;
@@ -246,13 +250,15 @@ private:
         return {datagram.source, packets::find_product(payload(datagram), {{}, ouster_of(datagram)})};
     }
 
-    /// Of each port the packets that may be an Ouster's, or are as long as its metadata
-    /// says, and are not read; and those of two senders that only one metadata tells of.
-    void tell_strange_ousters(const Pass& pass) const {
+    /// Adds notes about packets of each port that may come from an Ouster, or have the
+    /// size in its metadata, but are not read. Also notes two senders with the same
+    /// metadata.
+    void note_unread_ousters(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
             for (const auto& [size, n] : stream.n_of_bytes) {
-                const std::size_t bytes = size;  // clang 14 lets no lambda have a structured binding
+                // clang 14 cannot capture a structured binding in a lambda
+                const std::size_t bytes = size;
                 const bool is_told = std::ranges::any_of(
                     ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
                 if (n > 1 && (is_told || packets::is_ouster_size(bytes)))
@@ -289,8 +295,8 @@ private:
         stream.n = 0;
     }
 
-    /// Hesai's angle correction of the sensor, beside the file.
-    void tell_correction(TopicTable& topics, const Pass& pass) const {
+    /// Reads Hesai's angle correction from a file next to the capture.
+    void emit_correction(TopicTable& topics, const Pass& pass) const {
         const std::filesystem::path file = std::filesystem::path(path_).replace_extension(".csv");
         if (!path_exists(file)) return;
         const std::string text = read_text(file);

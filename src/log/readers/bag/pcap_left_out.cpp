@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// In the place of pcap_file.cpp where libpcap was missing, or RELIDAR_PCAP is off.
+// Replaces pcap_file.cpp if libpcap is missing or RELIDAR_PCAP is off.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a recording holds, in words: a line a topic, and what went wrong while it was
-// recorded.
+// Describes the content of a recording: one line per topic, and problems during the
+// recording.
 #pragma once
 
 #include <string>
@@ -10,13 +10,16 @@
 
 namespace relidar::bag {
 
-/// A line each: name, type, messages, rate; of clouds frame and fields; whether it is
-/// used. @param used  [topics]
+/// Returns one line per topic: name, type, number of messages, rate; for clouds also
+/// frame and fields; and whether the topic is used.
+/// @param used  [topics]
 std::vector<std::string> topic_lines(const Bag& bag, const Survey& survey, const std::vector<bool>& used);
 
-/// Steps between sweeps that are much longer than usual, in words; empty where none is.
+/// Describes steps between sweeps that are much longer than usual. Returns an empty
+/// string if there are none.
 std::string gaps_text(const std::vector<double>& times_s, double step_s);
-/// Jumps of the stamps against the recorder's clock, and stamps that fall, likewise.
+/// Describes jumps of the stamps relative to the recorder's clock, and stamps that
+/// decrease. Returns an empty string if there are none.
 std::string jumps_text(const CloudTopic& clouds);
 
 }  // namespace relidar::bag

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0): records of a header, which
-// names its values, and data, each behind 4 bytes of length. They are read from the first
-// to the last, so that a bag without an index is one too.
+// Reads ROS 1 bags of format 2.0 (wiki.ros.org/Bags/Format/2.0). A record has a header
+// with named values, and data. Both follow their length in 4 bytes. Records are read
+// sequentially, so that a bag without an index can be read too.
 #include <map>
 #include <optional>
 
@@ -99,7 +99,7 @@ public:
     }
 
 private:
-    /// Where the parts of a record lie.
+    /// Offsets of the parts of a record.
     struct Extent {
         SharedBytes header;
         std::uint64_t data_at = 0;
@@ -109,9 +109,9 @@ private:
     PartFile file_;
     const bool skip_broken_;
     ChunkCache chunks_;
-    std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each
+    std::map<std::uint32_t, std::size_t> connections_;  ///< topic of each connection
 
-    /// Nothing where the file ends within the record.
+    /// Returns the extent of a record, or nothing if the file ends within the record.
     std::optional<Extent> extent_at(std::uint64_t at) const {
         const auto length_at = [&](std::uint64_t place) -> std::optional<std::uint32_t> {
             if (place > file_.size() || file_.size() - place < 4) return std::nullopt;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// rosbag2 in SQLite: a table of topics, and one of messages with the time they were
-// recorded at and their bytes.
+// Reads rosbag2 in SQLite: a table of topics, and a table of messages with their
+// recording time and their bytes.
 #include <map>
 #include <memory>
 #include <mutex>
@@ -27,7 +27,7 @@ struct FinishStatement {
 };
 using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 
-/// A path as SQLite takes it with options behind.
+/// Returns a path as a URI with options for SQLite.
 std::string uri_of(const std::filesystem::path& path, const char* options) {
     std::string uri = "file:";
     for (const char c : std::filesystem::absolute(path).string()) {
@@ -53,7 +53,7 @@ public:
     SqliteFile(const std::filesystem::path& path, bool packed)
         : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
         std::error_code failed;
-        // its last messages are still in there
+        // The write-ahead log may still contain the last messages.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
@@ -61,7 +61,7 @@ public:
                             SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX, nullptr);
         database_.reset(database);
         if (code != SQLITE_OK) fail("opening it");
-        // of a value
+        // limit of the size of a value
         sqlite3_limit(database, SQLITE_LIMIT_LENGTH,
                       int(std::min<std::uint64_t>(bytes_ + (1 << 20), 1 << 30)));
         sqlite3_db_config(database, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
@@ -88,7 +88,7 @@ public:
             pass.done(last > 0 ? double(row) / double(last) : 0.0);
             Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             SharedBytes unpacked;
-            // what is not asked for is not read from the disk
+            // messages that are not requested are not read from the disk
             if (pass.wanted(topics.topics()[topic->second])) {
                 message.bytes = bytes_at(rows.get(), 3);
                 if (packed_) {
@@ -116,7 +116,7 @@ private:
     const bool packed_;
     const std::uint64_t bytes_;
     std::unique_ptr<sqlite3, CloseDatabase> database_;
-    mutable std::mutex lock_;  ///< one thread at a time asks it
+    mutable std::mutex lock_;  ///< only one thread at a time may use the database
     mutable Statement one_;
 
     [[noreturn]] void fail(const char* doing) const {
@@ -136,7 +136,7 @@ private:
         if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
         return code == SQLITE_ROW;
     }
-    /// A file that ends too early has its first messages all the same.
+    /// Advances a query. If the file is truncated, keeps the messages before the damage.
     bool step(sqlite3_stmt* statement, const Pass& pass) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
@@ -153,7 +153,8 @@ private:
         return step(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
-    /// A view of that name could be anything, and take for ever.
+    /// Checks that a name belongs to a real table. A view with this name could run any
+    /// query without end.
     void check_table(const char* table) const {
         const Statement row = prepared(fmt::format(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "

@@ -41,8 +41,8 @@ public:
         }
     }
 
-    /// Packets that came before the metadata that they need, in a second pass. @return
-    /// whether there are any
+    /// Returns true if packets were recorded before the metadata that they need. They are
+    /// read in a second pass.
     bool wants_late_packets() const { return !late_.empty(); }
     bool is_late(std::size_t topic) const { return late_.contains(topic); }
     void take_late(const Message& message) {
@@ -53,8 +53,8 @@ public:
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
     }
-    /// Before that pass, and before packets of a capture: the metadata that lies beside
-    /// the recording.
+    /// Reads the metadata files next to the recording, before the second pass and before
+    /// the packets of a capture.
     void read_metadata_beside() {
         if (is_beside_read_) return;
         is_beside_read_ = true;
@@ -68,9 +68,9 @@ public:
 private:
     const Bag& bag_;
     Survey& survey_;
-    std::string correction_;          ///< of the angles of Hesai's beams
-    packets::OusterFormats ousters_;  ///< that are known so far
-    std::set<std::size_t> late_;      ///< topics of packets that came before their metadata
+    std::string correction_;          ///< angle correction of Hesai's beams
+    packets::OusterFormats ousters_;  ///< metadata known so far
+    std::set<std::size_t> late_;      ///< topics with packets before their metadata
     std::string broken_metadata_;
     bool is_beside_read_ = false;
 
@@ -109,8 +109,8 @@ private:
         clouds.packets.add(views, message.log_ns, message.place, calibration);
     }
 
-    /// The first of a topic, for it is told again; other texts on such a topic are none
-    /// of our business.
+    /// Uses only the first message of a topic, because the driver repeats it. Ignores
+    /// messages with other content.
     void add_metadata(const Topic& topic, const Message& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& known) { return known->where == topic.name; }))
             return;
@@ -153,8 +153,8 @@ private:
     }
 };
 
-/// Where the LiDARs are whose packets name no frame: where Ouster's driver puts them,
-/// turned by 180 degrees, as relidar has them.
+/// Adds the poses of Ouster LiDARs whose packets name no frame: the pose that Ouster's
+/// driver uses, rotated by 180 degrees to relidar's convention.
 void place_ousters(const Bag& bag, Survey& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
@@ -177,8 +177,8 @@ void place_ousters(const Bag& bag, Survey& survey) {
     }
 }
 
-/// Whole turns in the place of their parts. A turn's time is that of the part in its
-/// middle: turns begin at the back.
+/// Replaces partial clouds by complete revolutions. The time of a revolution is the time
+/// of its middle part, because revolutions begin facing backward.
 void join_parts(CloudTopic& topic) {
     const JoinedTurns joined = join_turns(std::exchange(topic.arcs, {}));
     if (joined.turns.empty()) return;

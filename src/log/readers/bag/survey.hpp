@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The first pass over a recording: what each topic holds, when each cloud was measured
-// and where it lies, and all poses.
+// First pass over a recording: the content of each topic, the time and position of each
+// cloud, and all poses.
 #pragma once
 
 #include <cstdint>
@@ -19,10 +19,10 @@
 namespace relidar::bag {
 
 struct TopicFacts {
-    std::size_t n = 0;                       ///< messages
-    std::int64_t first_ns = 0, last_ns = 0;  ///< recorded
-    std::size_t n_broken = 0;                ///< of those that are read
-    std::string broken;                      ///< what the first of them has
+    std::size_t n = 0;                       ///< number of messages
+    std::int64_t first_ns = 0, last_ns = 0;  ///< recording times of the first and the last message
+    std::size_t n_broken = 0;                ///< number of messages that could not be read
+    std::string broken;                      ///< problem of the first of them
 
     double rate_hz() const {
         return n > 1 && last_ns > first_ns ? 1e9 * double(n - 1) / double(last_ns - first_ns) : 0.0;
@@ -33,28 +33,30 @@ struct CloudEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     std::uint32_t n_points = 0;
     Place place;
-    std::size_t turn = 0;              ///< of a topic of packets: in CloudTopic::turns
-    std::vector<TurnPart> parts = {};  ///< of a turn that several clouds make; none: this cloud alone
+    std::size_t turn = 0;  ///< for a topic of packets: index in CloudTopic::turns
+    /// clouds of a revolution that consists of several clouds; empty: this cloud alone
+    std::vector<TurnPart> parts = {};
 
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
 };
 
 struct CloudTopic {
     std::size_t topic = 0;
-    std::string frame;  ///< of the first cloud
-    /// of packets: in which drivers put the clouds that they make of them
+    std::string frame;  ///< frame of the first cloud
+    /// For packets: frames in which drivers publish the clouds that they make from the
+    /// packets.
     std::vector<std::string> frames_beside;
-    std::vector<Cloud::Field> fields;  ///< of the first cloud
-    /// that have points, as they were recorded; or whole turns of their parts
+    std::vector<Cloud::Field> fields;  ///< fields of the first cloud
+    /// Clouds with points, in recording order, or complete revolutions of their parts.
     std::vector<CloudEntry> clouds;
-    std::string parts_about;     ///< of clouds that are parts of turns: what they are
-    std::vector<TurnPart> arcs;  ///< while the recording is surveyed
+    std::string parts_about;     ///< description of the parts, if clouds are parts of revolutions
+    std::vector<TurnPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
-    packets::PacketLog packets;  ///< of a topic of packets, whose turns are its clouds
+    packets::PacketLog packets;  ///< for a topic of packets, whose revolutions are its clouds
     std::vector<packets::PacketTurn> turns;
 
     bool has_field(folder::PointValue value) const;
-    std::size_t usual_points() const;  ///< of a cloud: the median
+    std::size_t usual_points() const;  ///< median number of points of a cloud
 };
 
 struct PoseTopic {
@@ -63,7 +65,7 @@ struct PoseTopic {
     std::vector<PoseSample> samples;
 };
 
-/// A list of boxes that has some.
+/// A message with at least one box.
 struct BoxEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Place place;
@@ -71,21 +73,22 @@ struct BoxEntry {
 
 struct BoxTopic {
     std::size_t topic = 0;
-    std::string frame;  ///< of the first box
+    std::string frame;  ///< frame of the first box
     std::vector<BoxEntry> lists;
-    std::size_t n_boxes = 0, n_named = 0;  ///< and of them: with an identity
-    std::size_t n_left_out = 0;            ///< without a size or a pose
+    std::size_t n_boxes = 0, n_named = 0;  ///< `n_named`: boxes with an id
+    std::size_t n_left_out = 0;            ///< boxes without a size or a pose
 };
 
 struct Survey {
-    std::vector<TopicFacts> facts;  ///< [Bag::topics()]
+    std::vector<TopicFacts> facts;  ///< facts of each topic, in the order of Bag::topics()
     std::vector<CloudTopic> clouds;
     std::vector<PoseTopic> poses;
     std::vector<BoxTopic> boxes;
     FrameTree frames;
 };
 
-/// @throws DataError for a file that is damaged; a message that is, is counted
+/// Surveys a recording. Invalid messages are only counted.
+/// @throws DataError if a file is damaged
 Survey take_survey(Bag& bag, const Progress& progress);
 
 }  // namespace relidar::bag

@@ -13,15 +13,18 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kSamples = 256, kBins = 60;
-// a whole turn of which more is hidden than this leaves is none
+// Maximum extent of a part. A larger cloud is a complete revolution, even if a part of
+// the view is blocked.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
-constexpr double kLeastGap_rad = kPi / 3.0;  // azimuths without a point of any cloud: a window
-// steps from part to part: their resultant, and against their extents
+// minimum range of azimuths without a point of any cloud, for a window
+constexpr double kLeastGap_rad = kPi / 3.0;
+// Consistency of the steps between parts: minimum resultant, and maximum deviation from
+// the extents.
 constexpr double kTogether = 0.8, kAbut = 0.4;
-constexpr double kPause = 1.6;  // steps of time: a part is missing
+constexpr double kPause = 1.6;  // a longer time step, in usual steps, means that a part is missing
 constexpr double kDegrees = 180.0 / kPi;
 
-/// A number of a point, whatever its type and order.
+/// Returns a field of a point as a number, for any type and byte order.
 double number_at(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
     const std::size_t row = point / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
@@ -40,10 +43,10 @@ const Cloud::Field* find_real(const Cloud& cloud, const char* name) {
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
-/// What the widest stretch of empty bins leaves.
+/// Returns the complement of the widest range of empty bins.
 std::optional<Arc> arc_of_bins(const std::array<bool, kBins>& seen) {
     std::size_t widest = 0, end = 0, run = 0;
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // twice around: a gap may lie across the end
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // runs twice around, because a gap may cross the end
         run = seen[b % kBins] ? 0 : run + 1;
         if (run > widest) widest = run, end = b + 1;
     }
@@ -71,11 +74,12 @@ double median_of(std::vector<Value> values) {
     return double(*middle);
 }
 
-/// How parts of a turn follow each other; nothing where clouds are no such parts.
+/// Geometry of consecutive parts of a revolution.
 struct Parts {
-    double extent_rad, step_rad;  ///< usual ones; from part to part, negative: clockwise, and so for halves
+    /// usual values; step from part to part, negative: clockwise, and for halves
+    double extent_rad, step_rad;
     double step_s;
-    double cut_rad;  ///< between two parts, near the back
+    double cut_rad;  ///< azimuth between two parts, near the back
 };
 
 std::optional<Parts> parts_of(const std::vector<TurnPart>& clouds) {
@@ -123,7 +127,7 @@ JoinedTurns join_turns(std::vector<TurnPart> clouds) {
     const std::optional<Parts> parts = parts_of(clouds);
     JoinedTurns joined;
     if (!parts) return joined;
-    const auto turned = [&](const TurnPart& part) {  // since the cut, 0 to 2 pi
+    const auto turned = [&](const TurnPart& part) {  // angle since the cut, 0 to 2 pi
         const double angle =
             (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
         return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi));

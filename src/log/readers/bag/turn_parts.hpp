@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Clouds that are halves or slices of a turn, as some drivers publish them, put together
-// into whole turns.
+// Joins clouds that are halves or slices of a revolution, as some drivers publish them,
+// to complete revolutions.
 #pragma once
 
 #include <cstdint>
@@ -12,15 +12,15 @@
 
 namespace relidar::bag {
 
-/// Azimuths within which points lie, from z up.
+/// Range of azimuths of some points, about the z axis.
 struct Arc {
     float middle_rad = 0.0f, extent_rad = 0.0f;
 };
-/// Of some 256 of a cloud's points, to 6 degrees; nothing where they have no numbers for
-/// x and y.
+/// Determines the azimuth range of a cloud from about 256 points, with 6 degrees
+/// resolution. Returns nothing if x or y are missing.
 std::optional<Arc> arc_of(const Cloud& cloud);
 
-/// One of the clouds of a turn.
+/// One of the clouds of a revolution.
 struct TurnPart {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Place place;
@@ -29,14 +29,15 @@ struct TurnPart {
 };
 
 struct JoinedTurns {
-    /// of parts in the order of their stamps; none: each cloud is whole, or shows a
-    /// window
+    /// Parts of each revolution in the order of their stamps. Empty: each cloud is
+    /// complete, or covers a window.
     std::vector<std::vector<TurnPart>> turns;
-    std::size_t n_left_out = 0;  ///< parts of turns that are not whole
+    std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
     std::string about;
 };
-/// @param clouds  all of a topic. Whole turns and windows of LiDARs without a head come
-/// as they are: nothing is joined
+/// Joins the clouds of a topic. Joins nothing if the clouds are complete revolutions, or
+/// windows of LiDARs that do not spin.
+/// @param clouds  all clouds of a topic
 JoinedTurns join_turns(std::vector<TurnPart> clouds);
 
 }  // namespace relidar::bag

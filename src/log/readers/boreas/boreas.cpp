@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boreas. A line of lidar_poses.csv has place and angles of the LiDAR in an East-North-Up
-// frame. Its makers turn frames, not vectors, so that the rotation from the LiDAR to that
-// frame is
+// Reader of Boreas. Each line of lidar_poses.csv has position and angles of the LiDAR in
+// an East-North-Up frame. The authors rotate frames instead of vectors, so the rotation
+// from the LiDAR to that frame is
 //   C = C_1(roll) C_2(pitch) C_3(yaw) = R_x(-roll) R_y(-pitch) R_z(-yaw),
-// and not the R_z(yaw) R_y(pitch) R_x(roll) of others. Whether it is shows in the poses:
-// the vehicle drives forward, and along the road.
+// and not the usual R_z(yaw) R_y(pitch) R_x(roll). The poses confirm the convention: the
+// vehicle must drive forward and along the road.
 #include "log/readers/boreas/boreas.hpp"
 
 #include <cmath>
@@ -21,17 +21,18 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// east, north, up, three velocities, roll, pitch, yaw, three rates
+// Numbers per line: east, north, up, three velocities, roll, pitch, yaw, three rates.
 constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
-constexpr double kMostGap_s = 0.5;        // between poses, which come with every scan
-constexpr double kClearlyForward = 0.05;  // of Driving::mean: more than bends make of it
-constexpr double kClearlyLevel = 0.7;     // of Driving::rise_spread, against another rotation
-constexpr std::size_t kFewestSteps = 50;  // from which that is judged
+constexpr double kMostGap_s = 0.5;  // maximum gap between poses, which exist for every scan
+// required gain in Driving::mean, larger than the effect of curves
+constexpr double kClearlyForward = 0.05;
+constexpr double kClearlyLevel = 0.7;     // required ratio of Driving::rise_spread to another rotation
+constexpr std::size_t kFewestSteps = 50;  // minimum number of steps for this comparison
 constexpr double kBrightest = 255.0;
 
-/// Where the vehicle looks, in the LiDAR's frame.
+/// Forward direction of the vehicle in the LiDAR's frame.
 struct Forward {
     glm::dvec3 direction{1.0, 0.0, 0.0};
     bool is_known = false;
@@ -39,8 +40,8 @@ struct Forward {
     double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
-/// T_applanix_lidar.txt, 4x4: the LiDAR in the frame of the Applanix, x right, y forward,
-/// z up. Not known without the file.
+/// Reads T_applanix_lidar.txt, 4x4: the LiDAR in the frame of the Applanix, x right, y
+/// forward, z up. The direction is unknown if the file does not exist.
 Forward read_forward(const fs::path& file) {
     if (!path_exists(file)) return {};
     const auto m = parse_numbers(read_text(file));
@@ -53,13 +54,14 @@ Forward read_forward(const fs::path& file) {
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
-/// Rotations that three angles may stand for, from the LiDAR to the world.
+/// Possible conventions for the rotation from the LiDAR to the world by three angles.
 struct AngleOrder {
     const char* name;
-    double sign;     ///< of the angles
-    bool yaw_first;  ///< which vectors are turned by first; else roll
+    double sign;     ///< sign of the angles
+    bool yaw_first;  ///< true: vectors are rotated by yaw first; false: by roll first
 };
-constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},  // as described
+// the documented convention
+constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
                                        {"R_z(yaw) R_y(pitch) R_x(roll)", 1.0, false},
                                        {"R_z(-yaw) R_y(-pitch) R_x(-roll)", -1.0, false},
                                        {"R_x(roll) R_y(pitch) R_z(yaw)", 1.0, true}};
@@ -83,13 +85,13 @@ PoseTrack track_of(const std::vector<stamped::StampedRow>& rows, const stamped::
     return track;
 }
 
-/// How well poses and the way the vehicle looks go together, at most 1.
+/// Returns how well the motion agrees with the forward direction, at most 1.
 double forwardness(const stamped::Driving& driving, const Forward& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Poses of the LiDAR, by the rotation that its makers describe unless another one is
-/// clearly right.
+/// Reads the poses of the LiDAR. Uses the documented rotation unless another one is
+/// clearly better.
 PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log, const Forward& forward,
                             std::vector<std::string>& notes) {
     const std::vector<stamped::StampedRow> rows = stamped::read_rows(file, kPoseNumbers);
@@ -115,8 +117,7 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
     return best;
 }
 
-/// Turns poses of the LiDAR as the dataset has it into those of one whose x looks
-/// forward.
+/// Rotates poses of the dataset's LiDAR frame so that x faces forward.
 void turn_to_front(PoseTrack& track, double forward_rad) {
     const Pose lidar_from_turned{rotation_of(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;
@@ -124,13 +125,13 @@ void turn_to_front(PoseTrack& track, double forward_rad) {
 
 }  // namespace
 
-Sequence load_boreas(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a Boreas sequence (lidar/, applanix/, calib/)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a Boreas sequence (lidar/, applanix/, calib/)");
+    const fs::path folder = fs::canonical(log_folder);
     Sequence sequence;
     const std::string name = folder.filename().string();
     sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.notes = {"nothing in this log is labelled"};
     stamped::StampedLog log{kMicrosecond,
                             stamped::list_scans(folder / "lidar"),

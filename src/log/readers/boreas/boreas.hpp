@@ -9,9 +9,10 @@
 
 namespace relidar {
 
-/// Frames are the scans in the order of time; the vehicle's frame is the LiDAR's, turned
-/// so that x looks forward. The dataset's world is its East-North-Up frame.
-/// @throws DataError naming file and line, UsageError where the asked range has no scan
+/// Reads a sequence. Frames are the scans in order of time. The vehicle frame is the
+/// LiDAR's frame, rotated so that x faces forward. The dataset's world is its
+/// East-North-Up frame.
+/// @throws DataError with file and line, UsageError if no scan is in the requested range
 Sequence load_boreas(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// poses.txt and boxes.json of a plain folder.
+// Reads poses.txt and boxes.json of a plain folder.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -20,13 +20,14 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kMostBeyond_s = 0.1;  // of a frame before the first and after the last pose: about a sweep
-constexpr double kLargestOfTrack = 1e12;  // of any length or time
-constexpr double kUnit = 1e-3;            // a quaternion's length may differ from 1 by this
+// a frame may be this long before the first or after the last pose: about one sweep
+constexpr double kMostBeyond_s = 0.1;
+constexpr double kLargestOfTrack = 1e12;  // limit of all lengths and times
+constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
 
 const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
 
-/// A line without what follows a '#'.
+/// Returns a line without the comment that starts with '#'.
 std::string_view content(const std::string& line) {
     return trimmed(std::string_view(line).substr(0, line.find('#')));
 }
@@ -41,8 +42,8 @@ std::vector<std::string_view> pose_words(std::string_view text) {
     return words;
 }
 
-/// Whether a line names columns: a comment that names a part of a quaternion, or a line
-/// whose first word is no number.
+/// Returns true if a line names columns: a comment that contains "qw", or a line whose
+/// first word is not a number.
 bool names_columns(const std::string& line) {
     const std::vector<std::string_view> words =
         pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
@@ -50,7 +51,8 @@ bool names_columns(const std::string& line) {
     return !words.empty() && !parse_number(words[0]);
 }
 
-/// Where a line holds each of kPoseNames. TUM's names of time and place are accepted too.
+/// Returns the column of each of kPoseNames in a line of names. Accepts TUM's names of
+/// time and position too.
 std::vector<int> pose_places(const std::string& line, const std::string& where) {
     std::vector<std::string_view> words =
         pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
@@ -65,7 +67,7 @@ std::vector<int> pose_places(const std::string& line, const std::string& where) 
     return at;
 }
 
-/// Numbers of a line in the order of kPoseNames.
+/// Returns the numbers of a line in the order of kPoseNames.
 std::array<double, 8> pose_row(const std::string& line, const std::vector<int>& at,
                                const std::string& where) {
     const auto v = parse_numbers(content(line));
@@ -134,7 +136,7 @@ Pose pose_of(const JsonField& label) {
         return {glm::angleAxis(label.at("yaw_deg").number(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
                 position};
     const auto q = label.at("quaternion").numbers<4>();
-    return {glm::dquat(q[0], q[1], q[2], q[3]), position};  // check_sequence looks at its length
+    return {glm::dquat(q[0], q[1], q[2], q[3]), position};  // check_sequence() checks its length
 }
 
 BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all) {

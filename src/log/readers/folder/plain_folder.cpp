@@ -17,8 +17,9 @@ namespace {
 namespace fs = std::filesystem;
 using folder::HeadFrame;
 
-/// Frames of the range whose scan is there. @throws DataError where one is missing and
-/// may not be, UsageError where the range has none
+/// Returns the frames of the range whose scan exists.
+/// @throws DataError if a scan is missing and missing scans are not allowed, UsageError
+/// if the range has no scan
 std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOptions& options,
                                      std::vector<std::string>& notes) {
     std::vector<HeadFrame> frames;
@@ -43,7 +44,8 @@ std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOpti
     return frames;
 }
 
-/// The log's own poses; identity where nobody has any.
+/// Returns the poses of the log, or identity if the log has no poses and the user has
+/// specified others.
 std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>& frames,
                             const DatasetOptions& options) {
     const fs::path file = folder / folder::kPosesFile;
@@ -55,12 +57,13 @@ std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>
                     file.string()));
 }
 
-/// Poses that are given instead of the log's own; boxes go along.
+/// Replaces the poses of the log by poses from a file. Boxes keep their position relative
+/// to the vehicle.
 void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, const fs::path& file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        const auto& notes = sequence.notes;  // a converted log may have it
+        const auto& notes = sequence.notes;  // a converted log may have the note already
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
@@ -75,13 +78,13 @@ void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, con
 
 }  // namespace
 
-Sequence load_plain_folder(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a folder with sequence.json");
-    const fs::path folder = fs::canonical(given);
+Sequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a folder with sequence.json");
+    const fs::path folder = fs::canonical(log_folder);
     const folder::Head head = folder::read_head(folder, options.max_range_m);
     Sequence sequence;
     sequence.name = head.name;
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions = head.conventions;
     sequence.notes = head.notes;
     sequence.lidars.clear();

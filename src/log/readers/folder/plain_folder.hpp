@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A plain folder: sequence.json, poses.txt, boxes.json, scans; what people write from
-// their own logs, and `relidar convert` from any other.
+// Reader of plain folders: sequence.json, poses.txt, boxes.json and scans. Users write
+// such folders from their logs, and `relidar convert` writes them from any other format.
 #pragma once
 
 #include <filesystem>
@@ -9,7 +9,8 @@
 
 namespace relidar {
 
-/// @throws DataError naming file and field
+/// Reads a plain folder.
+/// @throws DataError with file and field
 Sequence load_plain_folder(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

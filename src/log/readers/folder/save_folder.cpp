@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log as a plain folder.
+// Writes a log as a plain folder.
 #include <relidar/log/dataset.hpp>
 
 #include <cmath>
@@ -28,7 +28,8 @@ Json json_of(const glm::dquat& q) { return {q.w, q.x, q.y, q.z}; }
 
 std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
 
-/// @param number  of the LiDAR
+/// Returns the JSON of a LiDAR.
+/// @param number  index of the LiDAR
 Json json_of(const Lidar& lidar, std::size_t number) {
     const Pose& mounting = lidar.vehicle_from_sensor;
     return {{"name", lidar.name},

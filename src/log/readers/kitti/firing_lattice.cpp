@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the firing lattice: (1) tick and left offset of each beam, where the phases of its
-// azimuths agree best,
+// Fits the firing lattice of an HDL-64E in two steps. (1) Tick size and left offset of
+// each beam, which maximise the agreement of the phases of its azimuths:
 //   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |,
-// (2) the whole-tick offset of each beam, where its ticks agree best with those of the
-// others.
+// (2) The offset of each beam in whole ticks, which maximises the agreement of its ticks
+// with those of the other beams.
 #include "log/readers/kitti/firing_lattice.hpp"
 
 #include <algorithm>
@@ -18,12 +18,13 @@
 namespace relidar::kitti {
 namespace {
 
-// a sweep of an HDL-64E: 0.09 degrees, found in KITTI's logs (2011_09_26_drive_0005)
+// Encoder ticks per sweep of an HDL-64E (0.09 degrees), determined from KITTI's logs
+// (2011_09_26_drive_0005).
 constexpr int kEncoderTicks = 4000;
-constexpr double kMaxOffset_rad = 0.35;  // HDL-64E calibrations reach 0.16 rad to either side
-constexpr int kMinLasers = 4;  // returns of one firing that make it a firing: stray points come alone
+constexpr double kMaxOffset_rad = 0.35;  // HDL-64E calibrations have at most 0.16 rad to either side
+constexpr int kMinLasers = 4;  // minimum number of returns per firing, because stray points are isolated
 
-/// Azimuth and inverse distance from the axis of the points of one beam.
+/// Azimuth and inverse distance from the spin axis of the points of one beam.
 struct Polar {
     std::vector<double> azimuth_rad, inverse_rho;
 };
@@ -34,7 +35,8 @@ std::array<Polar, kRings> polar_of(const std::vector<const RawScan*>& scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
-            // millimetre coordinates are too coarse for an azimuth nearer than that
+            // For nearer points, coordinates in millimetres are too coarse for an
+            // azimuth.
             if (rho < 2.0) continue;
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
@@ -52,13 +54,14 @@ std::complex<double> mean_phase(const Polar& polar, double tick_rad, double left
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Left offset and phase of one beam for a given tick; concentration 1 = all azimuths on
-/// the lattice.
+/// Left offset and phase of one beam for a given tick size. The concentration is 1 if all
+/// azimuths are on the lattice.
 struct Phase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Least squares of the phase residuals, phase + left / rho, near the coarse answer.
+/// Refines the left offset and the phase by least squares of the residuals, phase + left
+/// / rho.
 void refine(Phase& phase, const Polar& polar, double tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
@@ -68,7 +71,8 @@ void refine(Phase& phase, const Polar& polar, double tick_rad) {
         n += 1, su += u, se += e, suu += u * u, sue += u * e;
     }
     const double spread = n * suu - su * su;
-    if (n < 16 || spread < 1e-4 * n * n) return;  // ranges too alike to part the left offset from the phase
+    // the ranges are too similar to separate the left offset from the phase
+    if (n < 16 || spread < 1e-4 * n * n) return;
     const double left = (n * sue - su * se) / spread;
     phase.left_m += left;
     phase.phase_rad += (se - left * su) / n;
@@ -80,7 +84,8 @@ Phase find_phase(const Polar& polar, double tick_rad) {
     for (int mm = -60; mm <= 60; mm += 2) {
         const std::complex<double> mean = mean_phase(polar, tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // a left offset must explain something: 0 wins where the others are hardly better
+        // A left offset is kept only if it improves the concentration clearly. Otherwise
+        // 0 is used.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
     }
@@ -112,8 +117,8 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     return phases;
 }
 
-/// Steps a sweep, from the mean of the short azimuth steps between neighbours in file
-/// order.
+/// Returns the number of steps per sweep, from the mean of the short azimuth steps
+/// between neighbours in file order.
 int mean_steps(const std::vector<const RawScan*>& scans) {
     std::vector<double> steps;
     for (const RawScan* scan : scans) {
@@ -134,7 +139,8 @@ int mean_steps(const std::vector<const RawScan*>& scans) {
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-using Ticks = std::vector<std::vector<int>>;  ///< of each beam in one scan, before whole-tick offsets
+/// ticks of each beam in one scan, before the offsets in whole ticks
+using Ticks = std::vector<std::vector<int>>;
 
 Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     Ticks ticks(kRings);
@@ -149,7 +155,8 @@ Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     return ticks;
 }
 
-/// For each scan, the ticks at which enough beams, moved by their offsets, have a return.
+/// Returns, for each scan, the ticks at which enough beams have a return after their
+/// offsets are applied.
 std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift,
                                      int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
@@ -165,8 +172,8 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
     return pattern;
 }
 
-/// Whole-tick offset of one beam: where most of its ticks fall on the pattern. 0, or the
-/// offset nearest to it, wins ties.
+/// Returns the offset of one beam in whole ticks for which most of its ticks match the
+/// pattern. Prefers 0, then the offset nearest to 0.
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
                const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;
@@ -205,7 +212,8 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = fired(reference, shift, n_ticks, 1);
-    for (int pass = 0; pass < 2; ++pass) {  // against the fullest beam, then against all
+    // first pass: match with the fullest beam; second pass: match with all beams
+    for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
                 best_shift(ticks, static_cast<std::size_t>(k), pattern, n_ticks, reach);
@@ -215,8 +223,8 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     return shift;
 }
 
-/// Moves the mean of the beams' offsets into the zero of the head, so that the head faces
-/// where its beams do.
+/// Moves the mean of the beams' azimuth offsets into the zero of the head, so that the
+/// head faces the mean direction of its beams.
 void centre(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
@@ -235,7 +243,8 @@ std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
 }
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
-    constexpr double kFound = 0.8;  // mean concentration: 0.98 on KITTI, 0 for azimuths off the lattice
+    // minimum mean concentration: 0.98 on KITTI, 0 for azimuths off the lattice
+    constexpr double kFound = 0.8;
     const std::array<Polar, kRings> polar = polar_of(scans);
     FiringLattice lattice;
     lattice.head.n_ticks = kEncoderTicks;

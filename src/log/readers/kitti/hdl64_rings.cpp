@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rings of an HDL-64E from the order of the file, and their cones z = z0 + rho *
-// tan(elevation) by least squares. The lens of each block of 32 beams lies off the
-// sensor's origin, so elevations seen from the origin would depend on range.
+// Assigns the points of an HDL-64E to rings by their order in the file, and fits the
+// cones z = z0 + rho * tan(elevation) of the rings by least squares. The lenses of each
+// block of 32 beams are offset from the sensor's origin, so elevations relative to the
+// origin would depend on range.
 #include "log/readers/kitti/hdl64_rings.hpp"
 
 #include <algorithm>
@@ -21,7 +22,8 @@ struct Sample {
 
 double residual(const Cone& cone, const Sample& s) { return s.z_m - cone.z0_m - s.rho_m * cone.tan_el; }
 
-/// Line through the samples whose residual against `previous` is below a limit.
+/// Fits a line to the samples whose residual with respect to `previous` is at most
+/// limit_m.
 Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const Sample& s : samples) {
@@ -29,7 +31,8 @@ Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double l
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // 0.3 mm of rounding would leave the slope more than 5e-5 uncertain
+    // With a smaller spread, rounding of 0.3 mm would make the slope uncertain by more
+    // than 5e-5.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -42,14 +45,14 @@ Cone fit_cone(const std::vector<Sample>& samples) {
         for (const Sample& s : samples) error.push_back(std::abs(residual(cone, s)));
         std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
                          error.end());
-        // of a normal distribution with this median deviation
+        // Standard deviation of a normal distribution with this median deviation.
         const double sigma = 1.4826 * error[error.size() / 2];
         cone = fit_line(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
 }
 
-/// Height of a block's lenses against the slope of the beam, z0 = mean_z0 + slope *
+/// Height of a block's lenses as a function of the beam's slope: z0 = mean_z0 + slope *
 /// (tan_el - mean_tan).
 struct BlockLine {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
@@ -71,8 +74,8 @@ BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
     return line;
 }
 
-/// Slope of a ring whose ranges are too alike to part it from z0: the height is the
-/// block's, the slope the median.
+/// Returns the slope of a ring whose ranges are too similar to fit slope and height.
+/// Takes the height from the block's line and the median of the slopes.
 double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
@@ -85,8 +88,7 @@ double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line
     return tan_el;
 }
 
-/// Completes rings that could not be fitted, from the beams of their block of 32 that
-/// could.
+/// Completes rings that could not be fitted, using the fitted beams of their block of 32.
 void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples,
                const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
@@ -113,8 +115,8 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
     }
 }
 
-/// Ring whose cone a run of points lies nearest to, by the median of some of its
-/// residuals.
+/// Returns the ring whose cone is nearest to a run of points, by the median of some of
+/// its residuals.
 int nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
@@ -140,7 +142,7 @@ RawScan split_rings(std::vector<glm::vec4> points) {
     scan.points = std::move(points);
     scan.ring.resize(scan.points.size());
     int ring = 0;
-    bool fourth = false;  // the point before lies in the 4th quadrant (x >= 0, y < 0)
+    bool fourth = false;  // true if the previous point is in the 4th quadrant (x >= 0, y < 0)
     for (std::size_t i = 0; i < scan.points.size(); ++i) {
         const glm::vec4& p = scan.points[i];
         if (fourth && p.x > 0.0f && p.y >= 0.0f) ++ring;
@@ -156,7 +158,7 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& whe
     int most = 0;
     for (const RawScan* scan : scans) {
         most = std::max(most, scan->n_rings);
-        // one stray point may start a 65th
+        // A stray point may start a 65th ring.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which of the 64 beams took each point of a KITTI scan, and the cone every beam sweeps:
+// Assignment of the points of a KITTI scan to the 64 beams, and the cone that each beam
+// sweeps:
 //   z = z0 + rho * tan(elevation),  rho = hypot(x, y)
 #pragma once
 
@@ -18,29 +19,30 @@ constexpr int kRings = 64;
 struct RawScan {
     std::vector<glm::vec4> points;  ///< x, y, z (metres, sensor frame), reflectance
     std::vector<std::uint8_t> ring;
-    int n_rings = 0;  ///< runs of points found in the file, 64 in a whole scan
+    int n_rings = 0;  ///< number of rings in the file, 64 in a complete scan
 };
 
 /// Cone of one beam.
 struct Cone {
     double z0_m = 0.0;  ///< height at which the beam crosses the spin axis
     double tan_el = 0.0;
-    std::size_t n = 0;  ///< points it was fitted to; 0 = filled in from its neighbours
+    std::size_t n = 0;  ///< number of points of the fit; 0: interpolated from neighbours
 };
 using Cones = std::array<Cone, kRings>;
 
-/// Splits a scan into rings: points are stored ring by ring, azimuth rising from forward,
-/// so a ring ends where the azimuth passes from the 4th into the 1st quadrant. Counted to
-/// 63 at most.
+/// Splits a scan into rings. The points are stored ring by ring, with azimuth rising from
+/// forward. So a ring ends when the azimuth passes from the 4th into the 1st quadrant.
+/// Ring numbers are at most 63.
 RawScan split_rings(std::vector<glm::vec4> points);
 
-/// Least squares of every ring over several scans, outliers trimmed. @param where for
-/// messages
-/// @throws DataError where no scan has 64 rings
+/// Fits the cone of every ring to several scans by least squares without outliers.
+/// @param where  description of the log for error messages
+/// @throws DataError if no scan has 64 rings
 Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& where);
 
-/// Puts right what file order cannot tell: a scan in which a beam returned nothing, and
-/// points rounded to azimuth 0, which end their ring and yet seem to start the next one.
+/// Corrects two cases in which the file order gives wrong rings: a scan in which a beam
+/// has no returns, and points rounded to azimuth 0. Such a point ends its ring but seems
+/// to start the next one.
 void correct_rings(RawScan& scan, const Cones& cones);
 
 }  // namespace relidar::kitti

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI-360. Poses are of the IMU, x forward, y right, z down; those of the LiDAR are
+// Reader of KITTI-360. Poses in the dataset are those of the IMU, x forward, y right, z
+// down. The poses of the LiDAR are
 //   world_from_velo = world_from_imu * imu_from_cam0 * inverse(velo_from_cam0)
-// Scans are not motion-compensated, and the poses belong to the moments at which the head
+// Scans are not motion-compensated. A pose belongs to the time at which the LiDAR head
 // faces forward, as in KITTI raw.
 #include "log/readers/kitti/kitti_360.hpp"
 
@@ -26,9 +27,9 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-/// The drive that is read, and which of its frames.
+/// The drive to read, and the range of its frames.
 struct Drive {
-    std::string name;  ///< of its folders
+    std::string name;  ///< name of its folders
     FrameRange frames;
     std::vector<int> test_frames = {};  ///< see ChosenSequence
     std::vector<std::string> notes = {};
@@ -63,19 +64,19 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
         excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
-/// world_from_velo by frame; not every frame has one.
+/// Reads world_from_velo by frame number. Some frames have no pose.
 std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& drive) {
     const fs::path calibration = folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
-    // a single line of 12 numbers
+    // the file has a single line of 12 numbers
     const Pose velo_from_cam0 = read_pose_file(calibration / "calib_cam_to_velo.txt", {0}).front();
     std::map<int, Pose> poses = read_numbered_poses(folder / "data_poses" / drive / "poses.txt");
     for (auto& [frame, pose] : poses) pose = pose * imu_from_cam0 * inverse(velo_from_cam0);
     return poses;
 }
 
-/// The pose of a frame, or what lies between those before and after it where they are
-/// half a second apart at most, or the car stands.
+/// Returns the pose of a frame. Interpolates between the neighbouring poses if they are
+/// at most half a second apart or the car does not move. Otherwise returns nothing.
 std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     constexpr int kNearFrames = 5;
     constexpr double kStanding_m = 0.2;
@@ -91,7 +92,8 @@ std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     return interpolate(before->second, after->second, double(frame - before->first) / apart);
 }
 
-/// Adds the frames that have a pose, and says which have none of their own.
+/// Adds the frames that have a pose. Adds notes about frames whose pose is interpolated
+/// or missing.
 void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const std::vector<double>& time_s,
                       const std::map<int, Pose>& poses) {
     std::vector<int> between, without;
@@ -112,8 +114,8 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
         sequence.notes.push_back(fmt::format("frames without a pose, left out: {}", list_text(without)));
 }
 
-/// Labels of the drive, in train_full where they are there, else in the smaller train.
-/// @return empty where it has none
+/// Finds the label file of a drive: in train_full, otherwise in the smaller train.
+/// @return an empty path if no file exists
 fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     for (const char* set : {"train_full", "train"}) {
         const fs::path file = folder / "data_3d_bboxes" / set / (drive + ".xml");
@@ -122,8 +124,8 @@ fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     return {};
 }
 
-/// Frames with poses and boxes. Boxes are labelled in the world of the dataset's poses:
-/// without those there are none.
+/// Adds frames with poses and boxes. Boxes are labelled in the world frame of the
+/// dataset's poses, so without these poses there are no boxes.
 void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
                 const std::vector<int>& frames, const fs::path& poses_file) {
     const std::vector<double> time_s =
@@ -141,16 +143,16 @@ void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
 
 }  // namespace
 
-Sequence load_kitti_360(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "KITTI-360 (data_3d_raw/, data_poses/, calibration/)");
+    const fs::path folder = fs::canonical(log_folder);
     const Drive drive = choose_drive(folder / "data_3d_raw", options);
     const fs::path points = folder / "data_3d_raw" / drive.name / "velodyne_points";
     const std::vector<int> frames = list_scans(points / "data", drive.frames.begin, drive.frames.end);
 
     Sequence sequence;
     sequence.name = drive.name;
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the drive's first "
         "sweep; world: x east, y north, "

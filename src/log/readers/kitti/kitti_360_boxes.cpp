@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// data_3d_bboxes of KITTI-360: an XML file of OpenCV, a child of the root for each
-// object, and for each frame of one that moves. The transform takes the cube of edge 1
-// about the origin to the world: its upper 3x3 block is rotation * diag(length, width,
-// height).
+// Reads data_3d_bboxes of KITTI-360, an OpenCV XML file. The root has one child per
+// object, or per frame of a moving object. The transform maps the unit cube around the
+// origin to the world. Its upper 3x3 block is rotation * diag(length, width, height).
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -22,12 +21,12 @@
 namespace relidar::kitti {
 namespace {
 
-/// What can move, by KITTI's number of the class; everything else (buildings, ground,
-/// poles) belongs to the background.
+/// Classes that can move, by KITTI's class number. All other classes (buildings, ground,
+/// poles) are background.
 struct MovableClass {
     int id;
     const char* name;
-    const char* label;  ///< where an object has no number
+    const char* label;  ///< used if an object has no class number
 };
 constexpr MovableClass kMovable[] = {
     {13, "car", "car"},           {14, "truck", "truck"},           {15, "trailer", "trailer"},
@@ -35,8 +34,8 @@ constexpr MovableClass kMovable[] = {
     {19, "person", "pedestrian"}, {20, "rider", "rider"},           {34, "bus", "bus"},
 };
 
-/// A whole number in a child element; `missing` where there is no such child. @throws
-/// DataError where it is none
+/// Returns an integer child element, or `missing` if the child does not exist.
+/// @throws DataError if the text is not an integer
 int integer_of(const pugi::xml_node& object, const char* field, std::optional<int> missing,
                const std::string& where) {
     constexpr double kLargest = 1e8;
@@ -48,8 +47,8 @@ int integer_of(const pugi::xml_node& object, const char* field, std::optional<in
     return static_cast<int>(*value);
 }
 
-/// The class of an object; nothing where it cannot move. Drive 0004 has no numbers, its
-/// classes go by their labels.
+/// Returns the class of an object, or null if the object cannot move. Drive 0004 has
+/// labels instead of class numbers.
 const MovableClass* class_of(const pugi::xml_node& object, const std::string& where) {
     const bool has_number = !object.child("semanticId").empty();
     const int id = has_number ? integer_of(object, "semanticId", {}, where) : 0;
@@ -59,7 +58,7 @@ const MovableClass* class_of(const pugi::xml_node& object, const std::string& wh
     return nullptr;
 }
 
-/// world_from_object times the size, 4x4.
+/// Returns world_from_object times the size, a 4x4 matrix.
 glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) {
     const pugi::xml_node matrix = object.child("transform");
     const int rows = integer_of(matrix, "rows", {}, where + ": transform"),
@@ -81,8 +80,8 @@ glm::dmat4 transform_of(const pugi::xml_node& object, const std::string& where) 
     return m;
 }
 
-/// Size and pose of the box. A mirrored one has its width flipped, which leaves the box
-/// as it is.
+/// Sets size and pose of a box from its transform. If the transform is a reflection,
+/// flips the width axis, which does not change the box.
 void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
     glm::dmat3 axes(m);
     label.size_m = {glm::length(axes[0]), glm::length(axes[1]), glm::length(axes[2])};
@@ -95,8 +94,8 @@ void place(BoxLabel& label, const glm::dmat4& m, const std::string& where) {
     label.world_from_box = rigid_pose(axes, glm::dvec3(m[3]), where + ": transform");
 }
 
-/// semanticId * 1000 + instanceId, as everywhere in KITTI-360; in drive 0004 the number
-/// of the moving thing or of the object.
+/// Returns the track id semanticId * 1000 + instanceId, as in all of KITTI-360. In drive
+/// 0004, uses the number of the moving object or of the static object.
 std::string track_of(const pugi::xml_node& object, const MovableClass& known, bool moves,
                      const std::string& where) {
     if (object.child("instanceId").empty())
@@ -105,7 +104,7 @@ std::string track_of(const pugi::xml_node& object, const MovableClass& known, bo
     return std::to_string(known.id * 1000LL + integer_of(object, "instanceId", {}, where));
 }
 
-/// Labels of a track by frame, one each.
+/// Labels of a track by frame, at most one per frame.
 using Labels = std::map<int, BoxLabel>;
 
 void add_object(const pugi::xml_node& object, const std::vector<Frame>& frames,

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI odometry. Poses are of the left camera, z forward; with cam_T_velo (Tr of
-// calib.txt) the LiDAR's are
-//   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr,   the world being the LiDAR of frame 0, z up.
+// Reader of KITTI odometry. Poses in the dataset are those of the left camera, z forward.
+// With cam_T_velo (Tr in calib.txt) the poses of the LiDAR are
+//   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr,   world: the LiDAR of frame 0, z up.
 #include "log/readers/kitti/kitti_odometry.hpp"
 
 #include <fmt/format.h>
@@ -17,7 +17,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Seconds of the given frames, one number a line.
+/// Reads the times of the given frames in seconds. The file has one number per line.
 std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& frames) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<double> time_s;
@@ -35,8 +35,8 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
     return time_s;
 }
 
-/// poses.txt of the sequence, as SemanticKITTI has it, or KITTI's own ../../poses/NN.txt;
-/// sequences 11 to 21 have none.
+/// Finds the pose file: poses.txt in the sequence, as in SemanticKITTI, or KITTI's
+/// ../../poses/NN.txt. Sequences 11 to 21 have no poses.
 fs::path find_poses(const fs::path& folder) {
     const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
                                                          (folder.filename().string() + ".txt");
@@ -48,7 +48,7 @@ fs::path find_poses(const fs::path& folder) {
                     here.string(), beside.string()));
 }
 
-/// world_from_sensor of the given frames.
+/// Returns world_from_sensor of the given frames.
 std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames,
                                       const fs::path& poses_file) {
     if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());
@@ -61,16 +61,16 @@ std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<
 
 }  // namespace
 
-Sequence load_kitti_odometry(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_kitti_odometry(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a KITTI odometry sequence (velodyne/, calib.txt, times.txt)");
+    const fs::path folder = fs::canonical(log_folder);
     const std::vector<int> frames =
         kitti::list_scans(folder / "velodyne", options.frames.begin, options.frames.end);
     const std::vector<double> time_s = read_seconds(folder / "times.txt", frames);
     const std::vector<Pose> poses = read_odometry_poses(folder, frames, options.poses_file);
     Sequence sequence;
     sequence.name = "KITTI odometry " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "sensor x forward, y left, z up; metres; seconds of times.txt; world: the LiDAR of frame 0; scans "
         "motion-compensated; no boxes";

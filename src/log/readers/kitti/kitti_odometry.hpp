@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI odometry: sequences/NN with velodyne/%06d.bin, calib.txt, times.txt; poses.txt
-// there or poses/NN.txt beside sequences.
+// Reader of KITTI odometry: sequences/NN with velodyne/%06d.bin, calib.txt, times.txt,
+// and poses in poses.txt or in ../../poses/NN.txt.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,10 @@
 
 namespace relidar {
 
-/// Reads a sequence. Its scans are motion-compensated: there is no rolling shutter. The
-/// dataset's world is the LiDAR of frame 0.
-/// @throws DataError naming file and field, UsageError where no scan lies in the asked
-/// frame range
+/// Reads a sequence. Its scans are motion-compensated, so there is no rolling shutter.
+/// The dataset's world is the LiDAR of frame 0.
+/// @throws DataError with file and field, UsageError if no scan is in the requested frame
+/// range
 Sequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses of a KITTI raw drive, from OXTS by
-//   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude), R = 6378137 m,  R_z(yaw) R_y(pitch) R_x(roll)
-// or from a file with 12 numbers a line; and the calibration between the two sensors.
+// Reads the poses of a KITTI raw drive, either from OXTS by
+//   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude), R = 6378137 m,
+//   rotation R_z(yaw) R_y(pitch) R_x(roll)
+// or from a file with 12 numbers per line. Also reads the calibration between the two
+// sensors.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -19,11 +21,14 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-constexpr double kLargestCoordinate_m = 1e8;  // of poses as written: UTM has 10^7
-// between two poses of a log: cells of 0.1 m (core/cell_key.hpp) reach 105 km
+// limit of pose coordinates in files; UTM coordinates reach 10^7
+constexpr double kLargestCoordinate_m = 1e8;
+// Maximum distance between two poses of a log. Cells of 0.1 m (base/cell_key.hpp) reach
+// 105 km.
 constexpr double kLongestLog_m = 1e5;
 
-/// @throws DataError where a pose lies where no drive can be
+/// Checks the positions of poses.
+/// @throws DataError if a position is too large, or too far from the first one
 void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames, const std::string& where) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
@@ -52,7 +57,7 @@ std::vector<double> finite_numbers(const std::string& line, std::size_t n, const
     return *numbers;
 }
 
-/// 3x4, row-major.
+/// Parses a 3x4 matrix, row-major.
 Pose parse_matrix(const std::string& line, const std::string& where) {
     const std::vector<double> m = finite_numbers(line, 12, where);
     return rigid_pose(glm::dmat3(m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]), {m[3], m[7], m[11]},
@@ -63,7 +68,7 @@ fs::path oxts_file(const fs::path& drive, int frame) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame);
 }
 
-/// world_from_imu before the first frame's position is taken off.
+/// Reads world_from_imu of a frame, before the position of the first frame is subtracted.
 Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     const std::vector<double> v = finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
@@ -79,12 +84,13 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
              v[2]}};
 }
 
-/// Smallest frame number with an OXTS file; the Mercator scale and the origin belong to
-/// it, whatever frames are loaded.
+/// Returns the smallest frame number with an OXTS file. The Mercator scale and the origin
+/// are taken from this frame, whatever frames are loaded.
 int first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (path_exists(folder)) {
-        for (const fs::path& file : list_folder(folder)) {  // by name: the first is the smallest
+        // sorted by name, so the first is the smallest
+        for (const fs::path& file : list_folder(folder)) {
             const auto number = file_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
         }
@@ -96,11 +102,12 @@ int first_oxts(const fs::path& drive) {
                     folder.string()));
 }
 
-/// calib_imu_to_velo.txt of a drive: KITTI puts it one folder up; some keep it in the
-/// drive, or as its archive DATE_calib.zip unpacks.
+/// Finds calib_imu_to_velo.txt of a drive. KITTI stores it one folder above the drive.
+/// Other layouts have it in the drive, or where the archive DATE_calib.zip unpacks it.
 fs::path find_calibration(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
-    const std::string date = drive.filename().string().substr(0, 10);  // 2011_09_26_drive_0005_sync
+    // date of a name such as 2011_09_26_drive_0005_sync
+    const std::string date = drive.filename().string().substr(0, 10);
     for (const fs::path& base : {drive.parent_path(), drive, drive.parent_path().parent_path()}) {
         for (const fs::path& inner : {fs::path(), fs::path("calib"), fs::path("calibration"), fs::path(date),
                                       fs::path(date + "_calib"), fs::path(date + "_calib") / date}) {
@@ -172,7 +179,7 @@ void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
     if (poses_file.empty()) return;
     PoseTrack given{sequence.world_from_vehicle.time_s,
                     std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    std::vector<int> frames;  // one a pose: LiDARs that sweep together share theirs
+    std::vector<int> frames;  // one per pose, because LiDARs that sweep together share a pose
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     if (poses_file != kNoPoses) given.pose = read_pose_file(poses_file, frames);

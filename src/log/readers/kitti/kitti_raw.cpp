@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// KITTI raw: the files of a drive. Its scans are not motion-compensated: each ray keeps
-// its own firing time.
+// Reader of KITTI raw drives. Scans are not motion-compensated, so each ray has its
+// firing time.
 #include "log/readers/kitti/kitti_raw.hpp"
 
 #include <fmt/format.h>
@@ -31,8 +31,8 @@ std::string describe_poses(const fs::path& poses_file) {
     return "poses from " + (poses_file.empty() ? "OXTS (Mercator)" : poses_file.string());
 }
 
-/// What the drive lacks. Scans may be missing in the middle of it (drive 0009 lacks
-/// four), labels and poses altogether.
+/// Returns notes about missing data. Scans may be missing in the middle of a drive (drive
+/// 0009 lacks four). Labels and poses may be missing completely.
 std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int>& frames,
                                     const DatasetOptions& options) {
     std::vector<std::string> notes;

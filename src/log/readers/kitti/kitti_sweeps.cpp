@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The sensor is recovered from its own scans: rings by file order, cones of the beams,
-// the lattice of firings. Then every sweep is put on the rays that were fired.
+// Reconstructs the sensor of a KITTI log from its scans: rings from the file order, cones
+// of the beams, and the lattice of firings. Then assigns the points of every sweep to the
+// fired rays.
 #include "log/readers/kitti/kitti_sweeps.hpp"
 
 #include <algorithm>
@@ -21,8 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-// The fits are far better than the file's millimetres with a few sweeps; more would only
-// cost time.
+// A few sweeps suffice. Their fits are already far more accurate than the millimetre
+// resolution of the files.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 constexpr float kAtSensor_m = 1e-3f;
 
@@ -40,27 +41,28 @@ Points points_of(const RawScan& raw) {
     return points;
 }
 
-/// Points that are not at the sensor itself, where some writers put missing returns.
+/// Counts points that are not at the sensor. Some writers store missing returns at the
+/// sensor.
 std::size_t count_points(const RawScan& scan) {
     return static_cast<std::size_t>(std::ranges::count_if(
         scan.points, [](const glm::vec4& p) { return glm::length(glm::vec3(p)) >= kAtSensor_m; }));
 }
 
-/// Azimuth at which the last ring of a scan ends, degrees from 0 to 360: rings begin at 0
-/// and rise.
+/// Returns the azimuth at which the last ring of a scan ends, in degrees from 0 to 360.
+/// The azimuth in a ring begins at 0 and rises.
 double end_azimuth_deg(const RawScan& scan) {
     if (scan.points.empty()) return 0.0;
-    if (scan.n_rings > kRings) return 360.0;  // a stray point begins the next ring
+    if (scan.n_rings > kRings) return 360.0;  // a stray point has started another ring
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Finds scans that lack most of their points or whole rings. They are broken files:
-/// their missing points are no dropped rays.
-class WholeScans {
+/// Detects scans that lack most of their points or complete rings. Such files are
+/// damaged, and their missing points must not count as dropped rays.
+class ScanSizes {
 public:
-    explicit WholeScans(const std::vector<RawScan>& raw) {
+    explicit ScanSizes(const std::vector<RawScan>& raw) {
         for (const RawScan& scan : raw) {
             n_points_.push_back(count_points(scan));
             n_rings_.push_back(scan.n_rings);
@@ -68,10 +70,12 @@ public:
         }
     }
 
-    /// Returns a note if a scan ends early in one of its last rings, else an empty text.
+    /// Returns a note if a scan ends early in one of its last rings, otherwise an empty
+    /// string.
     std::string note(std::size_t i, const std::string& file) const {
-        constexpr double kEarly_deg = 60.0;  // rings end up to 20 degrees apart on a real drive
-        const double usual_deg = median_beside(end_deg_, i);
+        // on a real drive, the ends of rings differ by up to 20 degrees
+        constexpr double kEarly_deg = 60.0;
+        const double usual_deg = median_of_neighbours(end_deg_, i);
         if (n_points_[i] == 0 || end_deg_[i] + kEarly_deg > usual_deg) return "";
         return fmt::format(
             "{}: its last ring ends at azimuth {:.0f} degrees, those of the scans beside it at {:.0f}: the "
@@ -80,24 +84,25 @@ public:
             file, end_deg_[i], usual_deg);
     }
 
-    /// @throws DataError if scan i has no return, less than half the points of its
-    /// neighbours, or ends rings before them
+    /// Checks the size of scan i.
+    /// @throws DataError if the scan has no return, fewer than half the points of its
+    /// neighbours, or several rings fewer than its neighbours
     void check(std::size_t i, std::size_t n_in_file, const std::string& file) const {
-        constexpr int kMissingRings = 2;  // a beam without any return is no damage
+        constexpr int kMissingRings = 2;  // a single beam without returns is not an error
         if (n_points_[i] == 0)
             throw DataError(
                 fmt::format("{}: all {} points are at the sensor, expected returns", file, n_in_file));
-        const std::size_t usual = median_beside(n_points_, i);
+        const std::size_t usual = median_of_neighbours(n_points_, i);
         if (2 * n_points_[i] < usual)
             throw DataError(fmt::format(
                 "{}: {} points where the scans beside it have {}, expected a whole sweep: is the file "
                 "cut short?",
                 file, n_points_[i], usual));
-        if (n_rings_[i] + kMissingRings <= median_beside(n_rings_, i))
+        if (n_rings_[i] + kMissingRings <= median_of_neighbours(n_rings_, i))
             throw DataError(fmt::format(
                 "{}: its points end in ring {}, those of the scans beside it in ring {}, expected a whole "
                 "sweep: is the file cut short?",
-                file, n_rings_[i], median_beside(n_rings_, i)));
+                file, n_rings_[i], median_of_neighbours(n_rings_, i)));
     }
 
 private:
@@ -105,23 +110,24 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Median of the values of up to five scans before and five after.
+    /// Returns the median of the values of up to five scans before and five scans after
+    /// scan i.
     template <class T>
-    static T median_beside(const std::vector<T>& values, std::size_t i) {
+    static T median_of_neighbours(const std::vector<T>& values, std::size_t i) {
         constexpr std::size_t kReach = 5;
         const std::size_t begin = i < kReach ? 0 : i - kReach, end = std::min(values.size(), i + kReach + 1);
-        std::vector<T> beside;
+        std::vector<T> neighbours;
         for (std::size_t k = begin; k < end; ++k)
-            if (k != i && values[k] > 0) beside.push_back(values[k]);
-        if (beside.empty()) return values[i];
-        std::ranges::sort(beside);
-        return beside[beside.size() / 2];
+            if (k != i && values[k] > 0) neighbours.push_back(values[k]);
+        if (neighbours.empty()) return values[i];
+        std::ranges::sort(neighbours);
+        return neighbours[neighbours.size() / 2];
     }
 };
 
-/// Intensities of a log that counts to 255 become shares of 255. @return a note, or
-/// nothing if they are shares already
-/// @throws DataError if they are neither
+/// Divides intensities in the range 0 to 255 by 255.
+/// @return a note, or an empty string if the intensities are already in the range 0 to 1
+/// @throws DataError if the intensities are in neither range
 std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
     constexpr float kBytes = 255.0f;
     float lowest = 0.0f, highest = 0.0f;
@@ -141,11 +147,12 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
     return fmt::format("intensities are whole numbers up to {}: they are read as shares of 255", highest);
 }
 
-/// Before rays are made: as many as the azimuths say, and no more than the points can be
-/// returns of.
+/// Checks the number of rays before they are allocated: at most the firings of an
+/// HDL-64E, and not far more rays than points.
+/// @throws DataError if there are too many rays
 void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& where) {
-    constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 a sweep
-    constexpr std::size_t kMostRaysAPoint = 200;  // whole sweeps have 1.1
+    constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
+    constexpr std::size_t kMostRaysAPoint = 200;  // complete sweeps have 1.1 rays per point
     if (lattice.head.n_ticks > kMostFirings)
         throw DataError(
             fmt::format("{}: azimuths of neighbouring points differ by 1/{} of a sweep, expected at most {} "
@@ -173,15 +180,15 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) {
         broken.attempt(at, [&] { raw[at] = split_rings(read_scan(file_of(at))); });
     });
-    const WholeScans whole(raw);
+    const ScanSizes scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
         broken.attempt(at, [&] {
-            whole.check(at, raw[at].points.size(), file_of(at).string());
-            if (std::string note = whole.note(at, file_of(at).string()); !note.empty())
+            scan_sizes.check(at, raw[at].points.size(), file_of(at).string());
+            if (std::string note = scan_sizes.note(at, file_of(at).string()); !note.empty())
                 sequence.notes.push_back(std::move(note));
         });
     for (std::size_t at = 0; at < raw.size(); ++at)
-        if (broken.has(at)) raw[at] = {};  // shapes no beam
+        if (broken.has(at)) raw[at] = {};  // must not influence the fits
     if (std::string note = scale_intensities(raw, folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 

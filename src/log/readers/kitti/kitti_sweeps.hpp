@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The sweeps of an HDL-64E as KITTI stores them, in all its datasets: points ring by
-// ring, hits only.
+// Reader of HDL-64E sweeps in the format of all KITTI datasets: points ring by ring,
+// without dropped rays.
 #pragma once
 
 #include <filesystem>
@@ -10,12 +10,12 @@
 
 namespace relidar::kitti {
 
-/// Reads the scan of every frame of a log and puts its points on the rays that were
-/// fired; sets the beams and columns of its LiDAR.
-/// @param sequence  its frames have their numbers, its LiDAR its period and range @param
-/// folder  with a file a frame
-/// @param digits  of the number in a file's name, as 10 of 0000000042.bin @throws
-/// DataError naming the file
+/// Reads the scan of every frame of a log and assigns its points to the fired rays. Sets
+/// the beams and columns of the LiDAR.
+/// @param sequence  log with frame numbers, and with period and range of its LiDAR
+/// @param folder  folder with one file per frame
+/// @param digits  number of digits in a file name, such as 10 in 0000000042.bin
+/// @throws DataError with the file
 void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int digits,
                  const DatasetOptions& options);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Timestamp files of a KITTI raw drive: line i belongs to scan number i, and is empty
-// where that scan is missing.
+// Reads the timestamp files of a KITTI raw drive. Line i belongs to scan number i and is
+// empty if that scan is missing.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -20,19 +20,19 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-/// Days from 1970-01-01 in the Gregorian calendar (leap years: divisible by 4, not by 100
-/// unless by 400).
+/// Returns the number of days since 1970-01-01 in the Gregorian calendar. Leap years are
+/// divisible by 4, but not by 100 unless also by 400.
 std::int64_t days_of(int year, int month, int day) {
     static constexpr std::array<int, 12> kBefore{0, 31, 59, 90, 120, 151, 181, 212, 243, 273, 304, 334};
     const bool leap = year % 4 == 0 && (year % 100 != 0 || year % 400 == 0);
     const int y = year - 1;
-    const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;  // 477 up to 1969
+    const std::int64_t leap_days = y / 4 - y / 100 + y / 400 - 477;  // 477 leap days up to 1969
     return 365ll * (year - 1970) + leap_days + kBefore[static_cast<std::size_t>(month - 1)] +
            (leap && month > 2) + day - 1;
 }
 
-/// Nanoseconds since 1970 of "YYYY-MM-DD HH:MM:SS.nnnnnnnnn"; they fit 64 bits up to the
-/// year 2261.
+/// Converts "YYYY-MM-DD HH:MM:SS.nnnnnnnnn" to nanoseconds since 1970. The result fits
+/// into 64 bits up to the year 2261.
 std::int64_t parse_timestamp(const std::string& line, const std::string& where) {
     int year = 0, month = 0, day = 0, hour = 0, minute = 0, used = 0;
     const int n =
@@ -50,8 +50,8 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& where) 
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
-/// Time of each line, nothing where it is empty. @throws DataError where no line has a
-/// time
+/// Returns the time of each line, or nothing for an empty line.
+/// @throws DataError if no line has a time
 std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<std::optional<std::int64_t>> time_ns(lines.size());
@@ -91,7 +91,8 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
 
 namespace {
 
-/// @param lasts_s  times that sweeps took
+/// Returns the median duration of a sweep.
+/// @param lasts_s  durations of sweeps in seconds
 double median_period(std::vector<double> lasts_s, const fs::path& file) {
     std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2),
                      lasts_s.end());

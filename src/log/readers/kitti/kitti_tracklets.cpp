@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// tracklet_labels.xml, a boost archive: item = object, its poses in the sensor frame of
-// frame first_frame + k, origin at the centre of the box's bottom face, so centre = t + R
-// (0, 0, h/2). Labels belong to the forward-facing moment.
+// Reads tracklet_labels.xml, a boost archive. Each item is an object with its poses in
+// the sensor frame of frame first_frame + k. The origin is the centre of the box's bottom
+// face, so centre = t + R (0, 0, h/2). Labels belong to the time at which the head faces
+// forward.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -16,10 +17,10 @@
 namespace relidar::kitti {
 namespace {
 
-constexpr double kLargestOfLabel = 1e6;  // of any number of a label: metres, radians, frames
+constexpr double kLargestOfLabel = 1e6;  // limit of all numbers of a label: metres, radians, frames
 
-/// Number in a child element. @throws DataError naming track and field where it is
-/// missing or no number a label can have
+/// Returns the number in a child element.
+/// @throws DataError with track and field if the number is missing or out of range
 double number_of(const pugi::xml_node& node, const char* field, const std::string& where) {
     const std::string text = node.child_value(field);
     const auto value = parse_number(trimmed(text));
@@ -30,7 +31,7 @@ double number_of(const pugi::xml_node& node, const char* field, const std::strin
     return *value;
 }
 
-/// Box in the sensor frame of its frame.
+/// Returns the pose of a box in the sensor frame.
 Pose sensor_from_box(const pugi::xml_node& item, double height_m, const std::string& where) {
     const auto get = [&](const char* field) { return number_of(item, field, where); };
     const glm::dquat rotation = rotation_of(get("rz"), get("ry"), get("rx"));

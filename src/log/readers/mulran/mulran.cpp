@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// MulRan. A file has all points of a turn, 64 beams x 1024 columns, zeros where nothing
-// came back: the place of a point in the file tells beam and time. Which of the two
-// counts faster is seen in the points. The LiDAR looks backward; its frame is turned by
-// half a turn here.
+// Reader of MulRan. A file has all points of a revolution, 64 beams x 1024 columns, with
+// zeros for missing returns. The index of a point in the file determines its beam and
+// time. The reader detects from the points whether the beam or the column counts faster.
+// The LiDAR faces backward, so its frame is rotated by half a turn.
 #include "log/readers/mulran/mulran.hpp"
 
 #include <cmath>
@@ -23,17 +23,19 @@ namespace fs = std::filesystem;
 constexpr std::size_t kBeams = 64, kColumns = 1024;
 constexpr double kTurn_s = 0.1;
 constexpr double kNanosecond = 1e-9;
-constexpr double kMostGap_s = 0.5;  // between poses, which come 100 times a second
-// of points whose elevation says their beam: those start a centimetre from the axis
+constexpr double kMostGap_s = 0.5;  // maximum gap between poses, which are recorded at 100 Hz
+// Minimum range of points whose elevation identifies their beam. Beams start a centimetre
+// from the axis.
 constexpr double kLeastRange_m = 2.0;
-constexpr double kMostSpread_rad = kPi / 180.0;  // of the elevations of a beam
-constexpr double kForward = 0.9;                 // of Driving::mean along x
+constexpr double kMostSpread_rad = kPi / 180.0;  // maximum spread of the elevations of one beam
+// minimum component of Driving::mean along x for a vehicle that drives forward
+constexpr double kForward = 0.9;
 
-/// Where the LiDAR is mounted, as the makers of the dataset give it: metres, roll, pitch
-/// and yaw in degrees.
+/// Mounting of the LiDAR as published by the authors: metres; roll, pitch and yaw in
+/// degrees.
 constexpr double kPlace_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
-/// How points of a turn follow each other.
+/// Order of the points of a revolution in the file.
 enum class MulranOrder { by_column, by_beam };
 
 std::size_t beam_at(std::size_t i, MulranOrder order) {
@@ -43,8 +45,8 @@ std::size_t column_at(std::size_t i, MulranOrder order) {
     return order == MulranOrder::by_column ? i / kBeams : i % kColumns;
 }
 
-/// Standard deviation of the elevations of a beam, of all beams together; infinite
-/// without points.
+/// Returns the standard deviation of the elevations within a beam, over all beams.
+/// Infinite if there are no points.
 double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
     using enum folder::PointValue;
     const folder::FieldValues &xs = *table.find(x), &ys = *table.find(y), &zs = *table.find(z);
@@ -71,7 +73,7 @@ void check_points(const folder::PointTable& table, const std::string& where) {
                                     table.n, kBeams, kColumns));
 }
 
-/// By the first scan that can be read.
+/// Determines the order of points from the first readable scan.
 MulranOrder find_order(const std::vector<fs::path>& files) {
     for (const fs::path& file : files) {
         folder::PointTable table;
@@ -79,7 +81,7 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
             table = folder::read_point_file(file, {});
             check_points(table, file.string());
         } catch (const DataError&) {
-            continue;  // told where the scan is read
+            continue;  // the error is reported later, when the scan is read
         }
         const double by_column = spread_of_beams(table, MulranOrder::by_column),
                      by_beam = spread_of_beams(table, MulranOrder::by_beam);
@@ -93,7 +95,7 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
     return MulranOrder::by_column;
 }
 
-/// Adds beams and times, the middle of the turn at the stamp.
+/// Adds beams and times to the points. The timestamp is the middle of the revolution.
 void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& where) {
     check_points(table, where);
     std::vector<std::uint16_t> ring(table.n);
@@ -125,7 +127,7 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
     return track;
 }
 
-/// Where the LiDAR, turned to look forward, is mounted.
+/// Returns the mounting of the LiDAR, rotated to face forward.
 Pose mounting() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{rotation_of(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
@@ -160,12 +162,12 @@ stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::
 
 }  // namespace
 
-Sequence load_mulran(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
-    const fs::path folder = fs::canonical(given);
+Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a MulRan sequence (Ouster/ or sensor_data/Ouster/, global_pose.csv)");
+    const fs::path folder = fs::canonical(log_folder);
     Sequence sequence;
     sequence.name = "MulRan " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.notes = {"nothing in this log is labelled"};
     sequence.conventions =
         "vehicle x forward, y left, z up; LiDAR likewise (MulRan: x backward); metres; seconds after the "
@@ -185,7 +187,7 @@ Sequence load_mulran(const fs::path& given, const DatasetOptions& options) {
     stamped::read_points(sequence, files, format_of_points(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shifted_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // add_frames() has seen that it is covered
+        // add_frames() has checked that the track covers the times.
         const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
         if (std::string note = bag::place_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

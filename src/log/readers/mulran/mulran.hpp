@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// MulRan, a sequence as it is distributed: scans of an OS1-64 in Ouster/ or
+// Reader of MulRan sequences as they are distributed: scans of an OS1-64 in Ouster/ or
 // sensor_data/Ouster/, poses in global_pose.csv.
 #pragma once
 
@@ -9,9 +9,9 @@
 
 namespace relidar {
 
-/// Frames are the scans in the order of time. The vehicle's frame is that of the poses;
-/// the dataset's world is theirs.
-/// @throws DataError naming file and line, UsageError where the asked range has no scan
+/// Reads a sequence. Frames are the scans in order of time. The vehicle frame is the
+/// frame of the poses, and the dataset's world is their world.
+/// @throws DataError with file and line, UsageError if no scan is in the requested range
 Sequence load_mulran(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -21,23 +21,22 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-// nearer than this nothing was measured: such points were at the origin before they were
-// compensated
+// Minimum range. Nearer points are missing returns, which were at the origin before
+// motion compensation.
 constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
-/// Points of a file on their rings and columns, in the LiDAR's frame at the moment of
-/// each.
+/// Points of a file with rings and columns, in the LiDAR's frame at the time of each
+/// point.
 struct ReadSweep {
     Points points;
     Sweep sweep;
 };
 
-/// Leaves out what was not measured: points that were at the LiDAR before the dataset
-/// moved them.
-/// @param points  in the LiDAR's frame at the moment of each @param numbers  of their
-/// columns
+/// Removes missing returns: points that were at the LiDAR before the dataset moved them.
+/// @param points  points in the LiDAR's frame at the time of each point
+/// @param numbers  column of each point
 void leave_out_unmeasured(Points& points, std::vector<int>& numbers) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -97,7 +96,7 @@ Lidar hdl32e(const Pose& ego_from_lidar) {
     sensor.name = "HDL-32E";
     sensor.period_s = kPeriod_s;
     for (std::size_t row = 0; row < kBeams; ++row)
-        // nominal: +10.67 to -30.67 degrees
+        // nominal elevations: +10.67 to -30.67 degrees
         sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});
     const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
     return {"", sensor, ego_from_lidar * theirs_from_ours};
@@ -106,7 +105,7 @@ Lidar hdl32e(const Pose& ego_from_lidar) {
 void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, const PoseTrack& own,
                         const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
-    std::vector<PoseTrack> ways;  // [lidars]
+    std::vector<PoseTrack> ways;  // [lidars] tracks of the sensors
     for (const Lidar& lidar : sequence.lidars) ways.push_back(moved_track(own, lidar.vehicle_from_sensor));
     std::vector<ReadSweep> sweeps(files.size());
     for_each_told(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {

@@ -13,9 +13,9 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
-constexpr double kLargestWhole = 9007199254740992.0;  // up to which a double holds every whole number
+constexpr double kLargestWhole = 9007199254740992.0;  // a double represents all integers up to this value
 
-/// Cuts the text of a table into its objects, block by block.
+/// Splits the text of a table into its objects, block by block.
 class RecordSplitter {
 public:
     explicit RecordSplitter(const std::filesystem::path& file)
@@ -24,7 +24,8 @@ public:
         if (!in_) throw DataError(name_ + ": cannot be read");
     }
 
-    /// The next object into `record`. @return false after the last one
+    /// Reads the next object into `record`.
+    /// @return false after the last object
     bool next(std::string& record) {
         record.clear();
         int depth = 0;
@@ -69,7 +70,8 @@ private:
         c = block_[at_++];
         return true;
     }
-    /// What may stand outside of objects. @return true where an object begins
+    /// Checks a character between objects.
+    /// @return true if an object begins
     bool between(char c) {
         if (c == '{' && opened_ && !closed_) return true;
         const bool blank = c == ' ' || c == '\n' || c == '\r' || c == '\t';
@@ -99,7 +101,7 @@ void JsonRecord::numbers(std::string_view key, std::size_t n, double* out) const
     const auto list = value<simdjson::dom::array>(key, "numbers");
     if (list.size() != n) fail(key, n == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
-        // JSON has none that is not finite
+        // JSON has no infinite numbers and no NaN
         if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tables as JSON files: an array of objects, read one at a time, since a table may be a
-// gigabyte.
+// Reader of JSON tables. A table is an array of objects, which are read one at a time
+// because a table may have a gigabyte.
 #pragma once
 
 #include <cstdint>
@@ -15,20 +15,21 @@
 
 namespace relidar {
 
-/// One object of a table, while it is read. What is missing or of another type is a
-/// DataError naming file, record and key.
+/// One object of a table, valid while it is read. The functions throw a DataError with
+/// file, record and key if a value is missing or has another type.
 class JsonRecord {
 public:
     JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
 
     std::string text(std::string_view key) const;
-    /// A number, to the nearest whole one: some tables have microseconds with a fraction.
+    /// Returns a number, rounded to an integer. Some tables have microseconds with a
+    /// fraction.
     std::int64_t rounded(std::string_view key) const;
     bool boolean(std::string_view key) const;
     glm::dvec3 vector(std::string_view key) const;
-    /// w, x, y, z, of length 1.
+    /// Returns a quaternion w, x, y, z of length 1.
     glm::dquat quaternion(std::string_view key) const;
-    /// Keys translation and rotation.
+    /// Returns the pose in the keys translation and rotation.
     Pose pose() const { return {quaternion("rotation"), vector("translation")}; }
 
 private:
@@ -41,8 +42,9 @@ private:
     void numbers(std::string_view key, std::size_t n, double* out) const;
 };
 
-/// Reads every object of a table. @throws DataError naming the file: no array of objects,
-/// malformed, an object of more than 1 MB
+/// Reads every object of a table.
+/// @throws DataError with the file if it is not an array of objects, is malformed, or has
+/// an object of more than 1 MB
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// nuScenes and the datasets that have its tables. What differs is how files hold points,
-// which their endings tell.
+// Reader of nuScenes and of datasets with the same tables. The formats of their point
+// files differ and are recognised by the file ending.
 #include "log/readers/nuscenes/nuscenes.hpp"
 
 #include <algorithm>
@@ -24,21 +24,26 @@ namespace {
 namespace fs = std::filesystem;
 using namespace nuscenes;
 
-constexpr double kBeside = 0.6;  // steps: a LiDAR's sweep from that of the LiDAR that numbers the frames
-// steps: a box from its first and last label, whose times are near those of sweeps
+// maximum time between sweeps of one frame, in steps of the LiDAR that numbers the frames
+constexpr double kBeside = 0.6;
+// Maximum time before the first and after the last label of a box, in steps. Labels have
+// nearly the times of sweeps.
 constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
-constexpr double kTurnOfLyft_s = 0.1;  // assumed: sweeps are 5 a second, and such LiDARs turn ten times
-// of LiDARs that sweep together, worth a note where points have no times
+// assumed: such LiDARs rotate ten times per second, although there are only five sweeps
+// per second
+constexpr double kTurnOfLyft_s = 0.1;
+// Difference between the times of LiDARs above which a note is added, if points have no
+// times.
 constexpr double kStampsApart_s = 1e-3;
 
-/// Which dataset it is, by the ending of its LiDARs' files.
+/// Format of a dataset, recognised by the ending of its LiDAR files.
 struct Format {
     const char* ending;
     const char* dataset;
-    const char* conventions;  ///< beside metres, seconds and the vehicle's axes
-    bool is_compensated;      ///< columns of one HDL-32E, moved to the end of their turn
-    bool has_times;           ///< of points
+    const char* conventions;  ///< in addition to metres, seconds and the vehicle's axes
+    bool is_compensated;      ///< true: columns of one HDL-32E, moved to the end of the revolution
+    bool has_times;           ///< true: points have times
 };
 constexpr Format kFormats[] = {
     {".pcd.bin", "nuScenes",
@@ -54,7 +59,7 @@ constexpr Format kFormats[] = {
      false},
 };
 
-/// Scenes of all tables of a dataset, each with its tables.
+/// A scene and the folder of its tables.
 struct SceneName {
     std::string name;
     fs::path tables;
@@ -70,27 +75,28 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
     return scenes;
 }
 
-/// By name, by nuScenes' number, or by how no other name begins.
-SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& wanted) {
-    if (wanted.empty()) return scenes[0];
-    const std::optional<int> number = file_number(wanted);
-    const std::string named = number ? fmt::format("scene-{:04}", *number) : wanted;
+/// Chooses a scene by its name, by nuScenes' number, or by a unique beginning of its
+/// name.
+SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& scene_name) {
+    if (scene_name.empty()) return scenes[0];
+    const std::optional<int> number = file_number(scene_name);
+    const std::string named = number ? fmt::format("scene-{:04}", *number) : scene_name;
     std::string names;
     std::vector<const SceneName*> begin_so;
     for (const SceneName& scene : scenes) {
         if (scene.name == named) return scene;
-        if (scene.name.starts_with(wanted) || scene.name.starts_with("scene-" + wanted))
+        if (scene.name.starts_with(scene_name) || scene.name.starts_with("scene-" + scene_name))
             begin_so.push_back(&scene);
         if (names.size() < 400) names += (names.empty() ? "" : ", ") + excerpt(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
     throw UsageError(
-        fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(wanted),
+        fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(scene_name),
                     begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin so", begin_so.size()),
                     scenes.size(), names));
 }
 
-/// Boxes at the times of frames, between the keyframes at which they were labelled.
+/// Returns boxes at the times of frames, interpolated between the labelled keyframes.
 std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
                                double beyond_s) {
     std::vector<BoxTrack> boxes;
@@ -107,10 +113,10 @@ std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::v
     return boxes;
 }
 
-/// A sweep of a LiDAR among the frames.
+/// Sweep of a LiDAR and its frame number.
 struct NumberedSweep {
-    int number = 0;         ///< of the sweep of the first LiDAR that it goes with
-    std::size_t lidar = 0;  ///< in SceneTables::lidars
+    int number = 0;         ///< number of the simultaneous sweep of the first LiDAR
+    std::size_t lidar = 0;  ///< index in SceneTables::lidars
     const SweepRecord* record = nullptr;
 };
 
@@ -137,14 +143,14 @@ public:
             format_.conventions);
         choose_lidars();
         find_frames();
-        const PoseTrack own = add_frames();
+        const PoseTrack vehicle_track = add_frames();
         if (scene_.labels.empty()) note("no annotations of this scene: nothing in it is labelled");
-        sequence_.boxes = boxes_at(scene_.labels, own.time_s, kBeyondLabels * step_s_);
+        sequence_.boxes = boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::take_given_poses(sequence_, options_.poses_file);
         recentre(sequence_);
         std::vector<fs::path> files;
         for (const NumberedSweep& frame : frames_) files.push_back(file_of(*frame.record));
-        if (format_.is_compensated) read_hdl32e_sweeps(sequence_, files, own, options_);
+        if (format_.is_compensated) read_hdl32e_sweeps(sequence_, files, vehicle_track, options_);
         else read_clouds(files);
         return std::move(sequence_);
     }
@@ -155,11 +161,12 @@ private:
     const SceneName chosen_;
     const SceneTables scene_;
     const Format& format_;
-    /// what folders of files may begin with: tables in train_data, files in train_lidar
+    /// Possible prefix of file folders: for example, tables in train_data, files in
+    /// train_lidar.
     const std::string split_;
-    std::vector<double> main_s_;       ///< [sweeps of the first LiDAR]
-    double step_s_ = 0.0;              ///< between them
-    std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] in scene_.lidars
+    std::vector<double> main_s_;       ///< times of the first LiDAR's sweeps
+    double step_s_ = 0.0;              ///< time between these sweeps
+    std::vector<std::size_t> lidars_;  ///< [sequence_.lidars] index in scene_.lidars
     std::vector<NumberedSweep> frames_;
     Sequence sequence_;
 
@@ -184,7 +191,7 @@ private:
         return split_.empty() || path_exists(file) ? file : folder_ / (split_ + sweep.file);
     }
 
-    /// Those that are asked for, all of them where none is.
+    /// Selects the requested LiDARs, or all LiDARs if none is requested.
     void choose_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
@@ -216,20 +223,20 @@ private:
         if (!left_out.empty()) note(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
     }
 
-    /// Sweeps of the chosen LiDARs by number.
+    /// Returns the sweeps of the selected LiDARs, sorted by frame number.
     std::vector<NumberedSweep> number_sweeps() {
         std::vector<NumberedSweep> sweeps;
         for (const std::size_t l : lidars_) {
             const std::vector<SweepRecord>& records = scene_.lidars[l].sweeps;
             std::vector<double> times_s;
             for (const SweepRecord& record : records) times_s.push_back(scene_.seconds(record.time_us));
-            const auto beside = match_sweeps(main_s_, times_s, kBeside * step_s_);
+            const auto matches = match_sweeps(main_s_, times_s, kBeside * step_s_);
             std::size_t n_left = records.size();
             double apart_s = 0.0;
-            for (std::size_t k = 0; k < beside.size(); ++k) {
-                if (!beside[k]) continue;
-                apart_s = std::max(apart_s, std::abs(times_s[*beside[k]] - main_s_[k]));
-                sweeps.push_back({int(k), l, &records[*beside[k]]});
+            for (std::size_t k = 0; k < matches.size(); ++k) {
+                if (!matches[k]) continue;
+                apart_s = std::max(apart_s, std::abs(times_s[*matches[k]] - main_s_[k]));
+                sweeps.push_back({int(k), l, &records[*matches[k]]});
                 --n_left;
             }
             if (!format_.has_times && apart_s > kStampsApart_s)
@@ -245,8 +252,8 @@ private:
         return sweeps;
     }
 
-    /// Frames of the range. Keyframes alone where no sweep between them has its file, as
-    /// where samples/ was unpacked without sweeps/.
+    /// Selects the frames of the range. Uses only keyframes if no sweep between keyframes
+    /// has a file, for example if samples/ was unpacked without sweeps/.
     void find_frames() {
         const std::vector<NumberedSweep> sweeps = number_sweeps();
         const auto is_between = [](const NumberedSweep& sweep) { return !sweep.record->is_keyframe; };
@@ -268,8 +275,8 @@ private:
             note("no file between keyframes is there: the scene is read with its keyframes alone");
     }
 
-    /// LiDARs that sweep together share the time of the first one. @return the dataset's
-    /// poses at the frames
+    /// Adds the frames. LiDARs that sweep together get the time of the first LiDAR.
+    /// @return the dataset's poses at the frames
     PoseTrack add_frames() {
         for (const NumberedSweep& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);
@@ -279,11 +286,11 @@ private:
         return sequence_.world_from_vehicle;
     }
 
-    /// Points in files of single clouds, as they were measured, without rings.
+    /// Reads point files that are not motion-compensated and have no rings.
     void read_clouds(const std::vector<fs::path>& files) {
         folder::Head head;
         head.name = sequence_.name;
-        // the last is 1 everywhere
+        // the last column is 1 everywhere
         if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};
         head.units.intensity_max = kMostIntensity;
         head.units.time_unit_s = 1e-6;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// nuScenes, MAN TruckScenes and Lyft Level 5: a folder with tables in one of its folders
-// and files in others. One scene, all its LiDARs.
+// Reader of nuScenes, MAN TruckScenes and Lyft Level 5: a folder with the tables in one
+// subfolder and the files in others. Reads one scene with all its LiDARs.
 #pragma once
 
 #include <filesystem>
@@ -9,12 +9,12 @@
 
 namespace relidar {
 
-/// Reads the scene that DatasetOptions::sequence names, by its name, how it begins, or
-/// nuScenes' number: "scene-0061", "61". Frames are keyframes and sweeps of the first
-/// LiDAR in order; sweeps of others beside them share their numbers. The dataset's world
-/// is that of its poses.
-/// @throws DataError naming file, record and key; UsageError where there is no such scene
-/// or LiDAR, or no sweep in the asked frame range
+/// Reads the scene in DatasetOptions::sequence, given by its name, a beginning of its
+/// name, or nuScenes' number: "scene-0061", "61". Frames are the keyframes and sweeps of
+/// the first LiDAR in order. Sweeps of other LiDARs at nearly the same time share its
+/// numbers. The dataset's world is the frame of its poses.
+/// @throws DataError with file, record and key; UsageError if the scene or LiDAR is
+/// unknown, or if no sweep is in the requested frame range
 Sequence load_nuscenes(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records refer to each other by tokens. The channel of a file stands two tables away:
-// sample_data, calibrated_sensor, sensor.
+// Reads the tables of a dataset. Records refer to each other by tokens. The channel of a
+// file is found through sample_data, calibrated_sensor and sensor.
 #include "log/readers/nuscenes/nuscenes_tables.hpp"
 
 #include <algorithm>
@@ -24,9 +24,9 @@ using Tokens = std::unordered_set<std::string>;
 template <class T>
 using ByToken = std::unordered_map<std::string, T>;
 
-constexpr std::string_view kLidar = "LIDAR_";  // how channels of LiDARs begin
+constexpr std::string_view kLidar = "LIDAR_";  // prefix of LiDAR channels
 constexpr const char* kFirstChannel = "LIDAR_TOP";
-constexpr double kFarthestPose_s = 0.1;  // from the sweep that names it
+constexpr double kFarthestPose_s = 0.1;  // maximum time between a pose and the sweep that refers to it
 
 std::string find_scene(const fs::path& tables, const std::string& name) {
     std::string found;
@@ -36,7 +36,7 @@ std::string find_scene(const fs::path& tables, const std::string& name) {
     return found;
 }
 
-/// Times of the scene's samples, microseconds.
+/// Returns the times of the scene's samples in microseconds.
 ByToken<std::int64_t> samples_of(const fs::path& tables, const std::string& scene) {
     ByToken<std::int64_t> samples;
     for_each_record(tables / "sample.json", [&](const JsonRecord& record) {
@@ -45,13 +45,13 @@ ByToken<std::int64_t> samples_of(const fs::path& tables, const std::string& scen
     return samples;
 }
 
-/// A LiDAR and where it is mounted.
+/// A LiDAR and its mounting.
 struct Mounted {
     std::string channel;
     Pose ego_from_lidar;
 };
 
-/// By token of the calibration.
+/// Returns the LiDARs by token of their calibration.
 ByToken<Mounted> calibrations(const fs::path& tables) {
     ByToken<std::string> channels;
     for_each_record(tables / "sensor.json", [&](const JsonRecord& record) {
@@ -68,9 +68,9 @@ ByToken<Mounted> calibrations(const fs::path& tables) {
     return mounted;
 }
 
-using Channels = std::map<std::string, ByToken<SweepRecord>>;  // by name, then by token
+using Channels = std::map<std::string, ByToken<SweepRecord>>;  // by channel name, then by token
 
-/// Files of the LiDARs in a scene.
+/// Returns the LiDAR files of a scene.
 Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
                   const ByToken<Mounted>& mounted) {
     Channels files;
@@ -90,8 +90,8 @@ Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
     return files;
 }
 
-/// The chain of a channel's files from its first keyframe. @return none where it has no
-/// keyframe
+/// Returns the files of a channel in order, from its first keyframe.
+/// @return an empty list if the channel has no keyframe
 std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRecord>& files) {
     const std::string where = (tables / "sample_data.json").string();
     const SweepRecord* first = nullptr;
@@ -112,7 +112,7 @@ std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRec
     return sweeps;
 }
 
-/// The LiDARs of a scene that have a keyframe in it.
+/// Returns the LiDARs of a scene that have a keyframe in it.
 std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int64_t>& samples) {
     const ByToken<Mounted> mounted = calibrations(tables);
     std::vector<SceneLidar> lidars;
@@ -135,8 +135,8 @@ std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int
     return lidars;
 }
 
-/// Poses of the vehicle at the sweeps. TruckScenes names for each the nearest of a finer
-/// track, so poses go by their own times.
+/// Returns the vehicle's poses at the sweeps. TruckScenes refers to the nearest pose of a
+/// finer track, so the poses are interpolated by their timestamps.
 std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepRecord>& sweeps) {
     const fs::path file = tables / "ego_pose.json";
     struct TimedPose {
@@ -173,8 +173,8 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
     return world_from_ego;
 }
 
-/// Token of a record to the text of one of its keys, for the tokens that are asked for;
-/// all where none are.
+/// Returns the text of one key by token of the record.
+/// @param wanted  tokens to read, or null for all records
 ByToken<std::string> column(const fs::path& file, const char* key, const Tokens* wanted) {
     ByToken<std::string> values;
     for_each_record(file, [&](const JsonRecord& record) {
@@ -184,7 +184,8 @@ ByToken<std::string> column(const fs::path& file, const char* key, const Tokens*
     return values;
 }
 
-/// Labels of the samples; none where the table is missing, as in a test split.
+/// Reads the labels of the samples. Returns none if the table is missing, as in a test
+/// split.
 std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& scene,
                                   const ByToken<std::int64_t>& samples) {
     std::vector<BoxLabel> labels;

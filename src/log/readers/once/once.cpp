@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// ONCE. The LiDAR's frame is x left, y back, z up. A pose is 7 numbers, a quaternion and
-// a place. Documents differ on whether w comes first or last in the quaternion: it is
-// where the vehicle drives forward.
+// Reader of ONCE. The LiDAR's frame is x left, y back, z up. A pose has 7 numbers: a
+// quaternion and a position. Documents disagree whether w is the first or the last number
+// of the quaternion. The reader chooses the order with which the vehicle drives forward.
 #include "log/readers/once/once.hpp"
 
 #include <array>
@@ -23,18 +23,19 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-constexpr double kTurn_s = 0.1;            // the LiDAR turns ten times a second, every fifth turn is kept
+// the LiDAR rotates ten times per second, and the dataset keeps every fifth revolution
+constexpr double kTurn_s = 0.1;
 constexpr double kTurned_rad = kPi / 2.0;  // from x left, y back to x forward, y left
-constexpr double kUnitLength = 1e-3;       // of a quaternion, by which it may differ from 1
+constexpr double kUnitLength = 1e-3;       // tolerance of a quaternion's length
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Quaternion and place, as the file has them.
+/// Quaternion and position as stored in the file.
 struct OncePose {
     std::int64_t stamp;
     std::array<double, 7> numbers;
 };
 
-/// What the JSON file says.
+/// Content of the JSON file.
 struct OnceFile {
     std::vector<stamped::StampedScan> scans;
     std::vector<OncePose> poses;
@@ -55,37 +56,39 @@ OncePose read_once_pose(const JsonField& field, std::int64_t stamp) {
     return pose;
 }
 
-void count_boxes(const JsonField& frame, OnceFile& found) {
+void count_boxes(const JsonField& frame, OnceFile& content) {
     if (!frame.has("annos") || !frame.at("annos").has("boxes_3d")) return;
-    found.n_boxes += frame.at("annos").at("boxes_3d").size();
-    ++found.n_labelled;
+    content.n_boxes += frame.at("annos").at("boxes_3d").size();
+    ++content.n_labelled;
 }
 
 OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_poses) {
     const std::string where = file.string();
     const nlohmann::json json = parse_json(read_text(file), where);
     const JsonField frames = JsonField(json, where, "").at("frames");
-    OnceFile found;
+    OnceFile content;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         const JsonField frame = frames.at(i), id = frame.at("frame_id");
         const std::string name = id.text(20);
         const auto stamp = stamped::parse_stamp(name);
         if (!stamp) id.fail(fmt::format("'{}'", excerpt(name)), "expected a time in milliseconds");
-        if (!found.scans.empty() && *stamp <= found.scans.back().stamp)
-            id.fail(fmt::format("{} after {}", *stamp, found.scans.back().stamp), "expected times that rise");
-        found.scans.push_back({int(i), *stamp, lidar / (name + ".bin")});
-        if (needs_poses || frame.has("pose")) found.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
-        count_boxes(frame, found);
+        if (!content.scans.empty() && *stamp <= content.scans.back().stamp)
+            id.fail(fmt::format("{} after {}", *stamp, content.scans.back().stamp),
+                    "expected times that rise");
+        content.scans.push_back({int(i), *stamp, lidar / (name + ".bin")});
+        if (needs_poses || frame.has("pose"))
+            content.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
+        count_boxes(frame, content);
     }
-    found.n_missing =
-        std::erase_if(found.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
-    if (found.scans.empty())
+    content.n_missing = std::erase_if(
+        content.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
+    if (content.scans.empty())
         throw DataError(fmt::format("{}: no scan of its {} frames is in {}, expected MILLISECONDS.bin", where,
                                     frames.size(), lidar.string()));
-    return found;
+    return content;
 }
 
-/// Poses of the LiDAR as ONCE has its axes.
+/// Returns the poses of the LiDAR in ONCE's axes.
 PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log, bool is_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
@@ -98,11 +101,11 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
     return track;
 }
 
-/// Poses of the LiDAR turned to relidar's axes.
-PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& log,
+/// Returns the poses of the LiDAR in relidar's axes.
+PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
-    const PoseTrack w_last = once_track(found.poses, log, false),
-                    w_first = once_track(found.poses, log, true);
+    const PoseTrack w_last = once_track(content.poses, log, false),
+                    w_first = once_track(content.poses, log, true);
     const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
@@ -116,29 +119,29 @@ PoseTrack world_from_turned(const OnceFile& found, const stamped::StampedLog& lo
 
 }  // namespace
 
-Sequence load_once(const fs::path& given, const DatasetOptions& options) {
-    check_folder(given, "a ONCE sequence (lidar_roof/ and its JSON file)");
-    const fs::path folder = fs::canonical(given), json = folder / (folder.filename().string() + ".json");
-    const OnceFile found = read_once_file(json, folder / "lidar_roof", options.poses_file.empty());
+Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
+    check_folder(log_folder, "a ONCE sequence (lidar_roof/ and its JSON file)");
+    const fs::path folder = fs::canonical(log_folder), json = folder / (folder.filename().string() + ".json");
+    const OnceFile content = read_once_file(json, folder / "lidar_roof", options.poses_file.empty());
     Sequence sequence;
     sequence.name = "ONCE " + folder.filename().string();
-    sequence.source = given.string();
+    sequence.source = log_folder.string();
     sequence.conventions =
         "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the log's first scan; "
         "points as "
         "they are; world: the LiDAR of the first frame, x left, y back";
     sequence.notes = {
-        found.n_boxes == 0
+        content.n_boxes == 0
             ? std::string("nothing in this log is labelled")
             : fmt::format("{} boxes of {} labelled frames are left out: nothing says which are of one thing",
-                          found.n_boxes, found.n_labelled)};
-    if (found.n_missing > 0 && !options.allow_missing_scans)
+                          content.n_boxes, content.n_labelled)};
+    if (content.n_missing > 0 && !options.allow_missing_scans)
         throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one each",
-                                    json.string(), found.n_missing));
-    if (found.n_missing > 0)
-        sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", found.n_missing));
-    stamped::StampedLog log{kMillisecond, found.scans, {}, json, 0.0};
-    if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(found, log, sequence.notes);
+                                    json.string(), content.n_missing));
+    if (content.n_missing > 0)
+        sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", content.n_missing));
+    stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
+    if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;
     const std::vector<fs::path> files = stamped::add_frames(sequence, log, options);

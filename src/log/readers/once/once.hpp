@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// ONCE, a sequence as it is distributed: lidar_roof/MILLISECONDS.bin and NAME.json with
-// calibration, poses and boxes.
+// Reader of ONCE sequences as they are distributed: lidar_roof/MILLISECONDS.bin, and
+// NAME.json with calibration, poses and boxes.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,10 @@
 
 namespace relidar {
 
-/// Frames are numbered as the JSON file lists them; the vehicle's frame is the LiDAR's,
-/// turned so that x looks forward. The dataset's world is its LiDAR's frame in the first
-/// frame. Boxes are not read: they have no identity.
-/// @throws DataError naming file and field, UsageError where the asked range has no scan
+/// Reads a sequence. Frames are numbered in the order of the JSON file. The vehicle frame
+/// is the LiDAR's frame, rotated so that x faces forward. The dataset's world is the
+/// LiDAR's frame in the first frame. Boxes are not read, because they have no track ids.
+/// @throws DataError with file and field, UsageError if no scan is in the requested range
 Sequence load_once(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

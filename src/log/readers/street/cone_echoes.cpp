@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A spiral of golden angles; returns told apart by sorting. Written apart from
-// src/simulate/render/footprint.cpp, which it checks, and in other
-// places of the cone.
+// Casts cones along a spiral with golden angles and separates returns by sorting. The
+// tests compare src/simulate/render/footprint.cpp with this independent implementation,
+// which samples the cone at other directions.
 #include "log/readers/street/cone_echoes.hpp"
 
 #include <algorithm>
@@ -17,7 +17,8 @@ struct Return {
     float range_m = 0.0f, light = 0.0f;
 };
 
-/// Nearest first. @param n_back  how many rays of the cone came back
+/// Returns the returns of a cone, nearest first.
+/// @param n_back  output: number of rays of the cone with a hit
 std::vector<Return> returns_of(const Scan& cone, std::size_t ray, int& n_back) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kConeRays; i < (ray + 1) * kConeRays; ++i)

@@ -1,24 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the synthetic street sends back to a beam that is a cone, and what a receiver of
-// two returns makes of it. Private to dataset.
+// Returns of a conical beam in the synthetic street, and the two returns that a receiver
+// reports. Private to the reader.
 #pragma once
 
 #include <relidar/log/sequence.hpp>
 
 namespace relidar::street {
 
-inline constexpr int kConeRays = 53;  ///< exact rays for each beam
+inline constexpr int kConeRays = 53;  ///< exact rays per beam
 
-/// kConeRays rays for each one, in a spiral that covers its cone evenly. @param rays
-/// with a divergence
+/// Replaces each ray by kConeRays rays in a spiral that covers its cone evenly.
+/// @param rays  rays with a divergence
 RayTable cone_rays(const RayTable& rays);
 
-/// Two returns of each ray from what its cone met: parts that are connected by steps in
-/// range below 0.5 m are one return, of their mean range weighted by light; the strongest
-/// first, then the last, or the next strongest where the strongest is the last, if it has
-/// a tenth of the strongest's light. A ray of which not more than half comes back is
-/// dropped.
-/// @param cone  cast along cone_rays(rays)
+/// Computes two returns per ray from the hits in its cone. Hits that are connected by
+/// range steps below 0.5 m form one return. Its range is the mean of the hits, weighted
+/// by their light. The first return is the strongest one. The second is the last one, or
+/// the next strongest if the strongest is the last. It must have a tenth of the
+/// strongest's light. A ray is dropped if at most half of its cone has hits.
+/// @param cone  scan that was cast along cone_rays(rays)
 Scan receive(const RayTable& rays, const Scan& cone);
 
 }  // namespace relidar::street

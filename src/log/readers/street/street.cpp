@@ -13,7 +13,7 @@
 namespace relidar::street {
 namespace {
 
-/// Where a ray meets a shape, in the shape's frame.
+/// Intersection of a ray with a shape, in the shape's frame.
 struct Meeting {
     double t = std::numeric_limits<double>::infinity();
     glm::dvec3 normal{0.0};
@@ -57,7 +57,7 @@ Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, co
     return best;
 }
 
-/// A capsule whose axis goes from the origin straight down.
+/// Intersects a capsule whose axis goes straight down from the origin.
 Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& d) {
     Meeting best;
     const auto offer = [&](double t, double axis_z) {
@@ -77,30 +77,32 @@ Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const gl
     return best;
 }
 
-/// About the z axis, by the angle with cosine c and sine s.
+/// Rotates a vector about the z axis by the angle with cosine c and sine s.
 glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
     return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
 }
 
-/// Windows in a wall: 1.2 x 1.5 m panes of dark glass, one every 3 x 3 m, on faces that
-/// look sideways.
+/// Returns true if a point of a wall is in a window: panes of dark glass of 1.2 x 1.5 m,
+/// one every 3 x 3 m, on faces in y direction.
 bool in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
     if (std::abs(normal.y) < 0.5) return false;
     const double u = local.x + wall.half.x, v = local.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-/// The ground: road with a dashed line in its middle, pavement beside it.
+/// Returns the reflectance of the ground: road with a dashed line in its middle, and
+/// pavement next to it.
 double ground_reflectance(const glm::dvec3& p) {
     const double middle = std::abs(p.y - 1.7);
     const bool dash = middle < 0.08 && p.x - 6.0 * std::floor(p.x / 6.0) < 3.0;
     return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
 }
 
-/// That of its corners; holds a cylinder, too.
+/// Returns the sphere through the corners of a shape's box. It also contains a cylinder.
 Sphere sphere_around(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
-/// Of some spheres: about the box of their centres.
+/// Returns a sphere that contains the spheres of some shapes, centred on the box of their
+/// centres.
 Sphere sphere_around(std::span<const Shape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const Shape& shape : shapes) low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
@@ -114,12 +116,12 @@ Sphere sphere_around(std::span<const Shape> shapes) {
 
 }  // namespace
 
-/// Follows one ray to what it meets first.
+/// Finds the first intersection of one ray.
 class StreetCaster::Walk {
 public:
     Walk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
-    /// Whether nothing in a sphere can be what the ray meets first.
+    /// Returns true if no shape in a sphere can be the first intersection.
     bool passes_by(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to = sphere.centre - origin;
         const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
@@ -135,7 +137,8 @@ public:
         hit_ = Hit{t, -ray_.direction.z, ground_reflectance(ray_.origin_m + t * ray_.direction)};
     }
 
-    /// @param o, d ray in the frame that holds the shape's centre
+    /// Intersects a solid.
+    /// @param origin,direction  ray in the frame of the shape's centre
     void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
         if (passes_by(solid.around, origin, direction)) return;
         const Shape& shape = solid.shape;
@@ -149,8 +152,9 @@ public:
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
     }
 
-    /// @param pitch_rad  from straight down, forward @param origin, direction  ray in the
-    /// frame of the box
+    /// Intersects a limb.
+    /// @param pitch_rad  forward angle from straight down
+    /// @param origin,direction  ray in the frame of the box
     void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
         const auto hanging = [&](const glm::dvec3& v) {
@@ -198,7 +202,7 @@ std::vector<StreetCaster::Solid> StreetCaster::solids_of(const std::vector<Shape
 }
 
 StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
-    constexpr double kWide_m = 4.0;  // a car, a bush, a stretch of fence
+    constexpr double kWide_m = 4.0;  // a car, a bush, a part of a fence
     const std::span<const Shape> shapes = street.shapes;
     for (std::size_t begin = 0, end = 1; begin < shapes.size(); begin = end, ++end) {
         while (end < shapes.size() &&
@@ -207,12 +211,12 @@ StreetCaster::StreetCaster(Street street) : solids_(solids_of(street.shapes)) {
         clusters_.push_back({sphere_around(shapes.subspan(begin, end - begin)), end});
     }
     for (MovingCar& car : street.cars) {
-        Car& own = cars_.emplace_back(Car{std::move(car), {}});
-        own.solids = solids_of(own.moving.shapes);
-        for (const Solid& s : own.solids)
-            own.reach_m = std::max(own.reach_m, glm::length(s.around.centre) + s.around.radius_m);
-        for (const Limb& l : own.moving.limbs)
-            own.reach_m = std::max(own.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
+        Car& new_car = cars_.emplace_back(Car{std::move(car), {}});
+        new_car.solids = solids_of(new_car.moving.shapes);
+        for (const Solid& s : new_car.solids)
+            new_car.reach_m = std::max(new_car.reach_m, glm::length(s.around.centre) + s.around.radius_m);
+        for (const Limb& l : new_car.moving.limbs)
+            new_car.reach_m = std::max(new_car.reach_m, glm::length(l.joint_m) + l.length_m + l.radius_m);
     }
 }
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lays out the synthetic street: 160 m of facades with gaps and setbacks on both sides,
-// or as many as the sensor drives past, poles and trees on the pavements, parked cars,
-// one car ahead in the sensor's lane (a little faster than the sensor), one oncoming,
-// more of them where the street is long. If wanted, people: one on each pavement, one who
-// crosses ahead, a cyclist beside the lane; and a yard on the left where cars park behind
-// a fence.
+// Lays out the synthetic street: facades with gaps and setbacks on both sides over 160 m,
+// or over the full path of the sensor, poles and trees on the pavements, and parked cars.
+// One car drives ahead in the sensor's lane, a little faster than the sensor. One car is
+// oncoming, or several on a long street. Optional people: one on each pavement, one who
+// crosses ahead, and a cyclist next to the lane. With people, a yard on the left has
+// parked cars behind a fence.
 #include "log/readers/street/street.hpp"
 
 #include <cmath>
@@ -15,13 +15,14 @@ namespace relidar::street {
 namespace {
 
 constexpr double kHalfLength_m = 80.0, kLongWay_m = 100.0, kBetweenCars_m = 120.0;
-// about y = 1.1: the sensor drives in the right-hand lane, y = 0
+// The kerbs are centred on y = 1.1, because the sensor drives in the right-hand lane, y =
+// 0.
 constexpr double kLeftKerb_m = 6.6, kRightKerb_m = -4.4;
 constexpr double kCarLength_m = 4.3, kCarWidth_m = 1.8;
-// the body begins at 0.2 m: a box holds its car and no ground
+// The body begins at 0.2 m, so that a box contains its car but no ground.
 constexpr double kBoxBottom_m = 0.15, kBoxTop_m = 1.5;
 constexpr double kBoxCentre_m = 0.5 * (kBoxBottom_m + kBoxTop_m);
-constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;  // along the street, left of the pavement
+constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;  // along the street, to the left of the pavement
 
 double middle_time_s(const SyntheticOptions& options) { return frame_time_s(options.n_frames / 2); }
 
@@ -29,21 +30,22 @@ double way_m(const SyntheticOptions& options) {
     return options.speed_mps * frame_time_s(options.n_frames - 1);
 }
 
-/// Of the street: a short log sees both of its ends, a long one has street beyond those
-/// of its way.
+/// Returns half the length of the street. In a short log both ends are visible. A long
+/// street extends beyond the path of the sensor.
 double half_length_m(const SyntheticOptions& options) {
     const double way = way_m(options);
     return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
 }
 
-/// A side of a street.
+/// One side of a street.
 struct Side {
-    double left;  ///< 1, or -1 for the right
+    double left;  ///< sign of the side in y: 1: left, -1: right
     double kerb_m;
-    double half_m;  ///< of the street's length
+    double half_m;  ///< half the length of the street
 };
 
-/// @param yard  leaves out what stands where the yard is
+/// Adds the facades of one side.
+/// @param yard  true: leaves out facades at the position of the yard
 void add_facades(Street& street, Random& random, const Side& at, bool yard) {
     const auto& [side, kerb_m, half_m] = at;
     for (double x = -half_m; x < half_m;) {
@@ -87,8 +89,8 @@ void add_poles_and_trees(Street& street, Random& random, const Side& at) {
     }
 }
 
-/// Body (0.20 ... 0.90 m above the ground) and cabin (0.90 ... 1.45 m) about the centre
-/// of the car's box.
+/// Returns the body (0.20 ... 0.90 m above the ground) and the cabin (0.90 ... 1.45 m) of
+/// a car, relative to the centre of its box.
 std::vector<Shape> car_shapes(double paint) {
     const Shape body{Shape::Kind::box,
                      {0.0, 0.0, 0.55 - kBoxCentre_m},
@@ -105,8 +107,7 @@ std::vector<Shape> car_shapes(double paint) {
     return {body, cabin};
 }
 
-/// The same with a cabin of glass, which lets rays through: pillars and seats under a
-/// roof.
+/// Returns a car with a glass cabin, which rays pass: pillars and seats under a roof.
 std::vector<Shape> glazed_car_shapes(double paint) {
     const Shape body = car_shapes(paint)[0];
     const Shape roof{Shape::Kind::box,
@@ -139,7 +140,7 @@ void add_parked_car(Street& street, double x, double y, double yaw, const std::v
     }
 }
 
-/// Along the kerb, on the road.
+/// Adds parked cars along the kerb, on the road.
 void add_parked_cars(Street& street, Random& random, const Side& at, bool glazed) {
     for (double x = -at.half_m + random.uniform(2.0, 10.0); x < at.half_m - 5.0;
          x += random.uniform(6.0, 20.0)) {
@@ -150,8 +151,8 @@ void add_parked_cars(Street& street, Random& random, const Side& at, bool glazed
     }
 }
 
-/// Cars side by side behind posts as wide as the gaps between them, a wall behind: of
-/// each car a moving sensor sees another part every sweep.
+/// Adds a yard with cars side by side in front of a wall, behind posts as wide as the
+/// gaps between them. A moving sensor sees a different part of each car in every sweep.
 void add_yard(Street& street, Random& random) {
     const double fence_y = kLeftKerb_m + 2.4;
     for (double x = kYardBegin_m; x < kYardEnd_m; x += random.uniform(0.4, 1.2))
@@ -180,8 +181,8 @@ MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, doub
     return car;
 }
 
-/// One that is 14 m ahead in the middle of the log, and on a long street others that pass
-/// the sensor every 120 m of its way.
+/// Adds an oncoming car that is 14 m ahead in the middle of the log. On a long street,
+/// adds more cars that pass the sensor every 120 m of its path.
 void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
@@ -192,7 +193,7 @@ void add_oncoming(Street& street, Random& random, const SyntheticOptions& option
                                              kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
 }
 
-/// Leaves and twigs that let most rays through.
+/// Adds leaves and twigs that most rays pass.
 void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     for (int leaf = 0; leaf < 60; ++leaf) {
         const glm::dvec3 place(at_m + glm::dvec2(random.uniform(-1.0, 1.0), random.uniform(-0.5, 0.5)),
@@ -202,8 +203,8 @@ void add_bush(Street& street, Random& random, const glm::dvec2& at_m) {
     }
 }
 
-/// Someone of 0.25 to 0.35 m across and 1.75 m tall, from 0.05 m above the ground on:
-/// feet are in the box, ground is not.
+/// Returns a person of 0.25 to 0.35 m width and 1.75 m height. The box begins 0.05 m
+/// above the ground, so that it contains the feet but no ground.
 MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m, double yaw_rad,
                  double speed_mps) {
     constexpr double kTall_m = 1.75, kBottom_m = 0.05, kHalf_m = 0.5 * (kTall_m - kBottom_m);
@@ -224,8 +225,8 @@ MovingCar walker(const SyntheticOptions& options, const glm::dvec2& at_middle_m,
     return walker;
 }
 
-/// Legs and arms that swing, in the place of the legs that stand. Feet at the ground move
-/// as fast as the body, backward: they stand.
+/// Replaces the static legs by swinging legs and arms. Feet on the ground move backward
+/// as fast as the body moves forward, so they do not slide.
 void give_gait(MovingCar& walker) {
     constexpr double kLeg_m = 0.72, kLegRadius_m = 0.075, kHip_m = 0.09, kArm_m = 0.5, kArmRadius_m = 0.045,
                      kShoulder_m = 0.23;
@@ -284,7 +285,7 @@ Street make_street(const SyntheticOptions& options) {
     add_parked_cars(street, random, left, options.people);
     add_parked_cars(street, random, right, options.people);
     if (options.moving_cars) {
-        // it is never overtaken
+        // The sensor never overtakes this car.
         const double ahead_m = way_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * way_m(options) : 12.0;
         street.cars.push_back(moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
         add_oncoming(street, random, options);

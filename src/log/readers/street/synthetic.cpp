@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic log: a spinning LiDAR, or a rig of any, drives through the street, each
-// ray cast at its own time. The echo is
-//   s = reflectance * cosine * min(1, (25 m / range)^2),   intensity = reflectance * (0.3 + 0.7 cosine) * (1 - range / 160 m)
-//   P(drop) = 1 / (1 + (s / s0)^3),  s0 = 0.01,  drawn by a hash of seed, frame and ray, so that a log is always the same.
+// Generates the synthetic log. A spinning LiDAR, or a rig of any sensors, drives through
+// the street. Each ray is cast at its firing time. The echo is
+//   s = reflectance * cosine * min(1, (25 m / range)^2)
+//   intensity = reflectance * (0.3 + 0.7 cosine) * (1 - range / 160 m)
+//   P(drop) = 1 / (1 + (s / s0)^3),  s0 = 0.01
+// Drops are drawn by a hash of seed, frame and ray, so that a log is reproducible.
 #include "log/readers/street/synthetic.hpp"
 
 #include <cmath>
@@ -45,7 +47,7 @@ SpinningSensor make_sensor(const SyntheticOptions& options) {
     SpinningSensor sensor;
     sensor.name = "synthetic";
     const double spacing_deg = 28.0 / (options.rows - 1);
-    for (int i = 0; i < options.rows; ++i) {  // a real sensor's beams are not quite even
+    for (int i = 0; i < options.rows; ++i) {  // slightly uneven, like the beams of a real sensor
         const double elevation_deg = 3.0 - spacing_deg * (i + 0.2 * std::sin(2.1 * i));
         sensor.beams.push_back({.elevation_rad = elevation_deg * kPi / 180.0});
     }
@@ -64,9 +66,10 @@ double echo_intensity(const Hit& hit) {
     return glm::clamp(hit.reflectance * (0.3 + 0.7 * hit.cosine) * (1.0 - hit.range_m / 160.0), 0.0, 1.0);
 }
 
-/// What of a street a sweep can meet.
+/// Returns the part of a street that a sweep can hit.
 street::Street street_near(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
-    constexpr double kSweep_m = 20.0;  // that the sensor, rays' origins and cars may come while it sweeps
+    // upper bound of the motion of sensor, ray origins and cars during a sweep
+    constexpr double kSweep_m = 20.0;
     street::Street near;
     for (const street::Shape& shape : whole.shapes)
         if (glm::distance(shape.centre, sensor_m) <= kMaxRange_m + kSweep_m + 2.0 * glm::length(shape.half))
@@ -78,8 +81,8 @@ street::Street street_near(const street::Street& whole, const glm::dvec3& sensor
     return near;
 }
 
-/// Casts every ray at its own time; `receive(ray, hit)` decides what the sensor makes of
-/// a hit.
+/// Casts every ray at its firing time. `receive(ray, hit)` converts a hit to a
+/// measurement.
 template <class Receive>
 void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s,
                const RayTable& rays, const Receive& receive) {
@@ -99,12 +102,13 @@ Scan empty_scan(const RayTable& rays) {
     return {rays, ScanArray<float>(rays.size(), 0.0f), ScanArray<float>(rays.size(), 0.0f)};
 }
 
-/// Position in the street of relidar's origin: the sensor in the middle frame.
+/// Returns the position of relidar's origin in the street frame: the sensor in the middle
+/// frame.
 glm::dvec3 origin_of(const SyntheticOptions& options) {
     return street::sensor_pose(options, street::frame_time_s(options.n_frames / 2)).translation;
 }
 
-/// Without noise, and dropped where that is likelier than not.
+/// Casts a scan without noise. Drops rays whose drop probability is above 0.5.
 Scan cast_exactly(const street::Street& street, const glm::dvec3& offset_m, const RayTable& rays,
                   const PoseTrack& track, double time_s) {
     Scan scan = empty_scan(rays);
@@ -124,7 +128,8 @@ Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const 
     return street::receive(rays, cast_exactly(street, offset_m, street::cone_rays(rays), track, time_s));
 }
 
-/// One LiDAR's seed, of which the first is as it was when there was but one.
+/// Returns the random seed of a LiDAR's frame. The first LiDAR of a rig has the same seed
+/// as a single LiDAR.
 std::uint64_t seed_of(const SyntheticOptions& options, const Frame& frame) {
     const std::uint64_t seed = hash64(options.seed, static_cast<std::uint64_t>(frame.index));
     return frame.lidar == 0 ? seed : hash64(seed, static_cast<std::uint64_t>(frame.lidar));
@@ -178,7 +183,7 @@ std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<d
     return tracks_of(labels);
 }
 
-/// Those of a rig, or the street's own.
+/// Returns the sensors of a rig, or the default sensor.
 std::vector<MountedSensor> sensors_of(const SyntheticOptions& options) {
     if (options.rig.empty()) {
         const SpinningSensor own = make_sensor(options);
@@ -247,7 +252,7 @@ Sequence make_synthetic_street(const SyntheticOptions& options) {
 
 namespace {
 
-/// Its own cars give way to others.
+/// Replaces the moving cars of the street by others.
 void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, const glm::dvec3& origin_m,
                   double time_s) {
     const std::vector<street::MovingCar> own = std::move(street.cars);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// street.toml: the options of a synthetic log, one key each; missing keys keep their
-// defaults, unknown ones are refused.
+// Reads and writes street.toml: the options of a synthetic log, one key each. Missing
+// keys have default values, unknown keys are errors.
 #include "log/readers/street/synthetic.hpp"
 
 #include <algorithm>
@@ -25,14 +25,15 @@ namespace fs = std::filesystem;
 const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "columns", "range_noise_m",
                                      "speed_mps", "moving_cars", "people", "gait",    "rig"};
 
-/// Value of a key where it is there. @throws DataError where it has another type (whole
-/// numbers serve as real ones)
+/// Reads the value of a key if the key exists.
+/// @throws DataError if the value has another type (integers are accepted as real
+/// numbers)
 template <class T>
 void read_value(const toml::table& table, const char* key, const char* type, const std::string& file,
                 T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    // toml++ casts a real number to an integer before it looks whether it is one
+    // toml++ converts a real number to an integer before it checks the type
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto found = is_cut ? std::nullopt : node->value<T>();
     if (!found)
@@ -41,11 +42,11 @@ void read_value(const toml::table& table, const char* key, const char* type, con
     value = *found;
 }
 
-/// Poses of a file in the street's world instead of the exact ones from which the scans
-/// were cast, to see what wrong poses do.
+/// Replaces the exact poses, from which the scans were cast, by poses from a file in the
+/// street's world. Used to study the effect of wrong poses.
 void take_poses(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
-    for (const Frame& frame : sequence.frames)  // a pose for all LiDARs of a rig
+    for (const Frame& frame : sequence.frames)  // one pose for all LiDARs of a rig
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     PoseTrack track{sequence.world_from_vehicle.time_s, std::vector<Pose>(frames.size())};
     if (poses_file != kNoPoses) {
@@ -89,7 +90,7 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "people", "true or false", file, options.people);
     read_value(table, "gait", "true or false", file, options.gait);
     read_value(table, "rig", "a file", file, options.rig);
-    // beside this file, or absolute
+    // Relative to the folder of this file, or absolute.
     if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();
     return options;
 }
@@ -109,7 +110,7 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     Sequence sequence;
     try {
         sequence = make_synthetic_frames(street, options.frames.begin, end);
-    } catch (const UsageError& error) {  // here the value stands in a file, not on a command line
+    } catch (const UsageError& error) {  // the invalid value is in a file, not on the command line
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }
     sequence.source = folder.string();

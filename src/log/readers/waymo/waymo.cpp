@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Waymo Open. Pixel (row, column) of a range image is a ray of
-//   elevation(row),  azimuth pi - 2 pi (column + 0.5) / columns - yaw of the mounting,
-// in the LiDAR's frame, so with the frame turned by that yaw the image is the ray table
-// of a spinning sensor. Points of TOP were brought from the vehicle at their own pixel's
-// pose, those of the other LiDARs to the vehicle of the record: each ray is placed in the
-// world by that pose, and stored as seen from the vehicle that the track has at the ray's
-// time.
+// Reader of Waymo Open. In the LiDAR's frame, pixel (row, column) of a range image is a
+// ray with
+//   elevation(row),  azimuth pi - 2 pi (column + 0.5) / columns - yaw of the mounting.
+// If the frame is rotated by this yaw, the image is the ray table of a spinning sensor.
+// The dataset has transformed points of TOP with the vehicle pose of their pixel, and
+// points of the other LiDARs with the vehicle pose of the record. The reader places each
+// ray in the world with that pose. It stores the ray relative to the vehicle pose that
+// the track has at the ray's time.
 #include "log/readers/waymo/waymo.hpp"
 
 #include <algorithm>
@@ -34,7 +35,7 @@ namespace {
 namespace fs = std::filesystem;
 using namespace waymo;
 
-// by LaserName
+// Names by LaserName.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
 struct Segment {
@@ -77,7 +78,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
                     excerpt(options.sequence), files.size(), path.string()));
 }
 
-/// Records of the frames asked for, [begin, end).
+/// Returns the records of the requested frames, [begin, end).
 std::pair<int, int> record_range(const TfRecords& records, const FrameRange& frames) {
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = frames.end < 0 ? n : std::min(frames.end, n);
@@ -92,7 +93,7 @@ std::string where_of(const TfRecords& records, int record) {
     return fmt::format("{}: record {}", records.file().string(), record);
 }
 
-/// world_from_vehicle of a pixel: roll, pitch, yaw, x, y, z.
+/// Returns world_from_vehicle of a pixel, from roll, pitch, yaw, x, y, z.
 Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where) {
     const float* v = poses.pixel(pixel);
     if (!std::all_of(v, v + 6, [](float x) { return std::abs(x) <= 1e8f; }))
@@ -101,10 +102,12 @@ Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where)
     return {rotation_of(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
-// range, intensity, elongation, no-label zone; roll, pitch, yaw, x, y, z
+// Channels of an image: range, intensity, elongation, no-label zone. Of a pose image:
+// roll, pitch, yaw, x, y, z.
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// The pixel poses of a LiDAR, of the size of its image; nothing where there are none.
+/// Reads the pixel poses of a LiDAR and checks their size. Returns nothing if the LiDAR
+/// has none.
 std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image,
                                       const std::string& where) {
     if (laser.pixel_pose.empty()) return std::nullopt;
@@ -122,8 +125,8 @@ const LaserImages& images_of(const FrameRecord& frame, int laser, const std::str
                                 kLaserNames[laser]));
 }
 
-/// The vehicle when the head of TOP faces forward: the pose of the returned pixel that is
-/// nearest to the middle column.
+/// Returns the vehicle pose at the time when the head of TOP faces forward: the pose of
+/// the pixel with a return that is nearest to the middle column.
 Pose forward_pose(const FrameRecord& frame, const std::string& where) {
     if (frame.images.empty() || frame.images.front().laser != kTop) return frame.world_from_vehicle;
     const std::string in_top = where + ": TOP";
@@ -138,11 +141,11 @@ Pose forward_pose(const FrameRecord& frame, const std::string& where) {
     return nearest ? pixel_pose(*poses, *nearest, in_top) : frame.world_from_vehicle;
 }
 
-/// What has to be known of all frames before their rays can be placed.
+/// Data of a frame that must be known for all frames before rays can be placed.
 struct FrameHead {
     std::int64_t timestamp_us = 0;
-    Pose world_from_vehicle;       ///< when the head faces forward
-    std::vector<BoxLabel> labels;  ///< in the world, without times
+    Pose world_from_vehicle;       ///< pose when the head faces forward
+    std::vector<BoxLabel> labels;  ///< labels in the world frame, without times
 };
 
 FrameHead read_head(const TfRecords& records, int record) {
@@ -191,10 +194,11 @@ Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double per
     return lidar;
 }
 
-/// Puts a range image on the rays of the sensor.
+/// Assigns the pixels of a range image to the rays of the sensor.
 class RangeImageReader {
 public:
-    /// @param clamps  intensities are cut at 1; false: their tanh
+    /// Prepares the reading of a frame.
+    /// @param clamps  true: clamp intensities at 1; false: apply tanh
     RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where,
                      bool clamps)
         : lidar_(sequence.lidar_of(frame)), where_(std::move(where)), clamps_(clamps) {
@@ -230,7 +234,7 @@ private:
     const Lidar& lidar_;
     std::string where_;
     bool clamps_;
-    std::vector<Pose> sensor_from_world_;  ///< [columns] by the track of the log
+    std::vector<Pose> sensor_from_world_;  ///< [columns] pose of the log's track at each column's time
 
     Image inflated(std::string_view packed) const {
         Image image = inflate_image(packed, kImageChannels, where_);
@@ -239,7 +243,7 @@ private:
                                     where_, image.rows, image.columns, scan.rays.rows, scan.rays.columns));
     }
 
-    /// Of a return, 0 to 1.
+    /// Returns the intensity of a return, from 0 to 1.
     float intensity_of(float brightness) const {
         return clamps_ ? std::clamp(brightness, 0.0f, 1.0f) : std::tanh(std::max(brightness, 0.0f));
     }
@@ -257,8 +261,8 @@ private:
         }
     }
 
-    /// The ray of a vehicle at a pose, as seen from the sensor of the track at the ray's
-    /// time.
+    /// Transforms a ray from a vehicle pose to the sensor pose that the track has at the
+    /// ray's time.
     void place(std::size_t ray, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -267,7 +271,8 @@ private:
     }
 };
 
-/// LiDARs of the first frame, frames and labels; the scans are still empty.
+/// Adds the LiDARs of the first frame, all frames and the labels. The scans are still
+/// empty.
 void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
                 bool top_alone) {
     const double period_s = median_period(heads, records.file().string());
@@ -283,7 +288,7 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     const std::int64_t start_us = parse_frame(records.read(0), where_of(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
-        // the first firing looks backward
+        // the first firing faces backward, half a period before the head faces forward
         const double time_s = 1e-6 * double(heads[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, begin + int(i), time_s, heads[i].world_from_vehicle, lidar);
@@ -300,7 +305,7 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // of one moment
+        // the other LiDARs have one time for all rays
         if (lidar.name != kLaserNames[kTop])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
@@ -308,7 +313,7 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     for_each_told(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
-            // whole: its pose was read
+            // cannot be truncated, because its pose was read before
             const std::string data = records.read(std::size_t(record)), where = where_of(records, record);
             const FrameRecord parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {

@@ -1,13 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets that are blocks of (azimuth, then range and reflectivity of each laser), a row
-// a product:
-//   Velodyne VLP-16 (manual 63-9243, chapters 6 and 9), VLP-32C (63-9325) and HDL-32E (63-9113): 12 blocks of FF EE, azimuth in 0.01
-//     degrees, 32 x (range, reflectivity); then microseconds of the hour at the first firing, mode of returns, product. A block of the
-//     VLP-16 has two firings. With two returns, two blocks are of the same firings, the last return before the strongest (or second
-//     strongest).
-//   Hesai Pandar40P, Pandar64 and PandarXT-32 (user manuals, "Point cloud data packet" and the appendix on absolute time): the packet's
-//     time, microseconds of its second, is behind its firings; the last block begins a fixed time from it. Azimuth 0 is the y axis.
-//     A file "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise, corrects the angles of one unit.
+// Decodes packets of blocks. A block has an azimuth, then the range and reflectivity of
+// each laser. One table row per product:
+//   Velodyne VLP-16 (manual 63-9243, chapters 6 and 9), VLP-32C (63-9325) and HDL-32E (63-9113):
+//     12 blocks of FF EE, azimuth in 0.01 degrees, 32 x (range, reflectivity). Then microseconds of
+//     the hour at the first firing, return mode, product. A block of the VLP-16 has two firings.
+//     With two returns, two consecutive blocks have the same firings, the last return before the
+//     strongest (or second strongest) one.
+//   Hesai Pandar40P, Pandar64 and PandarXT-32 (user manuals, "Point cloud data packet" and the
+//     appendix on absolute time): the packet's time, in microseconds of its second, follows the
+//     firings. The last block begins at a fixed time from it. Azimuth 0 is the y axis. A file
+//     "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise, corrects the angles of one unit.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -29,19 +31,21 @@ namespace {
 struct Layout {
     const char* sensor;
     std::size_t blocks_at, n_blocks;
-    bool flagged;                    ///< FF EE before the azimuth of a block
-    std::size_t lasers, unit_bytes;  ///< of a firing; of a laser's range and reflectivity
-    std::size_t firings;             ///< of a block
-    double range_unit_m;             ///< 0: byte `unit_at` has it in millimetres
+    bool flagged;                    ///< a block begins with FF EE, before the azimuth
+    std::size_t lasers, unit_bytes;  ///< lasers per firing; bytes of a laser's range and reflectivity
+    std::size_t firings;             ///< firings per block
+    double range_unit_m;             ///< 0: byte `unit_at` has the unit in millimetres
     std::size_t unit_at, time_at, mode_at;
     double wrap_us, cycle_us;
-    bool at_end;      ///< the packet's time is that of its last firing but for `shift_us`, not of the first
-    double shift_us;  ///< from the packet's time to the first laser of that firing
+    /// true: the packet's time refers to its last firing, with the offset `shift_us`;
+    /// false: to its first firing
+    bool at_end;
+    double shift_us;     ///< from the packet's time to the first laser of that firing
     double forward_deg;  ///< azimuth of the sensor's x axis
-    int first_channel;   ///< in the beam table
+    int first_channel;   ///< first channel in the beam table
 };
-// Hesai's manuals count a laser's time from its block's: the first one is at -54.67 us
-// (Pandar40P, Pandar64) or 0.368 us (XT32).
+// Hesai's manuals specify the time of a laser relative to its block. The first laser is
+// at -54.67 us (Pandar40P, Pandar64) or 0.368 us (XT32).
 constexpr Layout kLayouts[] = {
     {"VLP-16", 0, 12, true, 16, 3, 2, 0.002, 0, 1200, 1204, 3.6e9, 55.296, false, 0.0, 0.0, 0},
     {"VLP-32C", 0, 12, true, 32, 3, 1, 0.004, 0, 1200, 1204, 3.6e9, 55.296, false, 0.0, 0.0, 0},
@@ -53,7 +57,7 @@ constexpr Layout kLayouts[] = {
 constexpr std::uint8_t kFirstDual = 0x39, kLastDual = 0x3C, kTriple = 0x3D;
 constexpr double kDegree = kPi / 180.0;
 
-/// Angles of one unit by channel, degrees.
+/// Angles of one unit by channel, in degrees.
 struct Angles {
     bool is_known = false;
     double elevation_deg = 0.0, azimuth_deg = 0.0;
@@ -64,7 +68,7 @@ std::vector<Angles> read_correction(const std::string& text, std::size_t lasers)
     for (const std::string& line : split_lines(text)) {
         const std::vector<std::string_view> cells = csv_cells(line);
         const auto channel = parse_number(cells[0]);
-        if (!channel || cells.size() < 3) continue;  // the header, or a line that is a checksum
+        if (!channel || cells.size() < 3) continue;  // the header, or a checksum line
         const auto elevation = parse_number(cells[1]), azimuth = parse_number(cells[2]);
         if (!(*channel >= 1.0 && *channel <= double(lasers)) || !elevation || !azimuth ||
             !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))
@@ -86,7 +90,7 @@ public:
         if (!calibration.empty() && layout.at_end) angles_ = read_correction(calibration, layout.lasers);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
-        timing_.interpolates = layout.firings > 1;  // as the VLP-16's manual does
+        timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
         table_ = known_firings(layout.sensor);
         for (std::size_t k = 0; k < table_.size(); ++k) order_.push_back(k);
         if (!angles_.empty())
@@ -146,9 +150,9 @@ private:
     const Layout& layout_;
     Timing timing_;
     std::vector<BeamFiring> table_;
-    std::vector<Angles> angles_;        ///< [lasers] of one unit, or nothing
-    std::vector<std::size_t> order_;    ///< [rings] lines of the table
-    std::vector<std::size_t> ring_of_;  ///< [lasers]
+    std::vector<Angles> angles_;        ///< [lasers] angles of one unit, or empty
+    std::vector<std::size_t> order_;    ///< [rings] rows of the table
+    std::vector<std::size_t> ring_of_;  ///< [lasers] ring of each laser
 
     std::size_t laser_of(std::size_t line) const {
         return std::size_t(table_[line].channel - layout_.first_channel);
@@ -175,10 +179,11 @@ private:
         }
     }
 
-    /// Times of the firings, and the azimuths of those that share a block.
+    /// Sets the times of the firings, and interpolates the azimuths of firings that share
+    /// a block.
     void add_times(Packet& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
-        double step_deg = 0.0;  // of a block
+        double step_deg = 0.0;  // rotation between two blocks
         for (int slot = 0; slot < n; ++slot) {
             Firing& firing = packet.firings[std::size_t(slot)];
             firing.slot = slot;

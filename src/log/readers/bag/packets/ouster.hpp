@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of an Ouster have nothing that tells whose they are, and how they are laid out
-// is configured: its metadata says both.
+// Metadata of an Ouster. Its packets do not identify the sensor, and their layout is
+// configurable. The metadata contains both.
 #pragma once
 
 #include <cstdint>
@@ -14,61 +14,64 @@
 
 namespace relidar::packets {
 
-/// How the pixels of a column are laid out, by `udp_profile_lidar`.
+/// Layout of the pixels of a column, by `udp_profile_lidar`.
 struct OusterProfile {
     const char* name;
-    /// no head and no foot of a packet; a column has a head of 16 bytes and 4 of status
-    /// behind its pixels
+    /// True: packets have no header and footer; a column has a header of 16 bytes, and 4
+    /// bytes of status after its pixels.
     bool is_legacy;
     std::size_t pixel_bytes;
-    /// of the 4 bytes of a return that begin with its range, those that are the range
+    /// Number of range bits in the 4 bytes that begin with the range.
     std::uint32_t range_bits;
     double range_unit_m;
-    std::size_t reflectivity_at;  ///< from the first of these bytes
-    bool is_wide;                 ///< 2 bytes of reflectivity, not 1
-    int returns;                  ///< the second one's bytes are behind the first one's
+    std::size_t reflectivity_at;  ///< offset of the reflectivity from the first of these bytes
+    bool is_wide;                 ///< true: reflectivity has 2 bytes instead of 1
+    int returns;                  ///< the bytes of the second return follow those of the first
 };
 
-/// What the metadata of one sensor tells.
+/// Content of the metadata of one sensor.
 struct OusterFormat {
-    std::string text;     ///< the metadata
-    std::string where;    ///< file or topic that it is from
-    std::string product;  ///< "OS-1-128"
+    std::string text;     ///< text of the metadata
+    std::string where;    ///< file or topic of the metadata
+    std::string product;  ///< name of the product, such as "OS-1-128"
     const OusterProfile* profile = nullptr;
     int columns_per_packet = 0;
     std::size_t packet_bytes = 0;
-    int port = 0;                      ///< to which packets are sent; 0: not known
-    std::uint64_t serial = 0;          ///< 0: not known
-    std::vector<bool> fires;           ///< [columns of a turn] false: outside of column_window
-    SpinningSensor sensor;             ///< rings the highest first
-    std::vector<std::size_t> ring_of;  ///< [pixels of a column]
+    int port = 0;                      ///< port to which packets are sent; 0: unknown
+    std::uint64_t serial = 0;          ///< serial number; 0: unknown
+    std::vector<bool> fires;           ///< [columns per revolution] false: outside of column_window
+    SpinningSensor sensor;             ///< highest ring first
+    std::vector<std::size_t> ring_of;  ///< [pixels of a column] ring of each pixel
 
     std::string about() const;  ///< "packets of 12544 bytes (profile, beams, columns a packet, port)"
 };
 using OusterFormats = std::vector<std::shared_ptr<const OusterFormat>>;
 
-/// Whether a text is meant as the metadata of an Ouster, whatever is wrong with it.
+/// Returns true if a text looks like the metadata of an Ouster, even if it is invalid.
 bool is_ouster_metadata(std::string_view text);
-/// @param where  file or topic, for messages @throws DataError
+/// Parses the metadata of an Ouster.
+/// @param where  file or topic for error messages
+/// @throws DataError if the metadata is invalid
 std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text, const std::string& where);
-/// Of files beside a recording: X.json and X*.json of X.pcap, else all in the folder that
-/// are of no other recording.
-/// @param broken  what is wrong with those that cannot be read
+/// Reads the metadata files next to a recording: X.json and X*.json for X.pcap, otherwise
+/// all files in the folder that do not belong to another recording.
+/// @param broken  output: problems of files that cannot be read
 OusterFormats ouster_metadata_beside(const std::filesystem::path& recording,
                                      std::vector<std::string>& broken);
 
-/// The metadata of the sensor that sent a packet: of those that say its size, and no
-/// other port unless the serial number in the packet's head is theirs, the one for its
-/// topic (the port of a capture's, the name space of a bag's), else for the serial
-/// number.
-/// @return null where there is none, or several remain
+/// Returns the metadata of the sensor that sent a packet. Considers only metadata with
+/// the packet's size, and with its port unless the serial number in the packet's header
+/// matches. Prefers the metadata of the topic (the port of a capture, the namespace of a
+/// bag), then the metadata with the serial number.
+/// @return null if none or several remain
 std::shared_ptr<const OusterFormat> format_of(const OusterFormats& formats, std::string_view topic,
                                               std::string_view packet);
-/// Whether packets of so many bytes may be an Ouster's, of any profile that is decoded.
+/// Returns true if packets of this size may come from an Ouster with any supported
+/// profile.
 bool is_ouster_size(std::size_t bytes);
-/// Why packets that look like an Ouster's are not decoded, and what to do about it.
-/// @param formats  that are known
-/// @param recording  beside which more of them would be looked for
+/// Explains why packets that look like Ouster packets are not decoded, and what to do.
+/// @param formats  known metadata
+/// @param recording  recording next to which more metadata can be placed
 std::string ouster_text(const OusterFormats& formats, const std::filesystem::path& recording,
                         std::string_view topic, std::size_t bytes);
 

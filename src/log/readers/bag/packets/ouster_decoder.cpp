@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of an Ouster: columns, in each all beams, which fire at once. The head's
-// azimuth is that of the column's number, which the sensor keeps to (firmware user
-// manual, "Lidar Data"):
-//   LEGACY: a column is [timestamp u64 ns, number u16, frame u16, encoder u32], 12 bytes a pixel, status u32 (all bits: it was measured).
-//   Others: a packet has a head and a foot of 32 bytes, a column is [timestamp u64 ns, number u16, status u8 (bit 0: it was measured), 1
-//     byte], then its pixels.
-// A range counts along the beam's path from the axis; beams start n before it is there,
-// where lidar_origin_to_beam_origin_mm puts them.
+// Decodes Ouster packets. A packet has columns. In each column all beams fire
+// simultaneously. The azimuth of the head follows from the column's number, to which the
+// sensor synchronises (firmware user manual, "Lidar Data"):
+//   LEGACY: a column is [timestamp u64 ns, number u16, frame u16, encoder u32], 12 bytes per pixel,
+//     status u32 (all bits set: it was measured).
+//   Others: a packet has a header and a footer of 32 bytes. A column is [timestamp u64 ns,
+//     number u16, status u8 (bit 0: it was measured), 1 byte], then its pixels.
+// A range in a packet is measured from the axis along the beam's path. The decoder
+// subtracts lidar_origin_to_beam_origin_mm, so that ranges begin at the beam's origin.
 #include <array>
 #include <cmath>
 
@@ -27,7 +28,7 @@ constexpr std::size_t kHeadBytes = 32;
 constexpr std::uint8_t kLidarData = 1;
 constexpr std::uint64_t kLatestClock_ns = std::uint64_t(1) << 62;
 
-/// The head of a column.
+/// Header of a column.
 struct Column {
     std::int64_t time_ns = 0;
     int number = 0;
@@ -81,7 +82,7 @@ public:
             packet.echoes.resize(packet.echoes.size() + rings);
             read_pixels(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
-        // a packet is sent when its last column is measured
+        // a packet is sent after its last column has been measured
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
         for (std::size_t f = 0; f < times_ns.size(); ++f)
             packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);
@@ -96,7 +97,7 @@ private:
         Column column;
         const auto time_ns = reader.number<std::uint64_t>();
         column.number = reader.number<std::uint16_t>();
-        if (format_->profile->is_legacy) reader.take(6);  // frame, encoder
+        if (format_->profile->is_legacy) reader.take(6);  // skips the frame number and the encoder angle
         else column.was_measured = (reader.number<std::uint16_t>() & 1) != 0;
         column.time_ns = std::int64_t(std::min(time_ns, kLatestClock_ns));
         return column;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Layouts by Ouster's firmware user manual, "Lidar Data" and "Lidar Data Legacy". The
-// metadata is flat, or newer and nested; members have the same names in both.
+// Parses the metadata of Ouster sensors. The packet layouts follow Ouster's firmware user
+// manual, "Lidar Data" and "Lidar Data Legacy". Older metadata is flat, newer metadata is
+// nested, but members have the same names in both.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -29,11 +30,11 @@ constexpr OusterProfile kProfiles[] = {
     {"RNG19_RFL8_SIG16_NIR16_DUAL", false, 16, 0x7FFFF, 1e-3, 3, false, 2},
     {"RNG15_RFL8_NIR8", false, 4, 0x7FFF, 8e-3, 2, false, 1},
 };
-constexpr int kUsualColumns = 16;  // of a packet
+constexpr int kUsualColumns = 16;  // columns per packet
 constexpr std::size_t kMostMetadata = std::size_t(1) << 20, kMostFiles = 256, kMostDatagram = 65507,
                       kMostTold = 3;
-constexpr double kMostSerial = 1099511627776.0;  // 40 bits
-// in the head of a packet, of older firmware and of newer
+constexpr double kMostSerial = 1099511627776.0;  // serial numbers have 40 bits
+// Position in the packet header of older firmware, and of newer firmware.
 constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 
 std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
@@ -42,7 +43,7 @@ std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
                              : 32 + std::size_t(columns) * (12 + column) + 32;
 }
 
-/// The object that has a member: the whole, or one of its parts.
+/// Returns the object that has a member: the root, or one of its parts.
 JsonField part_with(const Json& json, const std::string& where, const std::string& key) {
     const JsonField root(json, where, "");
     for (const char* part : {"data_format", "lidar_data_format", "config_params", "sensor_info"})
@@ -70,7 +71,7 @@ const OusterProfile& profile_of(const Json& json, const std::string& where) {
                                 excerpt(name), names));
 }
 
-/// Rows of a packet are its beams in the metadata's order.
+/// Returns the ring of each row of a packet. Rows are the beams in the metadata's order.
 std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
     const JsonField root(json, where, "");
     const std::vector<double> altitude_deg =
@@ -84,7 +85,7 @@ std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
     return ring_of;
 }
 
-/// Columns that fire; a window may go past the last one, on from the first.
+/// Returns the columns that fire. A window may wrap around after the last column.
 std::vector<bool> columns_in_window(const Json& json, const std::string& where, int columns) {
     const JsonField part = part_with(json, where, "column_window");
     if (!part.has("column_window")) return std::vector<bool>(std::size_t(columns), true);
@@ -100,7 +101,7 @@ std::vector<bool> columns_in_window(const Json& json, const std::string& where, 
     }
 }
 
-/// Checks what the metadata says twice, and what a packet can be.
+/// Checks values that the metadata contains twice, and the size of a packet.
 void check_sizes(OusterFormat& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
     if (const int n = whole_number(json, format.where, "columns_per_frame", columns, 65536); n != columns)
@@ -120,7 +121,8 @@ void check_sizes(OusterFormat& format, const Json& json) {
                                     format.about(), kMostDatagram));
 }
 
-/// Port of a capture's topic, "192.168.1.201:7502"; 0 of a bag's.
+/// Returns the port of a capture's topic such as "192.168.1.201:7502", or 0 for a bag's
+/// topic.
 int port_of(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
     const auto port = colon == std::string_view::npos || topic.starts_with('/')
@@ -155,7 +157,7 @@ bool is_metadata_file(const fs::path& file) {
            is_ouster_metadata(read_text(file));
 }
 
-/// By name; none of a folder that cannot be listed.
+/// Returns the files of a folder, sorted by name, or none if the folder cannot be read.
 std::vector<fs::path> files_of(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;

@@ -16,38 +16,38 @@
 namespace relidar::packets {
 namespace {
 
-constexpr int kMostFirings = 40000;  // of a turn: one of two seconds
+constexpr int kMostFirings = 40000;  // firings per revolution, reached by a revolution of two seconds
 constexpr std::int64_t kLongestTurn_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
-constexpr double kBackward_deg = 1.0;  // by which an encoder may seem to go back
+constexpr double kBackward_deg = 1.0;  // an encoder may seem to move backward by this angle
 constexpr double kMostBright = 65535.0;
 
-double degrees_on(double from_deg, double to_deg) {  // clockwise, less than a turn
+double degrees_on(double from_deg, double to_deg) {  // clockwise, less than one revolution
     const double step = std::remainder(to_deg - from_deg, 360.0);
     return step < -kBackward_deg ? step + 360.0 : step;
 }
 
-/// A point in the making.
+/// Position and time at which the points of a firing are created.
 struct Place {
     double azimuth_deg, time_s;
-    int number;           ///< of the firing
-    double ahead_deg_us;  ///< how much faster the head turns there than it does on average
-    double brightness;    ///< what counts as an intensity of 1
+    int number;           ///< number of the firing
+    double ahead_deg_us;  ///< difference between the current and the average rotation rate
+    double brightness;    ///< intensity that counts as 1
 };
 
-bool fires_at(const std::vector<bool>& fires, std::int64_t column) {  // of any turn
+bool fires_at(const std::vector<bool>& fires, std::int64_t column) {  // column of any revolution
     const auto n = std::int64_t(fires.size());
     return fires[std::size_t((column % n + n) % n)];
 }
 
-/// Points, and the number of the firing of each.
+/// Points, and the firing number of each.
 struct FiredPoints {
     Points points;
     std::vector<int> numbers;
 };
 
-/// Adds what the beams saw, both returns of a ray with the brighter one first.
+/// Adds the returns of all beams. If a ray has two returns, adds the brighter one first.
 void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes,
                 const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     Points& points = fired.points;
@@ -62,7 +62,7 @@ void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2
             points.return_number.push_back(number);
             fired.numbers.push_back(place.number);
         };
-        Echo first = echoes[ring][0], other = echoes[ring][1];  // two returns may be the same one
+        Echo first = echoes[ring][0], other = echoes[ring][1];  // two returns may be identical
         if (other.range_m == first.range_m) other.range_m = 0.0f;
         if (first.range_m == 0.0f || (other.range_m != 0.0f && other.intensity > first.intensity))
             std::swap(first, other);
@@ -71,8 +71,9 @@ void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2
     }
 }
 
-/// The scan of a head that fires at fixed azimuths. @param has_fired  [columns of a turn]
-/// @param n_columns  of the image, at least
+/// Returns the scan of a head that fires at fixed azimuths.
+/// @param has_fired  [columns per revolution]
+/// @param n_columns  minimum number of columns of the image
 Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor,
                      std::size_t n_columns) {
     Sweep sweep{{int(has_fired.size()), kPi}, {}};
@@ -113,7 +114,7 @@ void PacketLog::check_product(const PacketView& packet, const Calibration& calib
     calibration_ = calibration;
 }
 
-/// From column to column of a head that fires at fixed azimuths.
+/// Returns the angle between columns of a head that fires at fixed azimuths.
 double PacketLog::step_deg() const { return 360.0 / double(decoder_->timing().fires.size()); }
 
 void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
@@ -143,7 +144,8 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
         }
         entry.azimuth_deg =
             before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), begin.azimuth_deg);
-        // packets that were lost for more than a turn: by the rate of the one before
+        // If packets of more than one revolution were lost, estimates the rotation from
+        // the rate of the packet before.
         const double own_us = timing.cycle_us * double(std::max(n_slots_ - 1, 1));
         const double deg_us =
             timing.fires.empty() ? double(before.turned_deg) / own_us : step_deg() / timing.cycle_us;
@@ -161,7 +163,8 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
                     std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
 }
 
-/// From a packet to the one before, 1 where none between them is missing.
+/// Returns the number of packets from the previous packet to this one, 1 if none is
+/// missing.
 std::size_t PacketLog::steps_to(std::size_t packet) const {
     const Timing& timing = decoder_->timing();
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
@@ -172,14 +175,14 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Packets that are not there between one and the one before.
+/// Returns the number of packets missing before a packet.
 std::size_t PacketLog::missing_before(std::size_t packet) const {
     const std::size_t n = steps_to(packet) - 1;
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty() || n * std::size_t(n_slots_) > 2 * fires.size()) return n;
     const Entry& before = packets_[packet - 1];
     std::int64_t column = std::llround((before.azimuth_deg - kBehind_deg) / step_deg()) - before.first_slot;
-    std::size_t missing = 0;  // without those in which nothing fires
+    std::size_t missing = 0;  // does not count packets in which nothing fires
     for (std::size_t k = 0; k < n; ++k) {
         column += n_slots_;
         bool any = false;
@@ -189,8 +192,8 @@ std::size_t PacketLog::missing_before(std::size_t packet) const {
     return missing;
 }
 
-/// From where to where whole turns may reach: of a head that fires at fixed azimuths, up
-/// to where it would have fired before and next.
+/// Returns the angular range of complete revolutions. For a head that fires at fixed
+/// azimuths, it extends to the previous and the next firing position.
 std::pair<double, double> PacketLog::reach_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
@@ -210,14 +213,14 @@ std::vector<PacketTurn> PacketLog::turns() const {
     double begin = kBehind_deg + 360.0 * std::ceil((first_deg - kBehind_deg) / 360.0);
     for (std::size_t p = 0; p < packets_.size() && begin + 360.0 <= end; begin += 360.0) {
         PacketTurn turn{0, 0, 0, 0, begin, 0};
-        const auto first_behind = [&](double azimuth) {  // the first packet that begins behind it
+        const auto first_behind = [&](double azimuth) {  // first packet that begins behind the azimuth
             return std::size_t(std::ranges::upper_bound(packets_, azimuth, {}, &Entry::azimuth_deg) -
                                packets_.begin());
         };
         turn.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = turn.last;
-        if (turn.first == turn.last) {  // none of its packets is there: on to the next one's turn
+        if (turn.first == turn.last) {  // no packet of this revolution exists; continue with the next one
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg;
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
             continue;
@@ -229,7 +232,8 @@ std::vector<PacketTurn> PacketLog::turns() const {
     return turns;
 }
 
-/// When the head faces forward, and by how much stamps differ from the sensor's clock.
+/// Computes the time at which the head faces forward, and the offset between stamps and
+/// the sensor's clock.
 void PacketLog::find_times(PacketTurn& turn) const {
     const double forward = turn.begin_deg + 180.0;
     const auto behind =
@@ -247,7 +251,8 @@ void PacketLog::find_times(PacketTurn& turn) const {
     turn.forward_ns += before.clock_ns + turn.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Whether the sensor's clock rises within a turn, and the turn lasts as long as one may.
+/// Returns true if the sensor's clock increases during a revolution and the revolution is
+/// not too long.
 bool PacketLog::is_even(const PacketTurn& turn) const {
     for (std::size_t i = turn.first + 1; i <= turn.last; ++i)
         if (packets_[i].clock_ns <= packets_[i - 1].clock_ns) return false;
@@ -259,7 +264,7 @@ std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const
             messages_.begin() + packets_[turn.last].message + 1};
 }
 
-/// From firing to firing.
+/// Returns the average angle between firings.
 double PacketLog::slot_deg(const PacketTurn& turn) const {
     const std::size_t n = (turn.last - turn.first + turn.n_missing) * std::size_t(n_slots_);
     const double all_deg = packets_[turn.last].azimuth_deg - packets_[turn.first].azimuth_deg;
@@ -273,19 +278,20 @@ SpinningSensor PacketLog::sensor() const {
     const double period_s = std::clamp(1e-9 * period_ns, 0.02, 1.0);
     const Timing& timing = decoder_->timing();
     if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
-    double most = 1e6 * period_s / timing.cycle_us;  // firings of a turn: none may be left over
+    // firings per revolution; must not be smaller than in any revolution
+    double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketTurn& turn : turns()) most = std::max(most, 360.0 / slot_deg(turn));
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
-/// Of all echoes, 255 for an intensity of 1.
+/// Returns the maximum intensity of all echoes, where 255 is an intensity of 1.
 double PacketLog::brightest() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// What counts as 1, as of point clouds (cloud_units.cpp).
+/// Returns the intensity that counts as 1, as for point clouds (cloud_units.cpp).
 double PacketLog::intensity_max() const {
     if (brightest() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
@@ -303,7 +309,7 @@ std::string PacketLog::about() const {
         decoder_->about(), brightest(), 255.0 * intensity_max());
 }
 
-/// A packet of a turn, as it was read a second time.
+/// Decodes a packet of a revolution that was read a second time.
 Packet PacketLog::packet_again(const PacketTurn& turn, const Entry& entry,
                                const std::vector<std::vector<PacketView>>& packets) const {
     const std::size_t m = entry.message - packets_[turn.first].message;
@@ -315,15 +321,14 @@ Packet PacketLog::packet_again(const PacketTurn& turn, const Entry& entry,
     return decoder_->decode(view.bytes);
 }
 
-/// Column of a turn at an azimuth, below 0 or beyond the last one of those before it and
-/// behind it.
+/// Returns the column of an azimuth in a revolution. The column is negative or too large
+/// for azimuths outside the revolution.
 int PacketLog::column_in(const PacketTurn& turn, double azimuth_deg) const {
     const double n = double(decoder_->timing().fires.size());
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
 
-/// Marks the columns that fired of packets that are not there between one and the one
-/// before.
+/// Marks the columns that fired in packets that are missing before a packet.
 void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& has_fired) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const int begin = column_in(turn, before.azimuth_deg) - before.first_slot + n_slots_;
@@ -340,7 +345,7 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
     const int n_columns = int(timing.fires.size());
     std::vector<bool> has_fired(timing.fires.size(), false);
-    std::size_t before = 0;  // packets of the turn, the missing ones too
+    std::size_t before = 0;  // preceding packets of the revolution, including missing packets
     for (std::size_t p = turn.first; p <= turn.last; ++p) {
         const Entry& entry = packets_[p];
         if (p > turn.first) before += steps_to(p);

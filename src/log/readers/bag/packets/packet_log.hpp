@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of a spinning LiDAR as sweeps, whatever product sent them.
+// Converts packets of any supported spinning LiDAR to sweeps.
 #pragma once
 
 #include <cstdint>
@@ -15,62 +15,66 @@
 
 namespace relidar::packets {
 
-/// A turn of the head, from behind to behind.
+/// A revolution of the head, which begins and ends facing backward.
 struct PacketTurn {
-    /// when the head faced forward; when that packet was recorded
+    /// Time at which the head faced forward, and recording time of that packet.
     std::int64_t forward_ns = 0, log_ns = 0;
-    std::size_t first = 0, last = 0;  ///< packets that hold it
-    /// of the head, unwrapped over the whole recording; 360 degrees more is its end
+    std::size_t first = 0, last = 0;  ///< packets of the revolution
+    /// Start angle of the head, unwrapped over the recording. The revolution ends 360
+    /// degrees later.
     double begin_deg = 0.0;
-    std::size_t n_missing = 0;  ///< packets of it that are not there
-    /// where the sensor's clock tells the times: of the packet that was received fastest
+    std::size_t n_missing = 0;  ///< missing packets of the revolution
+    /// Offset from the sensor's clock to the stamps, from the packet with the smallest
+    /// delay. Used if the sensor's clock determines the times.
     std::int64_t stamp_less_clock_ns = 0;
 };
 
-/// The packets of a topic: when each was measured, where the head was, and in which
-/// message it lies.
+/// The packets of a topic: the time of each packet, the angle of the head, and the
+/// message with the packet.
 class PacketLog {
 public:
-    /// @param calibration  of the sensor, as far as it is known
-    /// @throws DataError naming the product where it is none that is decoded, or another
-    /// one than before
+    /// Adds the packets of a message.
+    /// @param calibration  known calibration data of the sensor
+    /// @throws DataError with the product if the packets cannot be decoded or come from a
+    /// different product than before
     void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
              const Calibration& calibration);
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return packets_.size(); }
-    /// Whole turns.
+    /// Returns the complete revolutions.
     std::vector<PacketTurn> turns() const;
-    /// A message.
+    /// Position and recording time of a message with packets.
     struct Source {
         bag::Place place;
         std::int64_t log_ns;
     };
-    /// Those that hold the packets of a turn.
+    /// Returns the messages with the packets of a revolution.
     std::vector<Source> messages(const PacketTurn& turn) const;
-    /// The sensor, turning as fast as it did.
+    /// Returns the sensor with its measured rotation rate.
     SpinningSensor sensor() const;
     std::string about() const;
-    /// The scan of a turn; times of rays are from `zero_ns`. @param packets  of each of
-    /// messages()
+    /// Returns the scan of a revolution. Times of rays are relative to `zero_ns`.
+    /// @param packets  packets of each of messages()
     Scan scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
               const SpinningSensor& sensor, std::int64_t zero_ns) const;
 
 private:
     struct Entry {
-        std::int64_t stamp_ns, clock_ns;  ///< of its first firing, the sensor's clock going on
-        double azimuth_deg;               ///< of its first firing, unwrapped
-        float turned_deg;                 ///< from its first firing to its last
+        std::int64_t stamp_ns, clock_ns;  ///< times of its first firing; the sensor's clock is unwrapped
+        double azimuth_deg;               ///< unwrapped azimuth of its first firing
+        float turned_deg;                 ///< rotation from its first firing to its last
         std::uint32_t message;
-        std::uint16_t in_message;  ///< its number there
-        std::int16_t first_slot;   ///< of its first firing
+        std::uint16_t in_message;  ///< index in the message
+        std::int16_t first_slot;   ///< slot of its first firing
     };
     std::shared_ptr<const Decoder> decoder_;
     const Product* product_ = nullptr;
     Calibration calibration_;
-    int n_slots_ = 1;  ///< of a packet
+    int n_slots_ = 1;  ///< slots per packet
     std::vector<Entry> packets_;
     std::vector<Source> messages_;
-    std::vector<std::uint32_t> n_bright_;  ///< [255 x intensity + 1] echoes, where intensities go beyond 1
+    /// [255 x intensity + 1] number of echoes, if intensities exceed 1
+    std::vector<std::uint32_t> n_bright_;
 
     void check_product(const PacketView& packet, const Calibration& calibration);
     void add_packet(const PacketView& view, std::uint16_t in_message);

@@ -16,13 +16,13 @@ namespace {
 
 using bag::MessageReader;
 
-/// How the bytes of a packet lie in a message.
+/// Layout of a packet in a message.
 enum class Form {
-    fixed,   ///< stamp, `n` bytes
-    padded,  ///< stamp, `n` bytes, how many of them are the packet's
-    list,    ///< stamp, a list of bytes
-    bare,    ///< no header; stamp in nanoseconds, a list of bytes
-    alone,   ///< no header, and no list of packets: the list of bytes of one
+    fixed,   ///< a stamp and `n` bytes of packet
+    padded,  ///< stamp, `n` bytes, number of bytes that belong to the packet
+    list,    ///< a stamp and a list of bytes
+    bare,    ///< no header; stamp in nanoseconds, list of bytes
+    alone,   ///< no header and no list of packets; the list of bytes of one packet
 };
 struct MessageType {
     const char* type;
@@ -39,7 +39,8 @@ constexpr MessageType kTypes[] = {
     {"ouster_ros/PacketMsg", Form::alone},
     {kDatagrams, Form::bare},
 };
-constexpr std::string_view kImuTopic = "imu_packets", kMetadataTopic = "/metadata";  // of Ouster's drivers
+// topics of Ouster's drivers
+constexpr std::string_view kImuTopic = "imu_packets", kMetadataTopic = "/metadata";
 constexpr std::size_t kImuBytes = 48;
 
 const MessageType* find_type(std::string_view type) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Messages of ROS that carry packets.
+// ROS messages that contain LiDAR packets.
 #pragma once
 
 #include <cstdint>
@@ -12,24 +12,27 @@
 
 namespace relidar::packets {
 
-/// Type of topics of a capture that carry packets: stamp (64 bits), length (32 bits) and
-/// bytes of each. And of one that carries Hesai's angle correction, a text.
+/// Types of two topics of a network capture. The first has packets: stamp (64 bits),
+/// length (32 bits) and bytes of each. The second has Hesai's angle correction as text.
 inline constexpr const char *kDatagrams = "LiDAR packets", *kCorrection = "angle correction";
 
-/// Whether messages of a topic carry packets of a LiDAR; of which, is seen in them.
+/// Returns true if messages of a topic contain LiDAR packets. The product is determined
+/// from the packets.
 bool carries_packets(const bag::Topic& topic);
-/// Whether they are those of Ouster's drivers: a packet each and nothing else.
+/// Returns true if the messages are those of Ouster's drivers, which contain a single
+/// packet and nothing else.
 bool carries_ouster_packets(const bag::Topic& topic);
-/// Whether messages of a topic may be the metadata of an Ouster: a text, of a sensor
-/// whose packets are in the same name space.
+/// Returns true if messages of a topic may be the metadata of an Ouster: a text in the
+/// namespace of a sensor with packets.
 bool may_be_ouster_metadata(const bag::Topic& topic);
-/// The text of std_msgs/String. @throws DataError where the message ends too early
+/// Returns the text of std_msgs/String.
+/// @throws DataError if the message is too short
 std::string read_text_message(const bag::Topic& topic, std::string_view bytes);
-/// What a message of packets holds. @param log_ns  when it was recorded: the stamp of
-/// packets that have none
-/// @param header  of the message; where it has none, as in a capture, the frame is its
-/// topic
-/// @throws DataError where the message ends too early
+/// Returns the packets of a message.
+/// @param log_ns  recording time, used as the stamp of packets without a stamp
+/// @param header  output: header of the message; without a header, as in a capture, the
+/// frame is the topic
+/// @throws DataError if the message is too short
 std::vector<PacketView> read_packets(const bag::Topic& topic, std::string_view bytes, std::int64_t log_ns,
                                      bag::Header& header);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which product sent a packet: one row a product. Those without a decoder are named, with
-// the driver that makes clouds of them.
+// Identifies the product that sent a packet. The table has one row per product. For a
+// product without a decoder, it names the driver that makes clouds from the packets.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -25,7 +25,7 @@ template <int product>
 bool is_velodyne_of(string_view packet) {
     return is_velodyne(packet) && has_byte(packet, kProductAt, product);
 }
-/// Hesai since the XT: EE FF, version of the protocol.
+/// Hesai since the XT: EE FF, then the version of the protocol.
 template <int major, int minor>
 bool is_hesai(string_view packet) {
     return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte(packet, 2, major) &&
@@ -68,7 +68,7 @@ constexpr Product kProducts[] = {
      nullptr, "rslidar_sdk"},
 };
 
-/// Packets without a head that tells them.
+/// Packets without an identifying header.
 constexpr Product kOuster{"Ouster", nullptr, make_ouster_decoder};
 
 }  // namespace
