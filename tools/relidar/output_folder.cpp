@@ -207,8 +207,8 @@ void NewRun::save(Run& run) const {
             replace_folder(run);
             run.folder = path_;
             return;
-            // The folder is a mount point, or its parent folder is not writable.
         } catch (const DataError&) {
+            // The folder is a mount point, or its parent folder is not writable.
             run.folder = path_;
         }
     }

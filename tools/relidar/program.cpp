@@ -79,8 +79,8 @@ int run_program(const Program& program, int argc, char** argv) {
         return report(ExitCode::data,
                       "out of memory: the memory is too small for this log or scene; use fewer frames "
                       "(--frames a:b) or larger voxels (--set init.voxel_m=...)");
-        // A file system error comes from the system. It is not a bug of relidar.
     } catch (const std::filesystem::filesystem_error& error) {
+        // A file system error comes from the system. It is not a bug of relidar.
         return report(ExitCode::data, fmt::format("{}: {}", error.path1().string(), error.code().message()));
     } catch (const std::exception& error) {
         return report(ExitCode::bug, std::string("internal error of relidar: ") + error.what());

@@ -107,7 +107,7 @@ struct Row {
     bool is_copy;  // not the first row of its source
 };
 
-std::vector<Row> expected_rows(const Case& c, const std::vector<Fate>& fates, std::uint32_t n_new, int step) {
+std::vector<Row> expected_rows(const std::vector<Fate>& fates, std::uint32_t n_new, int step) {
     std::vector<std::uint32_t> weight;
     std::uint32_t total = 0;
     for (std::size_t i = 0; i < fates.size(); ++i) {
@@ -206,7 +206,7 @@ DensifyReport expect_reference(Case& c, int step) {
     EXPECT_EQ(report.outside, count(Fate::outside));
     EXPECT_EQ(report.clones, count(Fate::clone));
     EXPECT_EQ(report.splits, count(Fate::split));
-    const std::vector<Row> rows = expected_rows(c, fates, report.added, step);
+    const std::vector<Row> rows = expected_rows(fates, report.added, step);
     EXPECT_EQ(report.after, rows.size());
     EXPECT_EQ(c.device_scene.size(), rows.size());
     const Surfels now = c.device_scene.parameters().download();

@@ -225,7 +225,7 @@ TEST_F(Chamfer, AgreesWithReference) {
         // accurate to 1e-6 m.
         std::vector<double> expected, actual;
         for (std::size_t i = 0; i < rays.size(); ++i) {
-            const float* row = &found.upstream[kRayFloats * i];
+            const float* row = &device_result.upstream[kRayFloats * i];
             expected.insert(expected.end(), {normalised ? d_range[i] / weight : d_range[i],
                                              normalised ? -d_range[i] * c.simulated[i] / weight : 0.0});
             actual.insert(actual.end(), {row[0], row[1]});

@@ -329,6 +329,7 @@ AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
                                        [&](const auto& f) { return f.first == edit.option; });
     try {
         return function->second(std::move(driving), edit);
+    } catch (const UsageError& error) {
         // Names the option and its value, because a command can have several edits.
         const std::string message = error.what();
         throw UsageError(message.starts_with(edit.option)

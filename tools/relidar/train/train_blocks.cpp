@@ -155,7 +155,7 @@ private:
         tell(k, log);
         const auto start = Clock::now();
         try {
-            TrainResult result = train(k, log, folder);
+            TrainResult result = train(log, folder);
             end_progress_line();
             total_.add(result);
             save(k, std::move(log), folder, result);
@@ -202,7 +202,7 @@ private:
         remove_checkpoints(checkpoint_folder(folder));
     }
 
-    TrainResult train(std::size_t k, const BlockLog& log, const fs::path& folder) const {
+    TrainResult train(const BlockLog& log, const fs::path& folder) const {
         const fs::path checkpoints = checkpoint_folder(folder);
         const std::optional<Checkpoint> start = load_newest_checkpoint(checkpoints, note);
         const TrainSession session{checkpoints, start ? &*start : nullptr, {}, {}};
