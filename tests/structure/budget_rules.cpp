@@ -19,10 +19,10 @@ const std::set<std::string> kCompositionRoots = {"src/train/train.cpp", "tools/r
 /// Returns the maximum number of lines of a file, or 0 if there is no limit.
 int line_limit(const std::string& path) {
     if (kCompositionRoots.contains(path)) return 180;
-    if (path.starts_with("include/relidar/")) return 400;
+    if (path.starts_with("include/relidar/")) return 420;
     if (path.starts_with("shaders/") && has_extension(path, {".h"})) return 150;
     if (has_extension(path, {".comp"})) return 220;
-    if (has_extension(path, {".cpp", ".hpp", ".h", ".glsl", ".cmake"})) return 540;
+    if (has_extension(path, {".cpp", ".hpp", ".h", ".glsl", ".cmake"})) return 550;
     return 0;
 }
 
@@ -33,7 +33,8 @@ std::size_t columns_of(const std::string& line) {
 }
 
 /// Returns the limit that a line exceeds, or 0. Literals may be longer than code. Comment
-/// lines that are indented by two or more spaces (tables, equations) may be as long as code.
+/// lines that are indented by two or more spaces (tables, equations) may be as long as
+/// code.
 std::size_t exceeded_columns(const std::string& text, const std::string& code) {
     const std::size_t columns = columns_of(text), first = text.find_first_not_of(' ');
     if (first != std::string::npos && text.compare(first, 2, "//") == 0) {

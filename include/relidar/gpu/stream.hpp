@@ -110,6 +110,7 @@ template <class T, class Meaning>
 class Array : public Array<T> {
 public:
     using Array<T>::Array;
+    /// Returns the device address of an element. The address has the same Meaning.
     Address<T, Meaning> address(std::size_t first = 0) const {
         return this->template address_as<T, Meaning>(first);
     }

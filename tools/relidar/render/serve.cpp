@@ -77,7 +77,7 @@ serve::ServerOptions server_options(const ServeOptions& options) {
 
 /// Makes all threads share one heap. gRPC starts and ends threads, and glibc gives each
 /// thread a heap. Scans allocated on one thread and freed on another leave gaps in each
-/// heap, so that the process would grow for hours (docs/reliability.md).
+/// heap, so that the process would grow for hours (docs/service.md).
 void share_one_heap() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
