@@ -37,8 +37,9 @@ struct RenderedScan {
     /// the transmittance T falls below 0.5. If T never falls below 0.5, the range of the
     /// image.
     std::vector<float> median_range_m;
-    /// [n] Mean range D / W along the ray, in metres, independent of `render.range`.
-    /// Equal to the median range if the transmittance T never falls below 0.5.
+    /// [n] Mean range along the ray, in metres, independent of `render.range`: the
+    /// blended depth D divided by the accumulated alpha W. Equal to the median range if
+    /// the transmittance T never falls below 0.5.
     std::vector<float> mean_range_m;
     std::vector<float> weight;  ///< [n] accumulated alpha W of the ray
     /// [n] Instance that the ray hit: an index into Scene::instances, or -1 if the ray
@@ -130,10 +131,10 @@ RenderedIntensities rendered_intensities(const RenderedScan& scan);
 
 /// Replaces a scan of expected values by one random sample. A ray returns with
 /// probability 1 - drop_prob, independently of other rays. Noise is added to its range;
-/// the deviation depends on the range and on the angle of incidence, which is computed
-/// from neighbouring pixels. The intensity is drawn from the scatter of the LiDAR.
-/// Afterwards `drop_prob` is 0 or 1, and `image.range_m` equals `median_range_m`, the
-/// range of the dominant surface. Second returns keep their expected intensities. The
+/// the standard deviation depends on the range and on the angle of incidence, which is
+/// computed from neighbouring pixels. The intensity is drawn from the scatter of the
+/// LiDAR. Afterwards `drop_prob` is 0 or 1, and `image.range_m` equals `median_range_m`,
+/// the range of the dominant surface. Second returns keep their expected intensities. The
 /// result depends only on seed and time, not on the device.
 /// @param scatter if empty, intensities keep their expected values
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
@@ -214,10 +215,11 @@ bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
                              std::span<const Lidar> lidars, double time_s);
 
-/// Returns the sensor of the setting `sensor.grid`: a LiDAR of the log, or a grid whose
-/// pixels are projected or cast. The range limits of the LiDAR are intersected with those
-/// of the dataset settings. If the log stores only scans of a LiDAR, `rays` is empty and
-/// the caller must set the rays of a scan.
+/// Returns the sensor of the setting `sensor.grid`: a LiDAR of the log, or a grid. The
+/// setting `sensor.grid_method` selects whether the rays of the grid are cast, or the
+/// points of the LiDAR are binned into the grid. The range limits of the LiDAR are
+/// intersected with those of the dataset settings. If the log stores only scans of a
+/// LiDAR, `rays` is empty and the caller must set the rays of a scan.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
 /// Returns a sensor for "native", the name of a sensor, a CSV file or the name of a grid.
 /// "kitti360" follows the setting `sensor.grid_method`.
@@ -317,8 +319,8 @@ public:
     /// sensor's frame at a time of its path. While the device renders this scan, the
     /// caller can request more scans and collect earlier points. The device computes the
     /// points if the scan needs only the sensor's rays, without sub-rays, grid, channels,
-    /// weather or sample. Otherwise place_points() computes them on the host, with
-    /// identical bits.
+    /// weather or sample. Otherwise place_points() computes them on the host. Both
+    /// results are bitwise equal.
     /// @param points_at_s time of the sensor frame in which the points are expressed
     /// @param when with `with_next`, the scan is submitted together with the next
     /// request. Scans whose points the device computes are then rendered in parallel.

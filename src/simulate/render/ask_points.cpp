@@ -143,7 +143,8 @@ RenderedPoints ScanRenderer::Impl::points_of(AskedPoints& scan, Points memory) {
 
 /// Waits until all requested scans are finished, and stores their points.
 void ScanRenderer::Impl::settle() {
-    // A recorded scan may have no request, because an error stopped its request half-way.
+    // If a request failed half-way, its recorded scan is not in `asked`, so this waits
+    // for the device.
     if (together) {
         send();
         scene.renderer().stream().finish();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Visits all per-ray arrays of two scans in pairs. Code that joins, merges, bins or
-// copies scans uses these functions, so that no channel is forgotten. Private to render.
+// Visits all per-ray arrays of two scans in pairs. All code that joins, merges, bins or
+// copies scans uses these functions. Private to render.
 #pragma once
 
 #include <cstddef>

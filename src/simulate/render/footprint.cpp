@@ -55,7 +55,8 @@ bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float
 /// Joins consecutive groups that lie on the same plane.
 void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    // Tries the longest sequence first, because all groups often belong to one surface.
+    // Tries the longest sequence first. If all groups belong to one surface, the first
+    // try joins all of them.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             Group joined;

@@ -44,8 +44,8 @@ public:
     /// Each ray starts at the sensor's pose at its firing time.
     /// @param world_from_sensor poses of the sensor; a single pose if it does not move
     void fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s);
-    /// Returns the [rays] in the world frame. They have image order if the table of rays
-    /// is an image.
+    /// Returns the rays in the world frame. They have image order if the table of rays is
+    /// an image.
     RayBatch batch() const;
     /// Records the computation of the measurements of batch().
     void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
@@ -57,8 +57,8 @@ public:
     /// Reads the recorded measurements back and waits for them.
     /// @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait(Stream& stream);
-    /// Returns the [rays] drop probabilities of the network. Call wait() before. Valid
-    /// until the next wait().
+    /// Returns the drop probability of each ray from the network. Call wait() before.
+    /// Valid until the next wait().
     std::span<const float> refined(Stream& stream);
 
     /// Returns true if the device already stores the rays of this table and sensor.
