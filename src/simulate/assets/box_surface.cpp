@@ -55,7 +55,7 @@ BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
 }
 
 /// Finds the patch that a line from the centre through a point intersects. Returns false
-/// if no patch that counts is there.
+/// if the line hits no patch or a patch that the ground hides.
 bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
