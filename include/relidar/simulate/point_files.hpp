@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points as PLY, PCD and KITTI binary files.
+// Writes points as PLY, PCD and KITTI binary files.
 #pragma once
 
 #include <filesystem>
@@ -9,17 +9,18 @@
 
 namespace relidar {
 
-/// Point cloud files: x y z intensity (float32), ring (uint16), time (float32), instance
-/// (int32), return (uint8), then the channels (float32 or int32; NAME_x NAME_y NAME_z of
-/// vectors, of the channel "normal" in PLY nx ny nz, as readers know them). Unknown
-/// properties are left out. A file without points lists ring, time and instance, so that
-/// all files of a scan folder have the same fields.
-/// @param notes  comments of the file
-/// @throws DataError where lengths differ, as check_channels(), as for write_atomically
+/// Writes a PLY file. The properties are x y z intensity (float32), ring (uint16), time
+/// (float32), instance (int32), return (uint8) and the channels (float32 or int32). A
+/// vector channel has the properties NAME_x NAME_y NAME_z; the channel "normal" has nx ny
+/// nz in PLY, as other programs expect. Unknown properties are left out. A file without
+/// points still lists ring, time and instance, so that all files of a scan folder have
+/// the same fields.
+/// @param notes comments in the header of the file
+/// @throws DataError if lengths differ, as check_channels(), and as write_atomically()
 void write_ply(const std::filesystem::path& path, const Points& points, const FileNotes& notes = {});
-/// PCD 0.7, binary. Its VIEWPOINT is world_from_points.
+/// Writes a binary PCD 0.7 file. Its VIEWPOINT is `world_from_points`.
 void write_pcd(const std::filesystem::path& path, const Points& points, const FileNotes& notes = {});
-/// n x float32 x y z intensity
+/// Writes a KITTI file: n x float32 x y z intensity, without a header.
 void write_kitti_bin(const std::filesystem::path& path, const Points& points);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Any pose, time and sensor to a scan.
+// Renders LiDAR scans of a trained scene for any sensor, pose and time.
 #pragma once
 
 #include <cstdint>
@@ -26,287 +26,323 @@ namespace relidar {
 struct Run;
 struct MountedSensor;
 
-/// A simulated scan: a range image with the ray of each pixel, in the sensor's frame at
-/// the ray's firing time.
+/// A simulated scan: a range image with the ray of each pixel. A ray is in the sensor's
+/// frame at the ray's firing time.
 struct RenderedScan {
-    /// range as config.render.range says; drop_prob from the two logits (M6), 1 if
-    /// nothing was met in range
+    /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
+    /// computed from the two drop logits (method.md, M6). It is 1 if the ray hit nothing
+    /// within the sensor's range limits.
     RangeImage image;
-    /// [n] of the dominant surface, along the ray: where T crosses 0.5; if it never does,
-    /// the image's
+    /// [n] Range of the dominant surface along the ray, in metres: the distance at which
+    /// the transmittance T falls below 0.5. If T never falls below 0.5, the range of the
+    /// image.
     std::vector<float> median_range_m;
-    /// [n] D / W along the ray, whatever render.range says; the median where T never
-    /// crosses 0.5
+    /// [n] Mean range along the ray, in metres, independent of `render.range`: the
+    /// blended depth D divided by the accumulated alpha W. Equal to the median range if
+    /// the transmittance T never falls below 0.5.
     std::vector<float> mean_range_m;
-    std::vector<float> weight;  ///< [n] accumulated alpha W
-    /// [n] whose surface was met: index into Scene::instances, -1 where none was
+    std::vector<float> weight;  ///< [n] accumulated alpha W of the ray
+    /// [n] Instance that the ray hit: an index into Scene::instances, or -1 if the ray
+    /// hit nothing.
     std::vector<std::int32_t> instance;
-    /// [n] firing time of each ray from time_s; 0 without a rolling shutter
+    /// [n] Firing time of each ray relative to `time_s`, in seconds. All 0 without a
+    /// rolling shutter.
     std::vector<float> time_offset_s;
-    std::vector<std::uint16_t> ring;  ///< [n] number of the beam, 0 = highest
-    /// second returns with sensor.returns = 2; of the dominant surfaces
+    std::vector<std::uint16_t> ring;  ///< [n] beam number of the ray; 0 is the highest beam
+    /// Second returns of the dominant surfaces, if `sensor.returns` is 2.
     std::vector<SecondReturn> second_returns = {};
-    /// [n] each: those of config.render.channels, in weather `source`, but for what the
-    /// run does not know ("seen" without a Coverage), and what a caller adds of his own,
-    /// which goes through joins, grids, merges and into every output like the others
+    /// Optional channels with [n] values each: the channels of `render.channels`, and
+    /// `source` if weather is set. A channel that the run cannot compute is missing
+    /// ("seen" without a Coverage). A caller can append channels; they are joined,
+    /// binned, merged and written like all others.
     std::vector<ScanChannel> channels = {};
-    /// share of the rays of which less than half of the way is seen, of all or of a
-    /// thousand; nothing where the run does not know
+    /// Share of rays for which the log observed less than half of the ray's path. It is
+    /// computed from all rays or from about a thousand of them. Empty if the run has no
+    /// coverage.
     std::optional<double> unseen_share = {};
-    Pose world_from_sensor;  ///< at the reference time, in the dataset's world
-    /// of the sensor, in the dataset's world; a single pose where all rays were fired
-    /// from it
+    Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
+    /// Poses of the sensor during the scan, in the dataset's world frame. A single pose
+    /// if all rays are fired from the same pose.
     PoseTrack track;
     double time_s = 0.0;
     double trace_ms = 0.0;
 
-    /// Where the sensor was when a ray was fired, in the dataset's world.
+    /// Returns the pose of the sensor at the firing time of a ray, in the dataset's world
+    /// frame.
     Pose world_from_firing(std::size_t ray) const;
 };
 
-/// Where the sensor was when the rays of a scan were fired, for one thread that asks ray
-/// by ray. Many sensors fire the rays of a column at the same time: the pose of such a
-/// column is interpolated once.
+/// Computes the pose of the sensor at the firing time of each ray of a scan, for use by
+/// one thread. Many sensors fire all rays of a column at the same time. The class
+/// therefore interpolates the pose only once per column.
 class FiringPoses {
 public:
-    /// @param scan  outlives this @param target_from_dataset  the frame that poses are
-    /// wanted in
+    /// Prepares the poses of a scan.
+    /// @param scan must outlive this object
+    /// @param target_from_dataset transform to the frame in which the poses are returned
     explicit FiringPoses(const RenderedScan& scan, const Pose& target_from_dataset = {});
-    /// target_from_dataset * scan.world_from_firing(ray), until the next call.
+    /// Returns `target_from_dataset * scan.world_from_firing(ray)`. The reference is
+    /// valid until the next call.
     const Pose& at(std::size_t ray);
 
 private:
     struct Made {
-        float time_offset_s;  ///< not a number: none yet
+        float time_offset_s;  ///< NaN if no pose is stored yet
         Pose target_from_firing;
     };
     const RenderedScan& scan_;
     const Pose target_from_dataset_;
     const bool moves_;
-    /// the last one of each column; a single one of a scan without rows, or of a sensor
-    /// that stands
+    /// Last computed pose of each column. A single pose if the scan has one row or the
+    /// sensor does not move.
     std::vector<Made> made_;
 };
 
-/// Above this share of rays that look where no ray of the log did
-/// (RenderedScan::unseen_share), a user is warned. The log's own sensor on its way has
-/// less than a hundredth of them, in the next lane some hundredths.
+/// If a larger share of the rays looks where no ray of the log passed
+/// (RenderedScan::unseen_share), the program prints a warning. For the log's own sensor
+/// on its recorded path the share is below 0.01; in the next lane it is a few hundredths.
 inline constexpr double kMuchUnseen = 0.2;
 
-/// [n] Ranges of the points of a scan, by config.render.points: of the dominant surface,
-/// or those of the image.
+/// Returns the [n] ranges at which the points of a scan are placed, in metres. The
+/// setting `render.points` selects the range of the dominant surface or the range of the
+/// image.
 const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
 
-/// [n] How far apart along a ray the surfaces are that its range is of, metres: |mean -
-/// median| of the range, near 0 on one surface and large where a ray passes an edge; 0
-/// where T never crosses 0.5.
+/// Returns the [n] spread of the ranges along each ray, in metres: |mean range - median
+/// range|. It is near 0 on a single surface and large where a ray passes an edge. It is 0
+/// if the transmittance T never falls below 0.5.
 std::vector<float> range_spread(const RenderedScan& scan);
 
-/// Inputs of a ray-drop network. @param scan  has the channel `incidence`, otherwise
-/// cosines are 0
-/// @param channels  of the network, see drop_channel_names()
-/// @param first_origin_m [3] dataset's world: where origins count from, see
-/// first_origin()
+/// Returns the inputs of a ray-drop network for a scan.
+/// @param scan should have the channel `incidence`; without it all cosines are 0
+/// @param channels inputs of the network, see drop_channel_names()
+/// @param first_origin_m [3] point that sensor positions are relative to, in the
+/// dataset's world frame; see first_origin()
 DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& channels,
                      const glm::dvec3& first_origin_m);
 
-/// Where a log's vehicle was first, in the dataset's world. @return [3] metres
+/// Returns the first position of the log's vehicle, in the dataset's world frame.
+/// @return [3] metres
 glm::dvec3 first_origin(const Sequence& sequence);
 
-/// What a sensor's intensities scatter about: those of a scan, and what of it they depend
-/// on.
+/// Returns the rendered intensities of a scan, with the values of each ray that their
+/// random scatter depends on.
 RenderedIntensities rendered_intensities(const RenderedScan& scan);
 
-/// Draws one scan from what a rendering says is likely: a ray returns with probability 1
-/// - drop_prob, independently of the others, its range off by the noise at its range and
-/// angle of incidence (from neighbouring pixels), its intensity as the LiDAR's scatter.
-/// Afterwards drop_prob is 0 or 1, and image.range_m is the dominant surface's, as
-/// median_range_m. Second returns keep their likeliest intensities. The same for the same
-/// seed and time, whatever the device. @param scatter  an empty one: intensities stay the
-/// likeliest
+/// Replaces a scan of expected values by one random sample. A ray returns with
+/// probability 1 - drop_prob, independently of other rays. Noise is added to its range;
+/// the standard deviation depends on the range and on the angle of incidence, which is
+/// computed from neighbouring pixels. The intensity is drawn from the scatter of the
+/// LiDAR. Afterwards `drop_prob` is 0 or 1, and `image.range_m` equals `median_range_m`,
+/// the range of the dominant surface. Second returns keep their expected intensities. The
+/// result depends only on seed and time, not on the device.
+/// @param scatter if empty, intensities keep their expected values
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
                     std::uint64_t seed);
 
-/// What wet ground makes of a ray that meets it.
+/// Effects of wet ground on a ray that hits it.
 struct WetRay {
-    double through_water = 1.0;  ///< share of the ground's light that comes back: wet over dry
-    Echo mirrored{};             ///< what the ray meets when the ground mirrors it
+    double through_water = 1.0;  ///< brightness of the wet ground relative to the dry ground
+    Echo mirrored{};             ///< echo of the object that the ray hits after a reflection by the water
 };
-/// Rays that meet weather otherwise than most. An empty list: there are none.
+/// Rays on which weather has special effects. An empty list means that no ray has the
+/// effect.
 struct RaysInWeather {
-    /// [n] 1 for rays that see nothing of the air, since something at the sensor blocks
-    /// them
+    /// [n] 1 for rays that an object at the sensor blocks, so that they do not sense the
+    /// air.
     std::span<const std::uint8_t> blind{};
-    std::span<const WetRay> wet{};      ///< [n]
-    std::span<const Echo> stray{};      ///< [n] of retro-reflectors elsewhere
-    std::span<const float> from_sun{};  ///< [n] radians
+    std::span<const WetRay> wet{};  ///< [n] effects of wet ground
+    /// [n] echoes of stray light from retro-reflectors in other directions
+    std::span<const Echo> stray{};
+    std::span<const float> from_sun{};  ///< [n] angle between ray and sun, in radians
 };
 
-/// Puts weather between a sensor and its scan. Surfaces are darker or none; where
-/// something in the air is what a ray returns, its range and intensity are of that, it
-/// belongs to no instance, and channels that say something of surfaces say nothing. The
-/// channel `source` says why there is a point; clear air changes nothing else. The same
-/// for the same seed and time, on any number of threads.
-/// @param response  how bright the sensor reports the same surface at a range
+/// Adds the effects of weather to a scan. Surfaces become darker or are dropped. If a ray
+/// returns from the air, it gets the range and intensity of this echo, instance -1, and
+/// no values in channels that describe surfaces. The channel `source` stores the cause of
+/// each return; clear air changes nothing else. The result depends only on seed and time,
+/// not on the number of threads.
+/// @param response intensity that the sensor reports for the same surface as a function
+/// of range
 void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response,
                  const RaysInWeather& special, std::uint64_t seed);
 
-/// The points of a scan, without the scan.
+/// The points of a scan without its other arrays.
 struct RenderedPoints {
     Points points;                            ///< all returns, see place_points()
-    std::size_t n_rays = 0;                   ///< of the scan
-    std::optional<double> unseen_share = {};  ///< see RenderedScan
+    std::size_t n_rays = 0;                   ///< number of rays of the scan
+    std::optional<double> unseen_share = {};  ///< see RenderedScan::unseen_share
 };
 
-/// The sensor whose scan is wanted.
+/// The sensor to simulate.
 struct SensorChoice {
-    RayTable rays;                       ///< none of a Rosette, which has others in every scan
-    std::optional<RangeGrid> grid = {};  ///< bin the simulated points into this grid afterwards
-    bool is_own = false;                 ///< a LiDAR of the log: its sensor-level ray-drop applies
-    /// the rays are the nominal ones of that LiDAR: at the time of one of its sweeps they
-    /// point where its head did (find_azimuth_shift()), unless it is driven (ScanRequest)
+    RayTable rays;  ///< rays of a sweep; empty for a Rosette, whose rays differ in every scan
+    /// grid into which the simulated points are binned after rendering
+    std::optional<RangeGrid> grid = {};
+    bool is_own = false;  ///< true for a LiDAR of the log; then the ray-drop of this sensor applies
+    /// True if `rays` are the nominal rays of the log's LiDAR. A scan at the time of a
+    /// recorded sweep then uses the azimuths of that sweep (find_azimuth_shift()), unless
+    /// a ScanRequest sets the poses.
     bool follows_sweeps = false;
-    /// of the rays' beams, what these add to ranges and make of intensities; none: they
-    /// measure what is there
+    /// Calibration of the beams: range offsets, intensity gains and offsets. If empty,
+    /// the measured values are not changed.
     std::vector<Beam> beams = {};
-    /// of one that does not spin: when it faces what; without `rays`, those of each scan
+    /// Pattern of a sensor that does not spin: directions and firing times. If `rays` is
+    /// empty, the pattern generates the rays of each scan.
     std::optional<SensorPattern> pattern = {};
-    RangeLimits limits = {};  ///< of measured ranges
+    RangeLimits limits = {};  ///< limits of measured ranges
     std::string name = "";
-    int lidar = 0;  ///< of the log, which it is or in whose place it stands
-    /// of each ray, 1 or 2, the latter by 9 sub-rays where config has 1; 0: as
-    /// config.sensor.returns says
+    int lidar = 0;  ///< index of the log's LiDAR that this sensor is or replaces
+    /// Returns per ray: 1 or 2. With 2, each ray is split into 9 sub-rays if the
+    /// configuration has 1. The value 0 means `sensor.returns` of the configuration.
     int returns = 0;
-    /// false: all rays are fired at the scan's time, like those of a motion-compensated
-    /// log. See has_rolling_shutter()
+    /// If false, all rays are fired at the scan's time, as in a motion-compensated log.
+    /// See has_rolling_shutter().
     bool rolling_shutter = true;
 };
 
-/// Whether rays of a sensor are fired at different times: SensorChoice::rolling_shutter,
-/// unless config.sensor.rolling_shutter is `no`. In scans without a rolling shutter all
-/// time offsets are 0, and all points are in the sensor's frame at the scan's time.
+/// Returns true if the sensor fires its rays at different times:
+/// SensorChoice::rolling_shutter, unless `sensor.rolling_shutter` is `no`. In scans
+/// without a rolling shutter all time offsets are 0, and all points are in the sensor's
+/// frame at the scan's time.
 bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 
-/// A sensor that follows the log's sweeps, as its head pointed in the log's sweep at a
-/// time. Any other sensor, and at any other time: the same sensor. ScanRenderer does this
-/// itself for scans without a ScanRequest.
-/// @param frames  of the log, with their azimuth shifts
+/// Returns the sensor with the azimuths of the log's sweep at this time, if the sensor
+/// follows the sweeps of the log. At any other time, and for any other sensor, returns
+/// the sensor unchanged. ScanRenderer calls this function for scans without a
+/// ScanRequest.
+/// @param frames frames of the log with their azimuth shifts
 SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
                              std::span<const Lidar> lidars, double time_s);
 
-/// What config.sensor says: a LiDAR of the log, or the grid in its place by projection or
-/// by casting. The log's LiDAR sees what lies within its own range limits and those of
-/// config.dataset. Of one that is known by its scans alone there are no rays: those of a
-/// scan have to be put in.
+/// Returns the sensor of the setting `sensor.grid`: a LiDAR of the log, or a grid. The
+/// setting `sensor.grid_method` selects whether the rays of the grid are cast, or the
+/// points of the LiDAR are binned into the grid. The range limits of the LiDAR are
+/// intersected with those of the dataset settings. If the log stores only scans of a
+/// LiDAR, `rays` is empty and the caller must set the rays of a scan.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
-/// "native", or a sensor by name, CSV file or grid name. "kitti360" follows
-/// config.sensor.grid_method.
+/// Returns a sensor for "native", the name of a sensor, a CSV file or the name of a grid.
+/// "kitti360" follows the setting `sensor.grid_method`.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar = 0);
 
-/// A sensor in the place of a LiDAR of the log.
+/// Returns a choice that replaces a LiDAR of the log by another sensor.
 SensorChoice sensor_choice(const SensorModel& sensor, int lidar = 0);
-/// The same of a rig's sensor, with its returns.
+/// Returns a choice for a sensor of a rig, with its number of returns.
 SensorChoice sensor_choice(const MountedSensor& mounted, int lidar = 0);
 
-/// Scans of a rig's sensors, taken together, as one without image order: rays in the
-/// frame of the rig, which is the sensor of the scan; rings are counted through; a
-/// channel that some scans have is `none` in the others. @param scans  at the same time
-/// @param rig_from_sensor [scans] as they were mounted
-/// @throws UsageError for channels of one name and two types
+/// Merges scans of all sensors of a rig into one scan without image order. Rays are in
+/// the frame of the rig, which is the sensor of the merged scan. Ring numbers continue
+/// from one scan to the next. A channel that a scan lacks has the value `none` there.
+/// @param scans scans at the same time
+/// @param rig_from_sensor [scans] mounting pose of each sensor
+/// @throws UsageError if two channels have the same name and different types
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor);
 
-/// A scan to be taken, wherever its sensor was driven: by a file, or by a simulator that
-/// owns the traffic too. Poses are in the dataset's world, times in the log's
-/// (Frame::time_s).
+/// Request for a scan with explicit poses of the sensor, for example from a trajectory
+/// file or a traffic simulator. Poses are in the dataset's world frame. Times are those
+/// of the log (Frame::time_s).
 struct ScanRequest {
-    double time_s = 0.0;  ///< when the head faces forward
-    /// also through the sweep: with a rolling shutter a ray is fired from where the
-    /// sensor is then; one pose: it stands
+    double time_s = 0.0;  ///< time at which the sensor head faces forward, in seconds
+    /// Poses of the sensor during the sweep. With a rolling shutter each ray is fired
+    /// from the pose at its firing time. With a single pose the sensor does not move.
     PoseTrack dataset_from_sensor;
-    /// of all actors that are there; not given: where the run's tracks have them at the
-    /// time
+    /// Poses of all actors that are present. If not set, the tracks of the run give the
+    /// poses at the time of the scan.
     std::optional<ActorPoses> dataset_from_actor = {};
 };
 
-/// Renders scans of a trained scene. A renderer serves one thread at a time; renderers of
-/// one device may not be used at once either. With ShDirection::surfel a model placed n
-/// times is held n times (own_models): each placement is lit from where the sensor stands
-/// to it; ShDirection::ray needs one copy alone.
+/// Renders scans of a trained scene. Only one thread may use a renderer, and renderers of
+/// the same device must not be used simultaneously. With ShDirection::surfel a model with
+/// n instances is stored n times (own_models), because each instance is lit from the
+/// direction of the sensor to it. ShDirection::ray needs only one copy.
 class ScanRenderer {
 public:
-    /// @throws UsageError for unknown channels, and for those of 3D Gaussians that are
-    /// made of normals, which they do not have
+    /// Creates a renderer of a scene.
+    /// @throws UsageError for unknown channels, and for channels that need normals if the
+    /// primitives are 3D Gaussians, which have no normals
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
-    /// Uses the run's coverage, how its intensities scatter, and its ray-drop network
-    /// where it has one and config.refine.enabled says so.
+    /// Creates a renderer of a run. It uses the run's coverage and its scatter of
+    /// intensities. It uses the ray-drop network if the run has one and `refine.enabled`
+    /// is set.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
-    /// Leaves out every instance that is not shown, from the next scan on. @param shown
-    /// [instances]
+    /// Hides instances in all following scans.
+    /// @param shown [instances] false for an instance that is not rendered
     void show_only(const std::vector<bool>& shown);
-    /// Corrects ray-drop by a network from the next scan on; an empty one: no longer. A
-    /// network of the sensor's rays works on every scan with image order, rows and
-    /// columns enough, before it is binned into a grid; one of a grid's cells on images
-    /// of that grid alone. What the sensor cannot see it does not bring back.
-    /// @throws DataError where its arrays do not fit its shape
+    /// Uses a network to correct the ray-drop of all following scans. An empty network
+    /// switches the correction off. A network for the sensor's rays needs scans in image
+    /// order with enough rows and columns; it runs before a scan is binned into a grid. A
+    /// network for the cells of a grid runs only on images of that grid. A ray whose drop
+    /// probability is 1 stays dropped.
+    /// @throws DataError if the arrays of the network do not fit its shape
     void refine_drops(const DropNetwork& network);
-    /// Adds channels to every scan from now on, beside those of config.render.channels.
-    /// @throws UsageError for an unknown one, and for one that needs normals, which are
-    /// traced for those of the config alone
+    /// Adds channels to all following scans, in addition to those of the setting
+    /// `render.channels`.
+    /// @throws UsageError for an unknown channel, and for a channel that needs normals if
+    /// the primitives have none
     void want_channels(const std::string& names);
-    /// Says of every scan from now on what of it the log has seen
-    /// (RenderedScan::unseen_share); an empty one: no longer.
+    /// Computes RenderedScan::unseen_share for all following scans. An empty coverage
+    /// switches the computation off.
     void compare_with(const Coverage& coverage);
-    /// How intensities scatter, of each LiDAR of the log, from the next scan on: sampled
-    /// scans draw them, the likeliest have them in the log's steps.
-    /// @param scatter [lidars] none, or an empty one: intensities are as the scene has
-    /// them
+    /// Sets the scatter of intensities for each LiDAR of the log, for all following
+    /// scans. Sampled scans draw intensities from it. Other scans round their intensities
+    /// to the log's steps.
+    /// @param scatter [lidars] if an entry is missing or empty, intensities are as
+    /// rendered
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);
-    /// The weather from the next scan on, drawn by the seed of sampled scans and 0 for
-    /// the likeliest. Its scans have the channel `source`.
-    /// @throws UsageError as check_weather(), and for weather on a log whose intensities
-    /// are all 0
+    /// Sets the weather of all following scans. The seed of a sampled scan is also the
+    /// seed of its weather; other scans use seed 0. Scans with weather have the channel
+    /// `source`.
+    /// @throws UsageError as check_weather(), and for weather if all intensities of the
+    /// log are 0
     void set_weather(const Weather& weather);
-    /// Whether scans of a sensor are refined.
+    /// Returns true if a network corrects the ray-drop of this sensor's scans.
     bool refines(const SensorChoice& sensor) const;
-    /// @param sensor_offset  of the simulated sensor in the frame of the log's LiDAR
-    /// (identity = where the real one was)
-    /// @param sample  seed of sample_returns(); not given: the likeliest scan, free of
-    /// noise
+    /// Renders a scan on the recorded path of the log's vehicle.
+    /// @param sensor_offset pose of the simulated sensor in the frame of the log's LiDAR;
+    /// identity places it where the real sensor was
+    /// @param sample seed of sample_returns(); if not set, the scan has expected values
+    /// without noise
     RenderedScan render(const SensorChoice& sensor, double time_s, const Pose& sensor_offset = {},
                         std::optional<std::uint64_t> sample = {});
-    /// @throws DataError for poses or times that are not finite, that lie beyond 1e10 m
-    /// or s, or times that do not rise; UsageError for an actor that is not in the scene
+    /// Renders a scan from the poses of a request.
+    /// @throws DataError if poses or times are not finite or exceed 1e10 m or s, or if
+    /// times do not increase
+    /// @throws UsageError for an actor that is not in the scene
     RenderedScan render(const SensorChoice& sensor, const ScanRequest& request,
                         std::optional<std::uint64_t> sample = {});
-    /// When the device is told of a scan that is asked for.
+    /// Selects whether a requested scan is submitted to the device now or together with
+    /// the next request.
     enum class Send { now, with_next };
-    /// Requests the points of a scan, in the sensor's frame at a time of its path, and
-    /// does not wait for them: while the device renders one scan, the caller can request
-    /// another and take the points of an earlier one. The device also makes the points
-    /// if the scan needs nothing but its sensor's own rays (no sub-rays, grid, channels,
-    /// weather or sample). Otherwise place_points() makes them, with the same bits.
-    /// @param when  with_next: scans of a rig, or of several requests, go to the device
-    /// together with the next one that is asked for, and those it makes the points of are
-    /// rendered side by side
-    /// @throws UsageError where kScansInFlight scans have been asked for that were not
-    /// taken, and as render()
+    /// Requests the points of a scan without waiting for them. The points are in the
+    /// sensor's frame at a time of its path. While the device renders this scan, the
+    /// caller can request more scans and collect earlier points. The device computes the
+    /// points if the scan needs only the sensor's rays, without sub-rays, grid, channels,
+    /// weather or sample. Otherwise place_points() computes them on the host. Both
+    /// results are bitwise equal.
+    /// @param points_at_s time of the sensor frame in which the points are expressed
+    /// @param when with `with_next`, the scan is submitted together with the next
+    /// request. Scans whose points the device computes are then rendered in parallel.
+    /// @throws UsageError if kScansInFlight requested scans were not collected, and as
+    /// render()
     void ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
                     std::optional<std::uint64_t> sample = {}, Send when = Send::now);
-    /// How many scans may have been asked for and not been taken. Two are enough for the
-    /// device never to wait.
+    /// Maximum number of requested scans that were not collected. Two pending scans are
+    /// enough to keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
-    /// How many scans that go to the device together are rendered side by side: 4 on a
-    /// GPU, which one scan alone does not fill; 1 on a CPU and with a scene in blocks.
-    /// Each but the first needs a copy of the scene on the device; where its memory does
-    /// not do for so many, there are fewer.
+    /// Returns the maximum number of scans that the device renders in parallel. The
+    /// default is 4 on a GPU, because one scan does not occupy it fully, and 1 on a CPU.
+    /// For a scene in blocks it is 1. Each additional scan needs a copy of the scene on
+    /// the device. If device memory is exhausted, fewer scans run in parallel.
     int side_by_side() const;
     static int default_side_by_side(const Device& device);
-    /// @throws UsageError for less than 1
+    /// Sets the maximum number of scans that the device renders in parallel.
+    /// @throws UsageError if n is less than 1
     void side_by_side(int n);
-    /// The points that were asked for first. @param memory  of earlier ones, to be used
-    /// again @throws UsageError where none are
+    /// Waits for the oldest requested scan and returns its points.
+    /// @param memory points whose memory is reused
+    /// @throws UsageError if no scan was requested
     RenderedPoints take_points(Points memory = {});
     const KernelTimes& times() const;
 
@@ -314,22 +350,24 @@ private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 
-    /// Drives the sensor as a request says. @return instances at their moments
+    /// Sets the path of the sensor from a request.
+    /// @return poses of the instances at the time of the scan
     std::vector<InstancePose> drive(const SensorChoice& sensor, const ScanRequest& request);
-    /// What a sensor sees whose path has been set.
+    /// Renders a scan after the path of the sensor was set.
     RenderedScan take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                       std::optional<std::uint64_t> sample);
 };
 
-/// Bins a simulated scan into a grid as the dataset's points were: points lie on the
-/// dominant surfaces of rays, the nearest that returned wins a cell, and the cell is
-/// dropped where all rays in it are. Neighbours are dropped for the same reason: its
-/// probability is the smallest of theirs (their product would be right for independent
-/// drops). Empty cells are dropped.
+/// Bins a simulated scan into a grid, in the same way as the dataset bins its real
+/// points. Points lie on the dominant surfaces of the rays. The nearest returned point
+/// wins a cell. A cell is dropped if all its rays are dropped. Its drop probability is
+/// the smallest of its rays, because neighbouring rays are dropped for the same reason; a
+/// product would assume independent drops. Empty cells are dropped.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 
-/// The real image of a frame on the pixels of the configured sensor, for comparison with
-/// a rendering. The native grid returns the scan as it is; a grid bins its points.
+/// Returns the real image of a frame on the pixels of the configured sensor, for
+/// comparison with a rendering. The native grid returns the scan unchanged. Any other
+/// grid bins the points of the scan.
 RangeImage real_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

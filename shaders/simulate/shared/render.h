@@ -11,22 +11,22 @@ struct SensorRay {
     vec3 origin;          // m
     vec3 direction;       // unit vector
     float time_offset_s;  // firing time relative to the sweep's reference time
-    float sees;           // 1 - drop probability of the sensor itself, whatever the scene is
+    float sees;           // 1 - drop probability of the sensor in this direction, independent of the scene
     uint channel;         // beam number
 };
 RELIDAR_POINTER(SensorRays, SensorRay);
 
-/// A pose of the sensor in a frame, and how it goes on to the next one.
+/// A pose of the sensor, and the motion from this pose to the next one.
 struct SensorPose {
     vec3 x;  // axes of the sensor
     vec3 y;
     vec3 z;
     vec3 position;        // m
-    vec3 position_rest;   // m, what rounding took off `position`
-    vec3 way;             // m to the next pose
+    vec3 position_rest;   // m, rounding error of `position`
+    vec3 way;             // translation to the next pose, m
     vec3 turn;            // rotation vector to the next pose, rad
-    float time_offset_s;  // from the sweep's reference time
-    float per_s;          // 1 / seconds to the next pose; 0: there is none
+    float time_offset_s;  // relative to the sweep's reference time
+    float per_s;          // 1 / seconds to the next pose; 0 if it is the last pose
 };
 RELIDAR_POINTER(SensorPoses, SensorPose);
 
@@ -67,12 +67,12 @@ RELIDAR_POINTER(MeasuredRays, MeasuredRay);
 
 struct MeasureRaysParams {
     SensorRays rays;            // input [n_rays]
-    Rays fired;                 // input [n_rays] the same in the world
+    Rays fired;                 // input [n_rays] the same rays in the world frame
     RenderedRays rendered;      // input [n_rays]
-    RenderedSurfaces surfaces;  // input [n_surfaces] as many as rays; one of zeros if none were rendered
-    SensorBeams beams;          // input [n_beams]; rays of others measure what is there
-    Vec2s response;         // input [n_response] range in m, factor of intensities there; none: 1 everywhere
-    MeasuredRays measured;  // output [n_rays]
+    RenderedSurfaces surfaces;  // input [n_surfaces] one per ray, or a single entry of zeros
+    SensorBeams beams;          // input [n_beams]; other channels use an offset of 0 and a gain of 1
+    Vec2s response;             // input [n_response] range in m, intensity factor; if empty, the factor is 1
+    MeasuredRays measured;      // output [n_rays]
     uint n_rays;
     uint n_surfaces;
     uint n_beams;

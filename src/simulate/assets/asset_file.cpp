@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// asset.json, beside the files of the asset's run.
+// Reads and writes asset.json, which is stored with the files of the asset's run.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 
 constexpr const char* kAssetFormat = "relidar asset";
 constexpr int kAssetVersion = 1;
-constexpr double kAssetMost = 1e9;  // of counts and lengths
+constexpr double kAssetMost = 1e9;  // largest valid count or length
 constexpr ObjectKind kAssetKinds[] = {ObjectKind::vehicle, ObjectKind::cyclist, ObjectKind::person,
                                       ObjectKind::other};
 

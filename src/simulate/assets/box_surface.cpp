@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The surface of a box in patches, on which every point is projected from the centre.
+// Divides the surface of a box into patches. Every point is projected from the centre of
+// the box to a patch.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -9,15 +10,18 @@ namespace relidar {
 namespace {
 
 constexpr double kPatch_m = 0.3;
-constexpr double kHiddenHeight = 0.2;  // of the height: what the ground hides
-/// Cosine between a ray and a side's normal below which the ray tells nothing of the
-/// side: on what is grazed returns lie streaks apart. A LiDAR on a car meets roofs of
-/// other cars no steeper than that.
+// Fraction of the box height, from the bottom, that is ignored because the ground hides
+// it.
+constexpr double kHiddenHeight = 0.2;
+/// Least cosine between a ray and the normal of a side for which a return observes the
+/// side. At smaller angles the returns form separate streaks. The limit for the top is
+/// lower, because a LiDAR on a car hits the roofs of other cars only at grazing angles.
 constexpr double kGrazing = 0.2, kGrazingTop = 0.02;
-constexpr double kMostPairs = 200.0;  // of patches along an axis: of a box of 120 m
+// largest number of pairs of patches along an axis, for a box of 120 m
+constexpr double kMostPairs = 200.0;
 
-/// Across which axis a side lies, on which side of the centre, and along which axes its
-/// patches are counted; heights come second.
+/// Axes of a side: the axis of its normal, the sign of the normal, and the two axes along
+/// which its patches are counted. For vertical sides, the second axis is the height.
 struct SideFrame {
     int normal;
     double sign;
@@ -26,7 +30,8 @@ struct SideFrame {
 constexpr SideFrame kFrames[kBoxSides] = {
     {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
 
-/// Even, so that the plane of x and z parts no patch.
+/// Returns the number of patches along a length. It is even, so that the plane of x and z
+/// does not divide a patch.
 int count_patches(double length_m) {
     return 2 * int(std::clamp(std::round(length_m / (2.0 * kPatch_m)), 1.0, kMostPairs));
 }
@@ -49,7 +54,8 @@ BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     }
 }
 
-/// The patch that the way from the centre through a point comes out of.
+/// Finds the patch that a line from the centre through a point intersects. Returns false
+/// if the line hits no patch or a patch that the ground hides.
 bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// An actor of a run as a run of its own: cleaned, and completed where it is symmetric.
+// Extracts an actor of a run as a separate run. Removes invisible surfels and completes
+// symmetric objects.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -14,8 +15,9 @@
 namespace relidar {
 namespace {
 
-constexpr double kShortestVehicle_m = 3.0;  // of what has no class; cyclists are shorter
-/// Basis functions that are odd in y: those of negative order.
+// least length of an object without a class to be a vehicle; cyclists are shorter
+constexpr double kShortestVehicle_m = 3.0;
+/// Spherical harmonics that are odd in y, which have a negative order.
 constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
 bool is_vehicle(const BoxTrack& box) {
@@ -23,8 +25,9 @@ bool is_vehicle(const BoxTrack& box) {
            (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
 }
 
-/// "car-3": letters, digits, dots, dashes and underscores alone, so that it is the name
-/// of a folder everywhere. What was discovered is named by its track.
+/// Returns the name of an asset, for example "car-3". It contains only letters, digits,
+/// dots, dashes and underscores, so that it is a valid folder name on all systems. A
+/// discovered object is named by its track.
 std::string asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -34,7 +37,8 @@ std::string asset_name(const BoxTrack& box) {
     return name.front() == '.' ? "-" + name : name;
 }
 
-/// Whether a surfel can show: opaque enough to be blended, and in the box it belongs in.
+/// Returns true if a surfel can be visible: it is opaque enough to be blended, and it is
+/// inside the box of its model.
 bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const ImageModel& image) {
     const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
@@ -42,8 +46,9 @@ bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const I
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Takes the mirror image of what was seen for what was not. @return surfels that were
-/// added
+/// Replaces the unobserved side of a symmetric object by the mirror image of its observed
+/// side.
+/// @return number of surfels that were added
 std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;
     for (std::uint32_t i = 0; i < surfels.size(); ++i) {
@@ -57,7 +62,8 @@ std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     return copied.size();
 }
 
-/// The frames of a log in which an actor is there, without what renders nothing of it.
+/// Returns the frames of a log in which an actor is present, without scans and without
+/// other actors.
 Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     Sequence sequence = without_frames(log);
     sequence.boxes = {box};
@@ -80,7 +86,8 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
 Surfels mirrored_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
-        // w, x, y, z: the axis of a rotation is mirrored, and turns the other way
+        // Quaternion (w, x, y, z): the mirrored rotation has a mirrored axis and the
+        // opposite direction of rotation.
         glm::vec4& q = surfels.rotation[i];
         q = {q[0], -q[1], q[2], -q[3]};
         for (int channel = 0; channel < kShChannels; ++channel)

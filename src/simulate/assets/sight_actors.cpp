@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a log has seen of its actors, found by taking its scans again in the trained
-// scene: whatever stands before an actor hides it.
+// Computes which parts of its actors a log has observed. Renders the scans of the log in
+// the trained scene, so that objects in front of an actor hide it.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -10,7 +10,7 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kStandIn = "HDL-64E";  // for a LiDAR whose rays are known scan by scan alone
+constexpr const char* kStandIn = "HDL-64E";  // replaces a LiDAR whose rays are known only for each scan
 
 std::vector<SensorChoice> sensors_of(const Run& run) {
     std::vector<SensorChoice> sensors;
@@ -23,7 +23,8 @@ std::vector<SensorChoice> sensors_of(const Run& run) {
     return sensors;
 }
 
-/// By instance; null for the background and for one without a box.
+/// Returns the box of each instance; null for the background and for instances without a
+/// box.
 std::vector<const BoxTrack*> boxes_of(const Run& run) {
     std::vector<const BoxTrack*> boxes;
     for (const Instance& instance : run.scene.instances)
@@ -31,7 +32,7 @@ std::vector<const BoxTrack*> boxes_of(const Run& run) {
     return boxes;
 }
 
-/// The frames that train in which there is any actor.
+/// Returns the training frames in which any actor is present.
 std::vector<int> frames_to_look_at(const Run& run, const std::vector<const BoxTrack*>& boxes) {
     std::vector<int> positions;
     for (const int i : run.split.train) {

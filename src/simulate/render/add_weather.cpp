@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather on a scan: what returns along each ray goes through air and water, beside stray
-// light and noise, and what comes out is put in its place.
+// Adds weather to a scan. Computes for each ray which echo the sensor reports through air
+// and water, among stray light and noise.
 #include <algorithm>
 #include <bit>
 
@@ -13,13 +13,13 @@
 namespace relidar {
 namespace {
 
-// its random numbers are others than those of a sampled scan
+// makes the random numbers of weather independent of those of a sampled scan
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
 using Sources = std::vector<std::int32_t>;
 
-/// The channel `source`; it is added where the scan has none.
+/// Returns the channel `source` with empty values. Adds the channel if the scan has none.
 ScanChannel& source_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto found = std::ranges::find_if(scan.channels, has_name);
@@ -32,7 +32,7 @@ ScanChannel& source_channel(RenderedScan& scan) {
     return channel;
 }
 
-/// Channels of what a ray met say nothing any more.
+/// Clears the instance of a ray and its values in channels that describe surfaces.
 void forget_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
@@ -41,7 +41,7 @@ void forget_surface(RenderedScan& scan, std::size_t ray) {
                        channel.values);
 }
 
-/// Rays of a scan and what the air makes of them.
+/// Applies the air to the rays of a scan.
 class WeatheredRays {
 public:
     WeatheredRays(RenderedScan& scan, const Air& air, const IntensityResponse& response)
@@ -85,7 +85,8 @@ private:
     float intensity_of(const Echo& echo) const {
         return std::min(static_cast<float>(echo.reflectivity * response_.at_range(echo.range_m)), 1.0f);
     }
-    /// How far a ray goes: to a surface, though that may return nothing.
+    /// Returns the distance that light of a ray travels through air: up to the hit
+    /// surface, even if the surface does not return, or the maximum range.
     double free_m(std::size_t ray, const RayEchoes& surfaces) const {
         const bool is_blocked =
             surfaces.strongest.source == PointSource::surface || scan_.weight[ray] >= 0.5f;
@@ -113,14 +114,15 @@ private:
 
 }  // namespace
 
-/// @param rays  of the sensor, whose beams they are
+/// Returns the air in front of a sensor.
+/// @param rays rays of the sensor, which give the beam divergence
 Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& rays) const {
     WeatherSensor takes;
     const double step = scatter[std::size_t(sensor.lidar)].step, divergence_rad = rays.largest_divergence();
     if (config.sensor.divergence_mrad > 0.0) takes.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) takes.divergence_rad = divergence_rad;
     if (step > 0.0) takes.darkest = 0.5 * step;
-    // what is reported as 0 lies between 0 and half a step
+    // An intensity that is reported as 0 lies between 0 and half a step.
     takes.weakest_reflectivity = 0.5 * takes.darkest;
     takes.separation_m = config.sensor.return_separation_m;
     takes.min_range_m = limits_of(sensor).min_m, takes.max_range_m = limits_of(sensor).max_m;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of scans that are asked for ahead: the device renders one while the host takes
-// another.
+// Requests and collects the points of scans: the device renders a scan while the host
+// processes an earlier one.
 #include <algorithm>
 #include <cstdint>
 #include <span>
@@ -17,7 +17,7 @@
 namespace relidar {
 namespace {
 
-/// Copies points of the device to arrays of their properties.
+/// Copies points that the device computed to the arrays of `Points`.
 void copy_points(std::span<const shared::ReturnedPoint> from, const IntensityScatter& steps, Points& to) {
     constexpr std::size_t kTogether = 1 << 13;
     static_assert(std::int32_t(RELIDAR_NO_INSTANCE) == -1);
@@ -38,21 +38,22 @@ void copy_points(std::span<const shared::ReturnedPoint> from, const IntensitySca
 
 }  // namespace
 
-/// Whether the device makes the points of a scan of this sensor. This is the only place
-/// that decides it.
+/// Returns true if the device computes the points of this sensor's scans. This decision
+/// is made only here.
 bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled) const {
     const SensorConfig own = config_of(sensor);
     return !sampled && weather.clear() && wanted.empty() && !sensor.grid && own.sub_rays == 1 &&
            own.returns == 1 && sensor.rays.size() > 0;
 }
 
-/// Where the next of the scans goes that are sent together.
+/// Selects the lane of the next scan that is submitted together with others. Creates the
+/// lanes at the first call.
 ScanStrand& ScanRenderer::Impl::next_strand() {
     if (!together) {
         while (1 + std::ssize(others) < most_strands) {
             try {
                 others.emplace_back(device).copy = scene.copy();
-            } catch (const DeviceError&) {  // no memory for so many copies of the scene
+            } catch (const DeviceError&) {  // device memory is exhausted: uses fewer copies of the scene
                 others.pop_back();
                 most_strands = 1 + int(others.size());
             }
@@ -65,7 +66,7 @@ ScanStrand& ScanRenderer::Impl::next_strand() {
     return strand == 0 ? first : others[strand - 1];
 }
 
-/// The device is told of scans that were asked for.
+/// Submits the requested scans that were recorded together.
 void ScanRenderer::Impl::send() {
     if (!together) return;
     together.reset();
@@ -115,7 +116,7 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     else if (when == Send::now) s.send();
 }
 
-/// Waits for what the device has of a scan.
+/// Waits for the points of a requested scan.
 RenderedPoints ScanRenderer::Impl::points_of(AskedPoints& scan, Points memory) {
     if (scan.ready) return std::move(*scan.ready);
     send();
@@ -140,9 +141,11 @@ RenderedPoints ScanRenderer::Impl::points_of(AskedPoints& scan, Points memory) {
     return result;
 }
 
-/// Has nothing in flight any more.
+/// Waits until all requested scans are finished, and stores their points.
 void ScanRenderer::Impl::settle() {
-    if (together) {  // perhaps with a scan that was refused half-way, for which nobody waits
+    // If a request failed half-way, its recorded scan is not in `asked`, so this waits
+    // for the device.
+    if (together) {
         send();
         scene.renderer().stream().finish();
     }
@@ -154,8 +157,9 @@ ScanRenderer::~ScanRenderer() {
     if (std::ranges::none_of(impl_->asked, in_flight)) return;
     try {
         impl_->send();
-        impl_->scene.renderer().stream().finish();  // the device may still write what goes with this
-    } catch (const DeviceError&) {                  // a lost device writes nothing any more
+        // the device may still write to memory that this object frees
+        impl_->scene.renderer().stream().finish();
+    } catch (const DeviceError&) {  // a lost device does not write any more
     }
 }
 

@@ -10,7 +10,8 @@
 namespace relidar {
 namespace {
 
-/// Of the surface that each ray met, in the sensor's frame at the ray's firing time.
+/// Returns the unit normal of the surface that each ray hit, in the sensor's frame at the
+/// firing time of the ray.
 std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoses firing(scan);
@@ -42,14 +43,15 @@ ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
     return seen_shares(scan, rays, log);
 }
 
-// until add_weather() says what returned in the end
+// Returns "surface" for all rays; add_weather() writes the cause of each return later.
 ChannelValues surfaces(const RenderedScan& scan, const SeenByLog&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
 }
 
 ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) { return scan.image.drop_prob; }
 
-/// One row per channel of optional_channels(), with one of three functions.
+/// A row for each channel of optional_channels(). Exactly one of the three functions is
+/// set.
 struct Maker {
     std::string_view name;
     ChannelValues (*of_rendering)(const Rendering&, const RenderedScan&);
@@ -67,7 +69,7 @@ constexpr Maker kMakers[] = {
 
 Maker maker_of(const ChannelInfo& channel) {
     const auto* maker = std::ranges::find(kMakers, channel.name, &Maker::name);
-    // tests/simulate/render/channels_test.cpp asks for all
+    // tests/simulate/render/channels_test.cpp checks that each channel has a row.
     return maker == std::end(kMakers) ? Maker{} : *maker;
 }
 

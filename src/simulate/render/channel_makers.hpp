@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// How the channels that a scan may have are made. Private to render.
+// Computes the optional channels of a scan. Private to render.
 #pragma once
 
 #include <span>
@@ -14,20 +14,21 @@ namespace relidar {
 
 struct Rendering;
 
-/// A ray of less weight met nothing that has a range.
+/// A ray with a smaller weight counts as having hit nothing.
 inline constexpr float kMinWeight = 1e-3f;
-/// Name of the channel that ray-drop networks read too.
+/// Name of a channel that ray-drop networks also read.
 inline constexpr const char* kIncidence = "incidence";
 
 /// Returns whether any of the channels needs the Rendering of the rays.
 bool needs_rendering(const std::vector<ChannelInfo>& wanted);
-/// Adds the channels that are made of single rays.
-/// @param scan  of these rays; image, pose and time are set @param rendering  empty
-/// unless needs_rendering()
+/// Adds the channels that are computed for each traced ray.
+/// @param scan scan of these rays; image, poses and times are set
+/// @param rendering empty unless needs_rendering()
 void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> measured,
                       const Rendering& rendering, const std::vector<ChannelInfo>& wanted);
-/// Adds those that are made of the scan of whole beams, before a network or a seed
-/// changes its drops. What is not known is left out.
+/// Adds the channels that are computed from joined beams. They must be computed before a
+/// network or a random sample changes the drop probabilities. Channels without values are
+/// left out.
 void add_scan_channels(RenderedScan& scan, const SeenByLog& log, const std::vector<ChannelInfo>& wanted);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The one walk over what a scan says of its rays: whoever joins, merges, bins or copies
-// scans goes through it. Private to render.
+// Visits all per-ray arrays of two scans in pairs. All code that joins, merges, bins or
+// copies scans uses these functions. Private to render.
 #pragma once
 
 #include <cstddef>
@@ -13,8 +13,8 @@
 
 namespace relidar {
 
-/// Calls visit(info, values of one, values of the other) for each basic channel that is
-/// rendered; time and ring are the rays' own.
+/// Calls visit(info, values of `from`, values of `to`) for each basic channel that is
+/// rendered. Time and ring are not included, because they belong to the rays.
 template <class Visit>
 void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
     const BasicChannels& basic = basic_channels();
@@ -27,8 +27,8 @@ void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& vis
     visit(basic.instance, from.instance, to.instance);
 }
 
-/// The same for all channels. @param to  has those of `from`, in their order, see
-/// emptied()
+/// Calls visit() for the basic and the optional channels of two scans.
+/// @param to has the channels of `from` in the same order, see emptied()
 template <class Visit>
 void for_each_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
     for_each_basic_pair(from, to, visit);

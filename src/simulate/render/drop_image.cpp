@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Inputs of a ray-drop network, from a rendered scan.
+// Computes the inputs of a ray-drop network from a rendered scan.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-constexpr float kLeastProbability = 1e-4f;  // of either answer: logits stay within 9.2
+// clamps the probabilities of a drop and of a return, so that logits are within 9.2
+constexpr float kLeastProbability = 1e-4f;
 
 float logit(float probability) {
     const float p = std::clamp(probability, kLeastProbability, 1.0f - kLeastProbability);

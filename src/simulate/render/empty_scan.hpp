@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// How every simulated scan begins. Private to render.
+// Creates a scan without measurements. Private to render.
 #pragma once
 
 #include <relidar/simulate/render.hpp>
 
 namespace relidar {
 
-/// A scan of these rays without anything that came back. @param taken  a scan of the same
-/// sweep: when, from where, in what time; none: not known yet. Of its channels there are
-/// no values yet.
+/// Returns a scan of these rays without measurements. Its channels have no values yet.
+/// @param taken a scan of the same sweep, whose times, poses and channel names are
+/// copied; omitted if they are unknown
 inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken = {}) {
     RenderedScan scan;
     scan.image.rows = rays.rows;

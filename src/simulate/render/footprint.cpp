@@ -13,24 +13,25 @@
 namespace relidar {
 namespace {
 
-constexpr float kDarkest = 1e-3f;  // weight of a part that returns no light at all: its range still counts
+// least weight of a sub-ray; the range of a sub-ray with intensity 0 still counts
+constexpr float kDarkest = 1e-3f;
 
-/// Two directions at right angles to a third and to each other.
+/// Returns two unit vectors that are perpendicular to a direction and to each other.
 std::pair<glm::dvec3, glm::dvec3> across(const glm::dvec3& direction) {
     const glm::dvec3 helper = std::abs(direction.z) < 0.9 ? glm::dvec3(0, 0, 1) : glm::dvec3(1, 0, 0);
     const glm::dvec3 left = glm::normalize(glm::cross(helper, direction));
     return {left, glm::cross(direction, left)};
 }
 
-/// Parts of one footprint that are one return.
+/// Sub-rays of a footprint that form one return.
 struct Group {
-    std::vector<std::size_t> parts;  ///< indices into the scan of parts, by range
+    std::vector<std::size_t> parts;  ///< indices into the scan of sub-rays, sorted by range
     float light = 0.0f;              ///< sum of intensities
 };
 
-/// Whether parts lie on one plane: then 1 / range is linear in their offsets. A surface
-/// met at a grazing angle has far apart ranges in one footprint and is one return all the
-/// same. Four parameters' worth of parts or fewer prove nothing.
+/// Returns true if the hits of sub-rays lie on one plane, so that 1 / range is linear in
+/// their offsets. Such a surface is one return even if its ranges differ much at a
+/// grazing angle. With fewer than five sub-rays the test is not significant.
 bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m, std::size_t first,
                   const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
@@ -51,10 +52,11 @@ bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float
     });
 }
 
-/// Joins neighbouring groups that lie on one plane.
+/// Joins consecutive groups that lie on the same plane.
 void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    // the longest run first: all of them, where all are one surface
+    // Tries the longest sequence first. If all groups belong to one surface, the first
+    // try joins all of them.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             Group joined;
@@ -88,7 +90,7 @@ std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first,
     return groups;
 }
 
-/// Mean of values over the parts of a group, by their light.
+/// Returns the mean of values over the sub-rays of a group, weighted by intensity.
 float mean_of(const Group& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
     for (const std::size_t i : group.parts)
@@ -102,18 +104,18 @@ float sum_of(const Group& group, const std::vector<float>& values) {
     return sum;
 }
 
-/// Of n values from the first on.
+/// Returns the mean of n values, starting at `first`.
 float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
     float sum = 0.0f;
     for (std::size_t i = first; i < first + std::size_t(n); ++i) sum += values[i];
     return sum / static_cast<float>(n);
 }
 
-/// Light that a second return needs, over the strongest's: receivers tell echoes apart
-/// down to about a tenth of the main one.
+/// Least intensity of a second return relative to the strongest one. Receivers separate
+/// echoes down to about a tenth of the main echo.
 constexpr double kSecondReturnShare = 0.1;
 
-/// Which group is the second return, or none.
+/// Returns the group that is the second return, or null.
 const Group* second_of(const std::vector<Group>& groups, const Group& strongest) {
     const Group* second = nullptr;
     if (&strongest != &groups.back()) {
@@ -125,7 +127,7 @@ const Group* second_of(const std::vector<Group>& groups, const Group& strongest)
     return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
 }
 
-/// The joined scan, to which rays are added one by one.
+/// Builds the joined scan ray by ray.
 class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
@@ -157,7 +159,8 @@ public:
                                                                           : sum_of(strongest, of_parts) /
                                                                                 static_cast<float>(n));
                           }
-                          // parts go outwards from the middle
+                          // Sub-rays are ordered from the centre outwards, so the
+                          // smallest index is the nearest to the centre.
                           of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
                       });
         if (scan_.second_returns.empty()) return;

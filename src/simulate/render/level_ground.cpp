@@ -13,22 +13,23 @@ namespace relidar {
 namespace {
 
 constexpr double kCell_m = 2.0;
-constexpr double kLayer_m = 0.25;   // above the lowest point of a cell
-constexpr double kFlat_m = 0.1;     // root mean square about the plane
-constexpr double kSteepest = 0.25;  // rise over run
-constexpr double kFewest = 6.0;     // points that tell a plane
-// points of a narrower strip do not tell how the ground tilts across it: it is level
-// there
+constexpr double kLayer_m = 0.25;   // height of candidates above the lowest point of a cell
+constexpr double kFlat_m = 0.1;     // largest root mean square distance to the plane
+constexpr double kSteepest = 0.25;  // largest slope, rise over run
+constexpr double kFewest = 6.0;     // least number of points for a plane
+// Points of a narrower strip do not determine the slope across the strip. The slope is
+// then 0 in that direction.
 constexpr double kWidth_m = 0.2;
 
-/// Points of a cell: the lowest height, and sums of 1, x, y, z and their products from
-/// there on. From the sensor, world axes.
+/// Statistics of the points in a cell: the lowest height, and for points near that height
+/// the number and the sums of x, y, z and of their products. Points are relative to the
+/// sensor, along the axes of the world.
 struct Cell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
-    glm::dvec3 sum{0.0};       // x, y, z
-    glm::dvec3 squares{0.0};   // xx, xy, yy
-    glm::dvec2 products{0.0};  // xz, yz
+    glm::dvec3 sum{0.0};       // sums of x, y, z
+    glm::dvec3 squares{0.0};   // sums of xx, xy, yy
+    glm::dvec2 products{0.0};  // sums of xz, yz
 
     void add(const glm::dvec3& p) {
         n += 1.0, zz += p.z * p.z, sum += p;
@@ -43,7 +44,7 @@ using Cells = std::unordered_map<std::uint64_t, Cell>;
 
 std::uint64_t key_of(const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kCell_m); }
 
-/// z = height + slope . (x, y)
+/// Plane z = height + slope . (x, y).
 struct GroundPlane {
     double height_m = 0.0;
     glm::dvec2 slope{0.0};
@@ -61,14 +62,14 @@ GroundPlane fit_plane(const Cell& c) {
     const glm::dvec2 right = c.products / c.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    // what the plane leaves of the variance, and a little for the ridge
+    // variance that the plane does not explain, slightly increased by the ridge term
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
 }
 
-/// Points of rays that return from the background below the sensor, from the sensor; NaN
-/// for others.
+/// Returns the points that rays hit on the background below the sensor, relative to the
+/// sensor. Other rays have NaN.
 std::vector<glm::dvec3> points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
@@ -95,7 +96,7 @@ Cells fill_cells(const std::vector<glm::dvec3>& points) {
     return cells;
 }
 
-/// Of a cell and the eight around it.
+/// Fits a plane to the points in the cell of p and in the eight cells around it.
 GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
     Cell together;
     for (int dx = -1; dx <= 1; ++dx)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The ground in a scan, on which water stands; private to render.
+// Detects level ground in a scan, on which water forms a film. Private to render.
 #pragma once
 
 #include <vector>
@@ -10,12 +10,12 @@
 
 namespace relidar {
 
-/// Where the points of the background lie on level ground: in cells of 2 m those within
-/// 0.25 m of the lowest, if with those of the cells around they lie within 0.1 m of a
-/// plane that rises by less than a quarter, below the sensor. What the ground is made of
-/// is not known.
-/// @return [rays] unit normal of the ground, dataset's world; 0 for rays that do not meet
-/// it or do not return
+/// Detects points of the background that lie on level ground below the sensor. In each
+/// cell of 2 m, candidates are the points within 0.25 m of the lowest one. A cell is
+/// ground if the candidates of the 3 x 3 cells around it fit a plane within 0.1 m, and if
+/// the slope of the plane is below 1/4. The material of the ground is not known.
+/// @return [rays] unit normal of the ground in the dataset's world frame; 0 for rays that
+/// do not hit ground or do not return
 std::vector<glm::dvec3> level_ground(const RenderedScan& scan);
 
 }  // namespace relidar

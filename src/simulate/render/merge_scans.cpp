@@ -18,7 +18,9 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
     to.insert(to.end(), from.begin(), from.end());
 }
 
-/// Gives merged scans the channels of one more, so far without anything to say.
+/// Adds the channels of a scan to the merged scan. Rays that were merged before get no
+/// value.
+/// @throws UsageError if a channel has two types
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : emptied(scan.channels)) {
         const auto known =
@@ -38,7 +40,7 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     }
 }
 
-/// What a channel says of second returns.
+/// Appends the values of a channel that belong to second returns.
 void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (size(merged.second) == 0) merged.second = std::vector<T>{};
@@ -49,7 +51,7 @@ void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t firs
     std::visit(add, own.second);
 }
 
-/// The rig, as if it had fired a scan's rays.
+/// Returns a scan with the poses of the rig and the firing times of another scan.
 RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
@@ -61,12 +63,13 @@ RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     return rig;
 }
 
-/// Where a sensor was in the rig's frame when it fired a ray, by where both were then:
-/// between poses a sensor moves along a chord and so does the rig, which is not quite the
-/// same.
+/// Computes the pose of a sensor in the rig's frame at the firing time of a ray. Both
+/// poses are interpolated at this time. A fixed mounting pose would be slightly wrong,
+/// because interpolated positions of sensor and rig move along different chords.
 class RigPoses {
 public:
-    /// @param scan  of the sensor, outlives this
+    /// Prepares the poses of a sensor and its rig.
+    /// @param scan scan of the sensor; must outlive this object
     RigPoses(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
     RigPoses(const RigPoses&) = delete;
@@ -80,11 +83,12 @@ private:
     FiringPoses world_from_rig_, world_from_firing_;
 };
 
-/// @param first_ray  of the scan in the merged one, where the rays are already
+/// Appends the values of all channels of a scan.
+/// @param first_ray index of the scan's first ray in the merged scan
 void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
-        const ChannelInfo& info = channel.info;  // clang 14 captures no structured bindings
+        const ChannelInfo& info = channel.info;  // clang 14 cannot capture structured bindings
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
@@ -98,8 +102,8 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& p
     }
 }
 
-/// Gives scans without second returns none, and rays whose channels say nothing of them
-/// nothing.
+/// Fills missing second returns: ranges and intensities are 0, and channels have no
+/// value.
 void fill_second_returns(RenderedScan& merged) {
     const std::size_t n = merged.image.range_m.size();
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
@@ -109,8 +113,8 @@ void fill_second_returns(RenderedScan& merged) {
                        channel.second);
 }
 
-/// Rays in the rig's frame when each was fired. @param first_ring  number of the scan's
-/// ring 0 in the merged one
+/// Appends the rays of a scan in the frame of the rig at each firing time.
+/// @param first_ring ring number in the merged scan of the scan's ring 0
 void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {
         merged.time_offset_s.push_back(scan.time_offset_s[i]);

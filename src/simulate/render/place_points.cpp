@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The points of a scan on the host. src/CMakeLists.txt compiles this file without fused
-// multiplications and additions, so that positions have the bits of the device's.
+// Computes the points of a scan on the host. src/CMakeLists.txt compiles this file
+// without fused multiply-add, so that positions are bitwise equal to those of the device.
 #include <relidar/simulate/place_points.hpp>
 
 #include <algorithm>
@@ -34,8 +34,8 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
     return returns;
 }
 
-/// The sensor's poses through a scan in the frame of the points; none if each point stays
-/// in the sensor's frame.
+/// Returns the poses of the sensor during a scan, in the frame of the points. Returns
+/// none if each point stays in the sensor's frame.
 std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
                                          const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
@@ -46,7 +46,8 @@ std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
                                double(last_s));
 }
 
-/// See shaders/simulate/render/sensor_way.glsl.
+/// Returns the last pose before a time. Same as in
+/// shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& pose_before(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
     std::size_t k = 0;
     while (k + 2 < poses.size() && poses[k + 1].time_offset_s <= time_offset_s) ++k;

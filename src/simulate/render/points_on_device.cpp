@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of simulate/render/mark_returns and simulate/render/gather_points.
+// Host side of the kernels simulate/render/mark_returns and
+// simulate/render/gather_points.
 #include "simulate/render/points_on_device.hpp"
 
 #include <relidar/log/range_image.hpp>
@@ -19,7 +20,7 @@ PointsOnDevice::PointsOnDevice(Device& device)
 void PointsOnDevice::make_room(Stream& stream, std::size_t n_rays) {
     if (n_rays <= points_.size()) return;
     stream.finish();
-    marks_ = {}, places_ = {}, points_ = {};  // gives their memory back first
+    marks_ = {}, places_ = {}, points_ = {};  // frees the old arrays before allocating larger ones
     marks_ = Array<std::uint32_t, shared::ReturnMarks>(device_, n_rays, "rays that return");
     places_ = Array<std::uint32_t, shared::ReturnPlaces>(device_, n_rays, "places of points");
     points_ = Array<shared::ReturnedPoint>(device_, n_rays, "returned points");

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The points of scans, gathered on the device and read back one scan while another is
+// Computes the points of scans on the device and reads them back while the next scan is
 // rendered. Private to render.
 #pragma once
 
@@ -18,46 +18,49 @@ namespace relidar {
 
 class SensorRays;
 
-/// Of how many rays the share that looks where the log did not is known by: to a percent
-/// or two, in half a millisecond.
+/// Number of rays from which the share of unobserved rays (RenderedScan::unseen_share) is
+/// estimated, with an error of one or two percent.
 inline constexpr std::size_t kAskedRays = 1024;
 
-/// Where points are made, and of what.
+/// Parameters of the computation of points.
 struct PointMaking {
-    const PoseTrack& points_from_sensor;  ///< one pose: the sensor stands
-    double time_s;                        ///< of the sweep
-    bool of_image;  ///< points lie where the image's range says, else on the dominant surface
-    bool refined;   ///< drop probabilities are those of the network
+    /// poses of the sensor in the frame of the points; a single pose if it does not move
+    const PoseTrack& points_from_sensor;
+    double time_s;  ///< time of the sweep
+    bool of_image;  ///< true: points use the range of the image; false: the range of the dominant surface
+    bool refined;   ///< true: uses the drop probabilities of the network
 };
 
 class PointsOnDevice {
 public:
-    /// What the host reads of a scan.
+    /// Memory through which the host reads the points of one scan.
     struct Slot {
         std::optional<Readback> points = {};
         Readback count, asked, capped;
-        std::size_t room = 0;    ///< points
-        std::size_t n_rays = 0;  ///< of its scan
+        std::size_t room = 0;    ///< capacity, in points
+        std::size_t n_rays = 0;  ///< number of rays of the scan
 
         explicit Slot(Device& device);
     };
 
     explicit PointsOnDevice(Device& device);
-    /// Records the points of a scan that has been measured. @param n_capped  see
-    /// ForwardPass::pass_cap_count()
-    /// @return where they go; used again when nobody else holds it
+    /// Records the computation of the points of a measured scan.
+    /// @param n_capped see ForwardPass::pass_cap_count()
+    /// @return slot that receives the points; it is reused when no other owner holds it
     std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& how,
                                  const Array<std::uint32_t>& n_capped);
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        std::span<const float> asked_m;  ///< ranges of dominant surfaces of the rays asked_ray()
+        std::span<const float> asked_m;  ///< ranges of the dominant surfaces of the rays asked_ray()
         std::uint32_t n_capped;
     };
-    /// Waits for the points of a slot. @return valid until it is used again
+    /// Waits for the points of a slot.
+    /// @return valid until the slot is reused
     static Gathered wait(Stream& stream, Slot& slot);
-    /// Rays of which a scan says what they meet, whether they return or not. @param k
-    /// below n_asked()
+    /// Returns the index of a sampled ray, whose surface range is read back even if the
+    /// ray does not return.
+    /// @param k index below n_asked()
     static std::size_t asked_ray(std::size_t k, std::size_t n_rays) { return k * n_rays / n_asked(n_rays); }
     static std::size_t n_asked(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
 

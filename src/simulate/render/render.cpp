@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Any pose, time and sensor to a scan: rays of the sensor at their own times, traced,
-// turned into range, intensity and ray-drop.
+// Renders a scan: computes the rays of the sensor at their firing times, traces them, and
+// computes range, intensity and ray-drop.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -26,9 +26,9 @@ namespace relidar {
 
 namespace {
 
-constexpr double kFarthest = 1e10;  // metres of any world, seconds since 1970
+constexpr double kFarthest = 1e10;  // largest coordinate in metres and largest time in seconds since 1970
 
-// M6
+// Drop probability from the two logits of a ray (method.md, M6).
 float drop_probability(const Rendering& r, std::size_t i) {
     return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i]));
 }
@@ -46,7 +46,9 @@ TraceOptions traced_with(const Config& config) {
     return rendering_trace_options(config);
 }
 
-/// @param thing  whose poses they are, for the message
+/// Checks the poses of a sensor or actor.
+/// @param thing name of the object in the error message
+/// @throws DataError if poses or times are invalid
 void check_track(const PoseTrack& track, const std::string& thing) {
     const auto fail = [&](const std::string& found, const char* expected) {
         throw DataError(
@@ -87,7 +89,8 @@ std::vector<Frame> shifted_sweeps(const Sequence& sequence) {
     return sweeps;
 }
 
-/// The rays to cast where they are not those of the sensor: parts of their footprints.
+/// Returns the sub-rays of the beams' footprints, or nothing if each beam has a single
+/// ray.
 /// @throws UsageError for a beam without divergence
 std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config,
                                     const std::string& sensor) {
@@ -108,7 +111,7 @@ std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& co
     return split_rays(rays, config.sub_rays, 1e-3 * config.divergence_mrad);
 }
 
-/// Puts what was measured into the arrays of a scan.
+/// Copies the measurements of the rays to the arrays of a scan.
 void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured) {
     const std::size_t n = measured.size();
     for (std::vector<float>* values : {&scan.image.range_m, &scan.median_range_m, &scan.mean_range_m,
@@ -127,8 +130,8 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Beams of which some parts are within the limits of the sensor, but not what they
-/// measure together.
+/// Drops beams whose joined range is outside the sensor's limits, although some of their
+/// sub-rays are inside.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
@@ -183,7 +186,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 }
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
-    drop_channels(network.inputs);  // refuses inputs that are not rendered
+    drop_channels(network.inputs);  // throws an error for inputs that are not rendered
     impl_->settle();
     impl_->first.refiner.reset();
     for (ScanStrand& strand : impl_->others) strand.refiner.reset();
@@ -276,10 +279,11 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
     return take(sensor, request.time_s, drive(sensor, request), sample);
 }
 
-/// The rays of a sensor on the device, which keeps those of the sensors used last.
+/// Returns the rays of a sensor on the device. The rays of the most recently used sensors
+/// stay there.
 std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, const SensorChoice& sensor,
                                                         const RayTable& table) {
-    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;  // 0.2 GB
+    constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;  // 0.2 GB of device memory
     std::vector<std::shared_ptr<SensorRays>>& known_rays = strand.known_rays;
     const std::string name = fmt::format("{}, LiDAR {}, {}", sensor.name, sensor.lidar, sensor.is_own);
     const auto found =
@@ -288,10 +292,12 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, cons
         std::rotate(known_rays.begin(), found, found + 1);
         return known_rays.front();
     }
-    const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {  // what is in flight keeps its own
+    // rays of a pending scan must not be replaced
+    const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {
         return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
     };
-    auto place = std::ranges::find_if(known_rays, is_free);  // this sensor has other rays in every scan
+    // reuses the entry of a sensor whose rays differ in every scan
+    auto place = std::ranges::find_if(known_rays, is_free);
     if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
     std::rotate(known_rays.begin(), place, place + 1);
     const std::shared_ptr<SensorRays> rays = known_rays.front();
@@ -304,9 +310,9 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, cons
     return rays;
 }
 
-/// Has the device cast rays of a sensor, each by itself, and measure what comes back;
-/// instances have been moved to where they are.
-/// @param refined  also asks the network
+/// Records the commands that trace the rays of a sensor and measure the returns. The
+/// instances must have been moved to their poses before.
+/// @param refined true to run the ray-drop network too
 ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const SensorChoice& sensor,
                                                     const RayTable& table, double time_s, bool refined) {
     Cast cast{rays_of(strand, sensor, table), sweep.world_from_sensor(sensor.lidar), {}};
@@ -326,8 +332,8 @@ ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const Se
     return cast;
 }
 
-/// What comes back along rays of a sensor, as record() has it; what the network says of
-/// it is not in the scan yet.
+/// Renders the rays of a sensor and waits for the result. The drop probabilities of the
+/// network are not in the scan yet.
 RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s,
                                       bool refined) {
     Renderer& renderer = scene.renderer();
@@ -349,8 +355,8 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     return scan;
 }
 
-/// The scan of whole beams, from one of their parts; beams that meet several surfaces are
-/// cast again in more parts.
+/// Joins the sub-rays of each beam to one return. Beams that hit several surfaces are
+/// rendered again with more sub-rays.
 RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts,
                                       const RayTable& whole, SensorConfig beams) {
     RenderedScan scan = join_footprints(parts, whole, beams);
@@ -369,7 +375,7 @@ RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const Rendered
 bool ScanRenderer::Impl::refines(const ImageOf& image) const {
     if (!first.refiner || first.refiner->network().image != image.name) return false;
     const DropNetwork& network = first.refiner->network();
-    // one of single rays needs no image
+    // A network with one tap processes each ray separately, so it needs no image.
     const int side = network.taps == 1 ? 1 : std::max(2, network.smallest_side());
     return image.rows >= side && image.columns >= side;
 }
@@ -379,37 +385,40 @@ bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable
            (!sensor.grid && refines({whole.rows, whole.columns, sensor.name}));
 }
 
-/// Channels of the scan of the rays: those that were requested, and what a network reads
-/// of scans on the host.
+/// Returns the channels to compute for each ray: the requested channels and those that a
+/// network on the host reads.
 std::vector<ChannelInfo> ScanRenderer::Impl::rendered_channels() const {
     std::vector<ChannelInfo> channels = wanted;
     if (first.refiner && !wants(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
     return channels;
 }
 
-/// Drop probabilities as the network of the run has them.
+/// Replaces the drop probabilities of a scan by those of the run's network, computed on
+/// the host.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
     take_refined(scan,
                  first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m)));
 }
 
-/// Probability that a sensor never sees anything along a ray.
+/// Returns the probability that a sensor never gets a return in a direction.
 float ScanRenderer::Impl::never_seen(const SensorChoice& sensor, std::uint16_t channel,
                                      const glm::vec3& direction) const {
     const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, channel) : std::nullopt;
     return own_beam ? layout.sensor_drop.at(*own_beam, direction) : 0.0f;
 }
 
-/// Between which ranges a sensor sees anything; as far as the log where it does not say.
+/// Returns the range limits of a sensor. A sensor without a maximum range has the maximum
+/// range of the log.
 RangeLimits ScanRenderer::Impl::limits_of(const SensorChoice& sensor) const {
     return {sensor.limits.min_m,
             std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
 }
 
-/// What the water on the ground makes of rays that meet it; empty where the ground is
-/// dry. The scene is traced once more along the rays that it mirrors strongly enough,
-/// each from a little above the ground, which is rougher than a film: what is met below
-/// kLowest_m is the ground itself.
+/// Returns the effects of wet ground on the rays that hit it, or an empty list if the
+/// ground is dry. Rays whose mirror image can outshine the ground are traced again from
+/// the reflection point. They start kLift_m above the ground, because real ground is
+/// rougher than a film of water. Hits below kLowest_m are the ground itself and are
+/// ignored.
 std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     constexpr double kLift_m = 0.1, kLowest_m = 0.3;
     if (weather.wet_mm == 0.0) return {};
@@ -427,7 +436,7 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
         const double albedo = scan.image.intensity[i] / sweep.intensity_response.at_range(range_m);
         wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
         const double mirrors = share * std::pow(mirrored_by_water(cosine), 2);
-        // nothing farther outshines the ground
+        // No mirrored surface at a larger range is brighter than the ground.
         if (scan.second_returns.empty() && mirrors <= wet[i].through_water * albedo) continue;
         wet[i].mirrored = {range_m, 0.0, PointSource::nothing, mirrors};
         const glm::dvec3 foot_m =
@@ -451,8 +460,8 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     return wet;
 }
 
-/// What a sensor makes of a scan in the end: a sample of what is likely, through the
-/// weather, and intensities in the steps that it has.
+/// Converts expected values to measured values: samples the returns, adds weather, and
+/// rounds intensities to the steps of the sensor.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
                                  std::optional<std::uint64_t> sample) {
     const IntensityScatter& own = scatter[std::size_t(sensor.lidar)];
@@ -474,18 +483,20 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
         for (float& intensity : echo.intensity) intensity = own.quantised(intensity);
 }
 
-/// Puts the scene onto the device, around the sensor, and instances where they are; those
-/// that are not shown are left out.
+/// Uploads the scene around the sensor and moves the instances to their poses. Hidden
+/// instances are left out.
 void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s,
                                std::vector<InstancePose> placed) {
-    if (!layout.blocks.empty()) settle();  // another renderer may take this one's place
+    // pending scans must finish, because loading blocks can replace the renderer
+    if (!layout.blocks.empty()) settle();
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && shown[i];
     const glm::vec3 sensor_m(sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
     scene.bring(sensor_m, limits_of(sensor).max_m);
     renderer_of(strand).move(placed, sensor_m);
 }
 
-/// @param placed  instances at their moments
+/// Renders a scan after the path of the sensor was set.
+/// @param placed poses of the instances at the time of the scan
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {
     Impl& s = *impl_;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The part of a scene that is on the device: all of it, or of one in blocks those that
-// rays can reach.
+// Keeps the scene on the device. For a scene in blocks, only the blocks that rays can
+// reach are loaded.
 #pragma once
 
 #include <cstdint>
@@ -17,24 +17,25 @@
 
 namespace relidar {
 
-/// Blocks that a scan needs are brought before it; others stay while they fit into
-/// config.render.memory_mib, and those that were needed longest ago go first. A scene
-/// without blocks is on the device from the start.
+/// Loads the blocks that a scan needs before the scan is rendered. Other blocks stay
+/// loaded while they fit into config.render.memory_mib; the least recently needed ones
+/// are removed first. A scene without blocks is loaded in the constructor.
 class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
 
-    /// Makes sure that all that lies within reach of a sensor is there. @param sensor_m
-    /// [3] world @param reach_m  of its rays
+    /// Loads all blocks within the range of a sensor.
+    /// @param sensor_m [3] position of the sensor, world frame
+    /// @param reach_m maximum range of its rays
     /// @throws DataError as read_blocks()
     void bring(const glm::vec3& sensor_m, double reach_m);
-    /// After bring().
+    /// Returns the renderer of the loaded scene. Call bring() before.
     Renderer& renderer() { return *renderer_; }
-    /// All of a scene without blocks once more, to be rendered in the stream of
-    /// renderer(), which outlives it. Blocks.
-    /// @throws DeviceError where memory is exhausted
+    /// Creates a copy of a scene without blocks. The copy uses the stream of renderer(),
+    /// which must outlive it. Waits until the copy is finished.
+    /// @throws DeviceError if memory is exhausted
     std::unique_ptr<Renderer> copy();
-    /// Of all renderings so far.
+    /// Returns the kernel times of all renderings so far.
     const KernelTimes& times();
 
 private:
@@ -46,13 +47,16 @@ private:
     const RendererOptions options_;
     const double memory_bytes_;
     const bool owns_models_;
-    Scene scene_;  ///< blocks and what is in memory beside them; empty of surfels where there are no blocks
+    Scene scene_;  ///< blocks, and the parts that are always in memory; empty for a scene without blocks
     std::optional<Renderer> renderer_;
-    std::vector<std::size_t> loaded_;         ///< blocks on the device, ascending
-    std::vector<std::uint64_t> last_needed_;  ///< [blocks] number of the scan; 0: never
+    std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order
+    /// [blocks] number of the last scan that needed the block; 0: no scan
+    std::vector<std::uint64_t> last_needed_;
     std::uint64_t scans_ = 0;
     double bytes_per_surfel_ = 0.0;  ///< of the last load
-    KernelTimes past_, times_;       ///< of renderers that are gone; with those of the present one
+    /// `past_`: times of replaced renderers; `times_`: those and the times of the current
+    /// renderer
+    KernelTimes past_, times_;
 };
 
 }  // namespace relidar

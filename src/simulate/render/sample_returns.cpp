@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One scan drawn from the likely ones.
+// Draws a random sample of a scan from its expected values.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-// their random numbers are others than those of drops and ranges
+// makes the random numbers of intensities independent of those of drops and ranges
 constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
@@ -63,7 +63,7 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }
-    // noise spreads nothing
+    // Shifts the mean range like the median, because noise does not change the spread.
     for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);

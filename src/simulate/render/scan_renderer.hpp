@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a ScanRenderer is made of. Private to render.
+// Internal state of ScanRenderer. Private to render.
 #pragma once
 
 #include <algorithm>
@@ -22,27 +22,30 @@
 
 namespace relidar {
 
-inline constexpr int kSideBySide = 4;             // scans on a GPU
-inline constexpr const char* kNative = "native";  ///< image of a network: the rays of a sensor
+inline constexpr int kSideBySide = 4;  // scans that a GPU renders in parallel
+/// image name of a network that corrects the rays of the sensor
+inline constexpr const char* kNative = "native";
 
-/// Points that were asked for.
+/// A scan whose points were requested and not yet collected.
 struct AskedPoints {
-    std::optional<RenderedPoints> ready = {};  ///< made on the host
+    std::optional<RenderedPoints> ready = {};  ///< points, if the host computed them
     std::shared_ptr<SensorRays> rays = {};
-    PoseTrack dataset_from_sensor = {};  ///< one pose where it stands
+    PoseTrack dataset_from_sensor = {};  ///< a single pose if the sensor does not move
     Pose dataset_from_points = {};
     double time_s = 0.0;
-    double max_range_m = 0.0;  ///< of the sensor
-    double step = 0.0;         ///< of intensities, see IntensityScatter
+    double max_range_m = 0.0;  ///< maximum range of the sensor
+    double step = 0.0;         ///< step of intensities, see IntensityScatter
     std::shared_ptr<PointsOnDevice::Slot> points = {};
     Renderer* renderer = nullptr;
 };
 
-/// What scans are rendered with that no other one may use meanwhile. Scans that are
-/// rendered side by side have one each.
+/// Resources that one scan uses exclusively while it is being rendered. Scans that are
+/// rendered in parallel have one ScanStrand each.
 struct ScanStrand {
-    std::unique_ptr<Renderer> copy = {};                  ///< of the scene; null: the scene itself
-    std::vector<std::shared_ptr<SensorRays>> known_rays;  ///< of sensors, the one used last first
+    /// copy of the scene on the device; null: uses the scene itself
+    std::unique_ptr<Renderer> copy = {};
+    /// rays of sensors on the device; the most recently used are first
+    std::vector<std::shared_ptr<SensorRays>> known_rays;
     PointsOnDevice points;
     std::optional<DropRefiner> refiner = {};
 
@@ -51,34 +54,35 @@ struct ScanStrand {
 
 struct ScanRenderer::Impl {
     const Config config;
-    Scene layout;    ///< models, instances and sensor drop; no surfels
-    Sequence sweep;  ///< LiDARs and boxes, no scans; where the vehicle is in the scan that is taken
-    const PoseTrack log_world_from_vehicle;  ///< where it was in the log
+    Scene layout;  ///< models, instances and sensor drop, without surfels
+    /// LiDARs and boxes, no scans; the poses of the vehicle are those of the current scan
+    Sequence sweep;
+    const PoseTrack log_world_from_vehicle;  ///< recorded poses of the vehicle
     const glm::dvec3 first_origin_m;         ///< see first_origin()
-    const std::vector<Frame> sweeps;         ///< of the log that have an azimuth shift; no scans
-    std::vector<ChannelInfo> wanted;         ///< channels
+    const std::vector<Frame> sweeps;         ///< frames of the log that have an azimuth shift, without scans
+    std::vector<ChannelInfo> wanted;         ///< requested channels
     ResidentScene scene;
     std::vector<bool> shown;  ///< [instances]
     Device& device;
     ScanStrand first{device};
-    std::deque<ScanStrand> others = {};  ///< as they are needed
+    std::deque<ScanStrand> others = {};  ///< additional lanes, created when they are needed
     int most_strands = default_side_by_side(device);
-    std::deque<AskedPoints> asked = {};    ///< those asked for first come first
-    std::optional<Strands> together = {};  ///< of scans that were asked for and not sent
-    std::size_t n_together = 0;            ///< of them
+    std::deque<AskedPoints> asked = {};    ///< requested scans, the oldest first
+    std::optional<Strands> together = {};  ///< lanes of scans that were requested and not submitted
+    std::size_t n_together = 0;            ///< number of scans in `together`
     Coverage coverage = {};
     std::vector<IntensityScatter> scatter = std::vector<IntensityScatter>(sweep.lidars.size());
     Weather weather = {};
 
-    /// Where the sweep of a sensor's rays begins. It faces things as its pattern says, or
-    /// as the LiDAR in whose place it stands.
+    /// Returns the time and the start azimuth of a sensor's sweep. Its pattern or the
+    /// LiDAR that it replaces defines the start.
     SweepMoment moment(const SensorChoice& sensor, double time_s) {
         Lidar& lidar = sweep.lidars[std::size_t(sensor.lidar)];
         lidar.pattern = sensor.pattern;
         return {time_s, sensor.lidar, find_start(sensor.rays, lidar)};
     }
-    /// Rays of a scan if they are not those of the sensor: made for this scan, or all
-    /// fired at its time.
+    /// Returns the rays of a scan if they differ from the sensor's table. Either a
+    /// pattern generates them for this scan, or all rays are fired at the scan's time.
     std::optional<RayTable> rays_of_scan(const SensorChoice& sensor, double time_s) const {
         const bool makes_rays = sensor.pattern && sensor.rays.size() == 0,
                    rolls = has_rolling_shutter(sensor, config);
@@ -87,7 +91,7 @@ struct ScanRenderer::Impl {
         if (!rolls) std::ranges::fill(rays.time_offset_s, 0.0f);
         return rays;
     }
-    /// Sub-rays and returns of a sensor.
+    /// Returns the configuration with the sub-rays and returns of a sensor.
     SensorConfig config_of(const SensorChoice& sensor) const {
         SensorConfig result = config.sensor;
         if (sensor.returns > 0) result.returns = sensor.returns;
@@ -97,25 +101,26 @@ struct ScanRenderer::Impl {
     Renderer& renderer_of(const ScanStrand& strand) { return strand.copy ? *strand.copy : scene.renderer(); }
     std::shared_ptr<SensorRays> rays_of(ScanStrand& strand, const SensorChoice& sensor,
                                         const RayTable& table);
-    /// Rays of a sweep that the device has been told to trace and to measure.
+    /// Rays of a sweep whose tracing and measuring was recorded.
     struct Cast {
         std::shared_ptr<SensorRays> rays;
-        PoseTrack track;  ///< of the sensor, one pose where it stands
-        Pose pose;        ///< at the time of the sweep
+        PoseTrack track;  ///< poses of the sensor; a single pose if it does not move
+        Pose pose;        ///< pose of the sensor at the time of the sweep
     };
     Cast record(ScanStrand& strand, const SensorChoice& sensor, const RayTable& table, double time_s,
                 bool refined);
     RenderedScan cast(const SensorChoice& sensor, const RayTable& table, double time_s, bool refined = false);
     RenderedScan join(const SensorChoice& sensor, const RenderedScan& parts, const RayTable& whole,
                       SensorConfig beams);
-    /// An image that a network may look at: rays of any sensor ("native") or cells of a
-    /// grid.
+    /// Image that a network can process: the rays of any sensor ("native") or the cells
+    /// of a grid.
     struct ImageOf {
         int rows, columns;
         std::string name;
     };
     bool refines(const ImageOf& image) const;
-    /// Whether the network looks at the scan as the sensor's rays take it.
+    /// Returns true if the network corrects the rays of the sensor, before they are
+    /// binned into a grid.
     bool refines_rays(const SensorChoice& sensor, const RayTable& whole) const;
     bool gathers_points(const SensorChoice& sensor, bool sampled) const;
     void bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s,
@@ -143,12 +148,12 @@ struct ScanRenderer::Impl {
     std::vector<WetRay> wet_rays(const RenderedScan& scan);
     void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
                  std::optional<std::uint64_t> sample);
-    /// Where instances are in a sweep. @param actors  where they are; null: where the
-    /// run's tracks have them
+    /// Returns the poses of the instances in a sweep.
+    /// @param actors poses of the actors; null: the tracks of the run give the poses
     std::vector<InstancePose> place(const SweepMoment& now, const ActorPoses* actors = nullptr) {
         return actors ? place_instances(layout, sweep, now, *actors) : place_instances(layout, sweep, now);
     }
-    /// The vehicle is where it has to be for the sensor to be here.
+    /// Sets the poses of the vehicle so that the mounted sensor has the given poses.
     void drive(PoseTrack world_from_sensor, const SensorChoice& sensor) {
         const Pose& vehicle_from_sensor = sweep.lidars[std::size_t(sensor.lidar)].vehicle_from_sensor;
         sweep.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(vehicle_from_sensor));

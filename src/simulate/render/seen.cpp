@@ -9,7 +9,7 @@
 namespace relidar {
 namespace {
 
-constexpr float kSeen = 0.5f;  // of a ray's way
+constexpr float kSeen = 0.5f;  // least observed share of a ray's path for an observed ray
 
 bool looks_elsewhere(float share) { return share < kSeen; }
 
@@ -18,8 +18,8 @@ LookingRay looking_ray(const RenderedScan& scan, std::size_t i) {
             scan.median_range_m[i]};
 }
 
-/// Share of its way, to what it meets or to the end of its range, along which rays of the
-/// log have looked.
+/// Returns the share of a ray's path that the log observed. The path ends at the surface
+/// that the ray hits, or at the maximum range.
 float seen_share(const LookingRay& ray, const SeenByLog& log) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= log.world_offset_m;

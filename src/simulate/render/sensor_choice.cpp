@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which sensor to simulate, and the grid convention of published results: real points are
-// binned into a linear image of elevation by azimuth, so a faithful simulation bins the
-// simulated points of the real beams the same way.
+// Selects the sensor to simulate. Also implements the grid convention of published
+// results: the dataset bins real points into an image with linear elevation and azimuth.
+// A simulation bins the simulated points of the real beams in the same way.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -20,19 +20,19 @@ namespace relidar {
 
 namespace {
 
-constexpr float kLeastWeight = 0.05f;  ///< a simulated ray that met less than this has no point to bin
+constexpr float kLeastWeight = 0.05f;  ///< a simulated ray with a smaller weight has no point to bin
 
 RangeLimits configured_limits(const Config& config, const Sequence& sequence) {
     return {config.dataset.min_range_m, with_farthest(config, sequence).dataset.max_range_m};
 }
 
-/// None for a sensor that has other rays in every scan.
+/// Returns the rays of a sensor, or none if its rays differ in every scan.
 template <class Make>
 RayTable rays_of(const std::optional<SensorPattern>& pattern, const Make& make) {
     return pattern && describe_pattern(*pattern).has_rays_by_time ? RayTable{} : make();
 }
 
-/// Of the log's own sensor.
+/// Returns true if the LiDARs of the log have a rolling shutter.
 bool rolls_like_log(const Config& config, const Sequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
@@ -72,7 +72,7 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
     return choice;
 }
 
-/// The cell takes what the ray says, but for drops.
+/// Copies all values of a ray to a cell, except drop probabilities.
 void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
     const glm::vec3 &origin = from.image.origin[source], &direction = from.image.direction[source];
     for_each_pair(
@@ -88,7 +88,8 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     to.time_offset_s[cell] = from.time_offset_s[source];
 }
 
-/// A cell is dropped where all rays in it are.
+/// Sets the drop probability of a cell to the smallest of its rays, so that a cell is
+/// dropped only if all its rays are.
 void join_drops(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
     for_each_pair(
         from, to,
@@ -161,7 +162,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
                       of_cells.assign(n, nothing_of<T>(channel));
                   });
     result.time_offset_s.assign(n, 0.0f);
-    std::vector<float> winner_drop(n, 2.0f);  // of the ray that owns a cell so far; 2 = none
+    // drop probability of the ray that a cell currently stores; 2 = none
+    std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;
         const glm::vec3 point = scan.image.origin[i] + scan.median_range_m[i] * scan.image.direction[i];

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of simulate/render/fire_rays, simulate/render/measure_rays and
-// simulate/render/drop_channels.
+// Host side of the kernels simulate/render/fire_rays, measure_rays and drop_channels.
 #include "simulate/render/sensor_rays.hpp"
 
 #include <algorithm>
@@ -19,11 +18,12 @@
 namespace relidar {
 namespace {
 
-/// Whether two tables have the same values. For each scan some megabytes are compared.
+/// Returns true if two tables have the same values. Compares in parallel, because the
+/// tables of a scan have several megabytes.
 template <class Values>
 bool same_bytes(const Values& a, const Values& b) {
     if (a.size() != b.size()) return false;
-    constexpr std::size_t kPart = 1 << 14;  // values
+    constexpr std::size_t kPart = 1 << 14;  // values per parallel block
     std::atomic<bool> same{true};
     for_each_part(a.size(), kPart, [&](std::size_t begin, std::size_t end) {
         if (same && std::memcmp(&a[begin], &b[begin], (end - begin) * sizeof(a[0])) != 0) same = false;
@@ -134,7 +134,7 @@ void SensorRays::take(const RayTable& rays, const std::string& sensor,
                   .channel = rays.channel[i]};
     });
     if (all.size() > rays_.size()) {
-        rays_ = {}, fired_ = {}, measured_ = {};  // gives their memory back first
+        rays_ = {}, fired_ = {}, measured_ = {};  // frees the old arrays before allocating larger ones
         rays_ = Array<shared::SensorRay>(device_, all.size(), "rays of a sensor");
         fired_ = Array<shared::DeviceRay>(device_, all.size(), "rays of a sensor in the world");
         measured_ = Array<shared::MeasuredRay>(device_, all.size(), "measured rays");

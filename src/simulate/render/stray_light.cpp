@@ -15,18 +15,19 @@
 namespace relidar {
 namespace {
 
-// its random numbers are others than those of the weather
+// makes the random numbers of stray light independent of those of the weather
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
 constexpr double kSpread = 3.0;       // standard deviation of ln X
-constexpr double kNearest_deg = 0.5;  // nearer is the reflector itself, blurred by its beam
+constexpr double kNearest_deg = 0.5;  // at smaller angles the beam itself hits the reflector
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;
 
-/// Rays that look into one square degree, and those of them that meet a reflector.
+/// Counts the rays in a cell of one square degree, and those of them that hit a
+/// reflector.
 struct Square {
     int rays = 0, reflectors = 0;
-    glm::dvec3 direction{0.0};  // sums over reflectors
+    glm::dvec3 direction{0.0};  // sum over the rays that hit reflectors
     double range_m = 0.0;
 };
 struct Reflector {
@@ -62,7 +63,8 @@ std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Without X and bloom.
+/// Returns the stray light of the reflectors in a direction, before it is multiplied by X
+/// and bloom.
 Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
     std::vector<double> share;
     std::size_t most = 0;

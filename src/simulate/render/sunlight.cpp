@@ -9,7 +9,7 @@
 namespace relidar {
 namespace {
 
-constexpr float kHidesSun = 0.5f;  // accumulated alpha of what is before the sun
+constexpr float kHidesSun = 0.5f;  // accumulated alpha from which surfaces hide the sun
 
 }  // namespace
 

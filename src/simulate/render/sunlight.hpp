@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Which rays look how near to the sun; private to render.
+// Computes the angles between rays and the sun. Private to render.
 #pragma once
 
 #include <vector>
@@ -9,13 +9,14 @@
 
 namespace relidar {
 
-/// Towards the sun, dataset's world. @return [3] unit
+/// Returns the direction towards the sun in the dataset's world frame.
+/// @return [3] unit vector
 glm::dvec3 direction_of(const Sun& sun);
 
-/// Angles between the rays of a scan and the sun. @param renderer  of the scene as it is
-/// at the scan
-/// @return [rays] radians; empty where there is no sun, and where the scene hides it from
-/// the sensor
+/// Returns the angles between the rays of a scan and the sun.
+/// @param renderer renderer of the scene at the time of the scan
+/// @return [rays] radians; empty without a sun, or if the scene hides the sun from the
+/// sensor
 std::vector<float> angles_from_sun(const RenderedScan& scan, const Sun& sun, const glm::dvec3& world_offset_m,
                                    Renderer& renderer);
 

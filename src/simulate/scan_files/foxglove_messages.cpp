@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moments as messages of Foxglove's schemas in protobuf, with the descriptors that a
-// reader decodes them by.
+// Converts moments to messages with Foxglove's protobuf schemas, and writes the
+// descriptors that readers need to decode them.
 #include "recording_format.hpp"
 
 #include <initializer_list>
@@ -16,7 +16,7 @@ namespace {
 
 using protozero::pbf_writer;
 
-/// Types of fields, by their numbers in descriptor.proto.
+/// Field types with their numbers in descriptor.proto.
 enum Type {
     kDouble = 1,
     kInt64 = 3,
@@ -33,7 +33,7 @@ struct Field {
     int number;
     const char* name;
     Type type;
-    const char* type_name = "";  ///< of messages and enumerations
+    const char* type_name = "";  ///< type of a message or enumeration
     bool repeated = false;
 };
 struct MessageType {
@@ -42,15 +42,15 @@ struct MessageType {
 };
 struct EnumType {
     const char* name;
-    std::initializer_list<const char*> values;  ///< from 0
+    std::initializer_list<const char*> values;  ///< names of the values 0, 1, ...
 };
 
 constexpr const char *kTimestamp = ".google.protobuf.Timestamp", *kDuration = ".google.protobuf.Duration";
 constexpr const char *kPose = ".foxglove.Pose", *kVector = ".foxglove.Vector3",
                      *kQuaternion = ".foxglove.Quaternion";
 
-/// Primitives that are never written are there without their fields: readers want to find
-/// the lists empty.
+/// Primitives that are never written have no fields. They are declared because readers
+/// expect the (empty) lists of them.
 const std::initializer_list<MessageType> kMessages = {
     {"Vector3", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}}},
     {"Quaternion", {{1, "x", kDouble}, {2, "y", kDouble}, {3, "z", kDouble}, {4, "w", kDouble}}},
@@ -113,13 +113,13 @@ const std::initializer_list<EnumType> kEnums = {
     {"SceneEntityDeletionType", {"MATCHING_ID", "ALL"}},
 };
 
-/// Seconds and nanoseconds, both of google.protobuf.
+/// Types of google.protobuf with seconds and nanoseconds.
 const std::initializer_list<MessageType> kTimes = {
     {"Timestamp", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
     {"Duration", {{1, "seconds", kInt64}, {2, "nanos", kInt32}}},
 };
 
-constexpr int kOptional = 1, kRepeated = 3;  // labels of fields
+constexpr int kOptional = 1, kRepeated = 3;  // labels of fields in descriptor.proto
 
 std::string field_descriptor(const Field& field) {
     std::string bytes;
@@ -196,7 +196,7 @@ std::string pose_message(const Pose& pose) {
     return bytes;
 }
 
-/// Numbers of foxglove.NumericType.
+/// Values of foxglove.NumericType.
 enum Numeric { kUint8 = 1, kUint16 = 3, kInt32Number = 6, kFloat32 = 7 };
 struct PointField {
     std::string name;
@@ -207,7 +207,7 @@ const PointField kPointFields[] = {{"x", 0, kFloat32},     {"y", 4, kFloat32},
                                    {"z", 8, kFloat32},     {"intensity", 12, kFloat32},
                                    {"time", 16, kFloat32}, {"instance", 20, kInt32Number},
                                    {"ring", 24, kUint16},  {"return", 26, kUint8}};
-// a multiple of 4, so that floats lie where processors like them; channels come behind
+// bytes per point: a multiple of 4, so that floats are aligned; channels follow
 constexpr std::uint32_t kStride = 28;
 
 std::vector<PointField> fields_of(const Points& cloud) {
@@ -229,7 +229,7 @@ std::string point_bytes(const Points& cloud) {
             append(bytes, cloud.instance[i]);
         append(bytes, cloud.ring[i]);
         append(bytes, cloud.return_number.empty() ? std::uint8_t(1) : cloud.return_number[i]);
-        append(bytes, std::uint8_t(0));  // to a multiple of 4
+        append(bytes, std::uint8_t(0));  // padding to a multiple of 4 bytes
         append_row(bytes, cloud.channels, i);
     }
     return bytes;
@@ -255,7 +255,7 @@ std::string points(const Points& cloud, const std::string& frame) {
     return bytes;
 }
 
-/// A foxglove.FrameTransforms of one.
+/// Returns a foxglove.FrameTransforms message with one transform.
 std::string frame_transform(std::uint64_t time_ns, const std::string& parent, const std::string& child,
                             const Pose& parent_from_child) {
     std::string all, bytes;
@@ -274,7 +274,7 @@ std::string box(const RecordedActor& actor) {
     pbf_writer writer(bytes);
     writer.add_message(1, pose_message(actor.faced.world_from_box));
     writer.add_message(2, vector(actor.size_m));
-    // a translucent orange, so that points inside are seen
+    // a translucent orange, so that points inside the box are visible
     writer.add_message(3, numbers({1.0, 0.6, 0.1, 0.3}));
     return bytes;
 }
@@ -287,13 +287,14 @@ std::string key_value(const char* key, const std::string& value) {
     return bytes;
 }
 
-/// "x y z"
+/// Formats a vector as "x y z".
 std::string vector_text(const glm::dvec3& v) { return fmt::format("{:.6g} {:.6g} {:.6g}", v.x, v.y, v.z); }
 
-/// Boxes of the actors, which replace all earlier ones. Each box has a time; velocities
-/// are in the world.
+/// Returns a foxglove.SceneUpdate message with the boxes of the actors. They replace all
+/// earlier boxes. Each box has its own time; velocities are in the world frame.
 std::string boxes(std::uint64_t stamp_ns, const std::vector<RecordedActor>& actors) {
-    constexpr int kAll = 1;  // of SceneEntityDeletionType: who has left since the last scan goes
+    // SceneEntityDeletionType ALL: also removes actors that are no longer present
+    constexpr int kAll = 1;
     std::string bytes, all;
     pbf_writer writer(bytes), deletion(all);
     deletion.add_message(1, timestamp(stamp_ns));
@@ -334,8 +335,9 @@ std::vector<RecordedMessage> moving_transforms(const RecordedMoment& moment) {
     return messages;
 }
 
-/// Once a moment, so that who begins in the middle has them. Lists of messages follow
-/// each other as one list.
+/// Returns the poses of the sensors on the vehicle. They are written once per moment, so
+/// that a player that starts in the middle of the file receives them. Concatenated
+/// protobuf messages are read as one message with all transforms.
 std::vector<RecordedMessage> mountings(const RecordedRig& rig, const RecordedMoment& moment) {
     std::string bytes;
     for (const RecordedSensor& sensor : rig.sensors)

@@ -13,18 +13,19 @@
 namespace relidar::scan_files {
 namespace {
 
-constexpr double kLatest_s = 2147483647.0;  // seconds of a stamp of ROS have 31 bits
-// between poses readers interpolate: a sensor 2 m from the vehicle's origin is 0.03 mm
-// off at 1 rad/s
+constexpr double kLatest_s = 2147483647.0;  // seconds of a ROS stamp have 31 bits
+// Interval of recorded poses. Readers interpolate between poses; for a sensor 2 m from
+// the vehicle's origin the error at 1 rad/s is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
 constexpr double kVelocityStep_s = 0.005;
 
-/// Where a scan's sensor was at a time of the log.
+/// Returns the pose of a scan's sensor at a time of the log.
 Pose sensor_pose(const RenderedScan& scan, double time_s) {
     return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(time_s);
 }
 
-/// @param world_from_thing  by time
+/// Returns the velocity of an object by central differences.
+/// @param world_from_thing returns the pose of the object at a time
 template <class PoseAt>
 Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
     const Twist twist =
@@ -35,21 +36,24 @@ Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
             to_own * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
-/// Some rays of a scan, spread over all of it.
+/// A subset of the rays of a scan, distributed over the full scan.
 class SampledRays {
 public:
     explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        // odd: rows have different columns
+        // an odd step, so that the columns differ between rows
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
-    /// When the ray is fired that passes nearest to a place. @param place_m  by time, the
-    /// dataset's world
+    /// Returns the firing time of the ray that passes nearest to a point.
+    /// @param place_m returns the position of the point at a time, in the dataset's world
+    /// frame
     template <class PlaceAt>
     double faced_at(const PlaceAt& place_m) const {
-        constexpr int kRounds = 3;  // place and sensor move while the head turns there
+        // Fixed-point iterations, because the point and the sensor move while the head
+        // rotates.
+        constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
             const glm::vec3 towards(glm::normalize(inverse(sensor_pose(scan_, time_s)) * place_m(time_s)));
@@ -68,7 +72,8 @@ private:
     std::vector<Ray> rays_;
 };
 
-/// Times of a path's own poses between two times, and every kPoseStep_s.
+/// Adds times between two limits at intervals of kPoseStep_s, and the times of the poses
+/// of a track.
 void add_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
@@ -127,7 +132,8 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
     return moment;
 }
 
-/// @param scan  of the first sensor, whose path is the vehicle's
+/// Returns the poses of the vehicle at the given times.
+/// @param scan scan of the first sensor, whose path defines the path of the vehicle
 std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::vector<double> times_s) {
     std::ranges::sort(times_s);
     const Pose sensor_from_vehicle = inverse(rig().sensors.front().vehicle_from_sensor);
@@ -135,7 +141,8 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
         const std::uint64_t time_ns = stamp(t_s);
-        if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;  // sweeps may overlap
+        // skips times that an overlapping earlier sweep already wrote
+        if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), velocity_of(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
     }
@@ -151,7 +158,8 @@ Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format,
     return points;
 }
 
-/// Boxes of the actors that are present in a scan, in the dataset's world.
+/// Returns the boxes of the actors that are present in a scan, in the dataset's world
+/// frame.
 std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, double stamp_s) const {
     const SampledRays rays(scan);
     std::vector<RecordedActor> actors;

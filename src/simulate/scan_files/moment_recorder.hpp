@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// From scans to what recordings hold of them.
+// Converts scans to the content of recordings.
 #pragma once
 
 #include <cstdint>
@@ -13,25 +13,27 @@
 
 namespace relidar::scan_files {
 
-/// Turns scans into moments, one after the other.
+/// Converts scans to moments, in order of time. A moment is the content of a recording
+/// for scans at the same time.
 class MomentRecorder {
 public:
     explicit MomentRecorder(std::vector<ScanFormat> sensors) : sensors_(std::move(sensors)) {}
     RecordedRig rig() const;
-    /// @param scans  one of each sensor, taken together @throws DataError for times that
-    /// fall or that a file cannot have
+    /// Converts the scans of all sensors at the same time.
+    /// @param scans one scan per sensor
+    /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedMoment take(std::span<const RenderedScan> scans);
-    /// Added to times of the log, whole seconds: times of files begin at 0. Known with
-    /// the first moment.
+    /// Returns the offset in whole seconds that is added to times of the log, because
+    /// times of files are not negative. It is set by the first moment.
     double shift_s() const { return shift_s_.value_or(0.0); }
 
 private:
     struct Sweep {
-        double first_s, last_s;  ///< times of its rays, the log's
+        double first_s, last_s;  ///< firing times of the first and last ray, in the log's time
     };
     std::vector<ScanFormat> sensors_;
     std::optional<double> shift_s_;
-    double last_scan_s_ = 0.0;  ///< the log's
+    double last_scan_s_ = 0.0;  ///< in the log's time
     std::optional<std::uint64_t> last_pose_ns_;
 
     std::uint64_t stamp(double time_s) const;

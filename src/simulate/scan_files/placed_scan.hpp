@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scan with its rays in the frame that its files hold.
+// Transforms the rays of a scan to the frame in which files store them.
 #pragma once
 
 #include <optional>
@@ -19,18 +19,18 @@ namespace relidar::scan_files {
 struct PlacedScan {
     const RenderedScan& scan;
     const ScanFormat& format;
-    int frame;                                 ///< the dataset's number
-    std::vector<glm::vec3> origin, direction;  ///< [n]
-    std::vector<glm::vec3> end_m;              ///< [n] of the rays, see PointsOf::rays
-    std::vector<ScanChannel> channels;         ///< [n] each, the scan's
+    int frame;                                 ///< frame number of the dataset
+    std::vector<glm::vec3> origin, direction;  ///< [n] in the frame of the file
+    std::vector<glm::vec3> end_m;              ///< [n] end points of the rays, see PointsOf::rays
+    std::vector<ScanChannel> channels;         ///< [n] values each, in the frame of the file
     FileNotes notes;
-    std::optional<Pose> dataset_from_points;  ///< see place_points()
+    std::optional<Pose> dataset_from_points;  ///< frame of the points, see place_points()
 
     const RangeImage& image() const { return scan.image; }
 };
 
-/// Calls visit(info, values) for each channel that files hold, in their order; second
-/// returns are range_2 and intensity_2.
+/// Calls visit(info, values) for each channel that files store, in the order of the
+/// files. Second returns are the channels range_2 and intensity_2.
 template <class Visit>
 void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     const RenderedScan& scan = placed.scan;
@@ -53,18 +53,19 @@ void for_each_file_channel(const PlacedScan& placed, Visit&& visit) {
     }
 }
 
-/// Rays in the frame that the format asks for. @param world_from_deskewed  of that of
-/// deskewed rays @param notes  of the files
+/// Transforms the rays of a scan to the frame that the format selects.
+/// @param world_from_deskewed pose of the frame of deskewed points
+/// @param notes metadata of the files
 /// @throws DataError as check_channels()
 PlacedScan place(const RenderedScan& scan, const ScanFormat& format, const Pose& world_from_deskewed,
                  int frame, FileNotes notes = {});
 
-/// Frame of the points that a format asks for, see place_points(). @param
-/// world_from_deskewed  frame of deskewed points
+/// Returns the frame of the points that the format selects, see place_points().
+/// @param world_from_deskewed pose of the frame of deskewed points
 std::optional<Pose> frame_of_points(const ScanFormat& format, const Pose& world_from_deskewed);
-/// All returns.
+/// Returns the points of all returns.
 Points points_of(const PlacedScan& placed);
-/// Of rays that returned.
+/// Returns the number of rays that return.
 std::size_t count_points(const RenderedScan& scan, const Config& config);
 
 }  // namespace relidar::scan_files

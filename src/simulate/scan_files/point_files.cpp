@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Point clouds as files: PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin. PLY
-// and PCD hold the same packed records under different headers; KITTI has neither header
-// nor extra fields. Names and types of fields are those that readers of spinning LiDARs
-// look for: intensity, ring (uint16), time (float32, seconds).
+// Writes point clouds as PLY (binary little-endian), PCD 0.7 (binary) and KITTI .bin. PLY
+// and PCD contain the same packed records after different headers. KITTI has neither a
+// header nor extra fields. Fields have the names and types that readers of spinning
+// LiDARs expect: intensity, ring (uint16), time (float32, seconds).
 #include <relidar/simulate/point_files.hpp>
 
 #include <algorithm>
@@ -19,8 +19,8 @@
 namespace relidar {
 namespace {
 
-/// A field of a record, as both headers call it. (PLY has two names of 16 bits, ushort
-/// and uint16: Open3D reads the second alone.)
+/// A field of a record, with its types in both headers. Of the two PLY names of the
+/// 16-bit type, ushort and uint16, Open3D reads only uint16.
 struct Field {
     std::string name;
     const char* ply_type;
@@ -41,13 +41,14 @@ std::vector<Field> fields_of(const Points& points) {
     return fields;
 }
 
-/// Normals have names of their own in PLY.
+/// Returns the name of a field in PLY, where normals are called nx ny nz.
 std::string ply_name(const std::string& name) {
     for (const char* axis : {"x", "y", "z"})
         if (name == std::string("normal_") + axis) return std::string("n") + axis;
     return name;
 }
 
+/// Checks the lengths of all arrays.
 /// @throws DataError if the length of an array is not the number of points
 void check_lengths(const Points& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
@@ -63,7 +64,7 @@ void check_lengths(const Points& points) {
     check_channels(points.channels, points.size(), "a point cloud");
 }
 
-/// A record a point, in the order of fields_of().
+/// Packs one record per point, with the fields in the order of fields_of().
 std::string packed_records(const Points& points) {
     std::string bytes;
     bytes.reserve(points.size() * 26);
@@ -79,7 +80,7 @@ std::string packed_records(const Points& points) {
     return bytes;
 }
 
-/// "tx ty tz qw qx qy qz"
+/// Formats a pose as "tx ty tz qw qx qy qz".
 std::string viewpoint(const Pose& pose) {
     const glm::dvec3& t = pose.translation;
     const glm::dquat& q = pose.rotation;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Kinds of recordings: a row each.
+// Table of recording formats.
 #pragma once
 
 #include <cstdint>
@@ -19,26 +19,27 @@ struct RecordedMessage {
 };
 struct RecordedTopic {
     std::string name;
-    std::string type;        ///< of its messages
-    std::string definition;  ///< of the type, with all that it is made of
+    std::string type;        ///< message type
+    std::string definition;  ///< definition of the type and of all types that it contains
     std::map<std::string, std::string> metadata;
     std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages;
 };
 
 struct RecordingFormat {
-    const char* name;  ///< in ScanFormat::formats
+    const char* name;  ///< name in ScanFormat::formats
     const char* file;
-    const char* profile;  ///< of the container
+    const char* profile;  ///< MCAP profile of the file
     const char *definition_encoding, *message_encoding;
-    /// records, beside what is said of the rendering
+    /// metadata records, in addition to those of the rendering
     std::map<std::string, std::map<std::string, std::string>> metadata;
-    /// messages of one time are logged in the order of the topics
+    /// Returns the topics. Messages with the same time are written in the order of the
+    /// topics.
     std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
 std::span<const RecordingFormat> recording_formats();
 
-/// Topics of Foxglove's schemas in protobuf, and of ROS 2 in CDR.
+/// Return the topics with Foxglove's schemas in protobuf, and with ROS 2 messages in CDR.
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig);
 

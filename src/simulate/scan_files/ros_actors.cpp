@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors' boxes as vision_msgs/Detection3DArray and as Autoware's tracked objects.
+// Writes the boxes of actors as vision_msgs/Detection3DArray and as tracked objects of
+// Autoware.
 #include "ros_parts.hpp"
 
 #include <algorithm>
@@ -10,14 +11,16 @@ namespace {
 
 using Actors = std::vector<RecordedActor>;
 
-/// Each box has the time in its own header at which the sensor faces it.
+/// Returns a message with one detection per actor. The header of each detection has the
+/// time at which the sensor faces the box.
 std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     Cdr cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
-        cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);  // one hypothesis, certain
+        // a single hypothesis with a score of 1
+        cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);
         add_pose(cdr, actor.faced.world_from_box), add_covariance(cdr);
         add_pose(cdr, actor.faced.world_from_box), add_vector(cdr, actor.size_m);
         cdr.add_text(actor.name);
@@ -25,8 +28,8 @@ std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     return cdr.take();
 }
 
-/// Numbers of autoware_perception_msgs/ObjectClassification by what names of categories
-/// have in them, those that others contain first.
+/// Labels of autoware_perception_msgs/ObjectClassification for words in the names of
+/// categories. The first match is used, so a word precedes the words that are part of it.
 struct Label {
     const char* word;
     std::uint8_t number;
@@ -45,8 +48,8 @@ std::uint8_t label_of(std::string category) {
     return found == std::end(kLabels) ? kUnknown : found->number;
 }
 
-/// 16 bytes that are the same for a name in every file: two FNV-1a hashes, marked as a
-/// UUID of one's own making (version 8).
+/// Adds a UUID that depends only on a name, so that it is the same in all files. It
+/// consists of two FNV-1a hashes and has the version for custom UUIDs (8).
 void add_uuid(Cdr& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
@@ -62,8 +65,8 @@ void add_uuid(Cdr& cdr, const std::string& name) {
     }
 }
 
-/// One time for all boxes, because objects have none of their own: the stamp. Their
-/// velocities take them to other times.
+/// Returns a message with all boxes at the time of the stamp, because an object in this
+/// message has no time. Readers can extrapolate with the velocities.
 std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     Cdr cdr;
@@ -71,13 +74,13 @@ std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid(cdr, actor.name);
-        // it exists, and is that
+        // existence and classification have a probability of 1
         cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);
         add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
         add_velocity(cdr, actor.at_stamp.velocity);
-        add_velocity(cdr, {});  // its acceleration, which is not known
+        add_velocity(cdr, {});  // the acceleration is unknown
         cdr.add(kOrientationAvailable).add(std::uint8_t(actor.is_parked));
-        cdr.add(kBoundingBox).add(std::uint32_t(0));  // no footprint of its own
+        cdr.add(kBoundingBox).add(std::uint32_t(0));  // an empty footprint
         add_vector(cdr, actor.size_m);
     }
     return cdr.take();

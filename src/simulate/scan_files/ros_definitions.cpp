@@ -71,7 +71,7 @@ const std::map<std::string, std::string>& known_types() {
     return types;
 }
 
-/// Types that fields are of, but for numbers and texts.
+/// Returns the message types of fields. Numbers and strings are left out.
 std::vector<std::string> types_in(const std::string& fields) {
     std::vector<std::string> types;
     std::istringstream lines(fields);

@@ -1,15 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fields of the types of ROS 2 that recordings hold.
+// Definitions of the ROS 2 message types in recordings.
 #pragma once
 
 #include <string>
 
 namespace relidar::scan_files {
 
-/// Of a type, followed by those of all that it is made of, as a reader decodes messages
-/// by them.
-/// @param type  as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry", one of those that are
-/// known here
+/// Returns the fields of a message type, followed by the definitions of all types that it
+/// contains. Readers need this text to decode messages.
+/// @param type a type such as "nav_msgs/msg/Odometry" or "nav_msgs/Odometry" that this
+/// file defines
 std::string ros_definition(const std::string& type);
 
 }  // namespace relidar::scan_files

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parts that messages of ROS 2 share.
+// Parts of ROS 2 messages that several topics use.
 #pragma once
 
 #include <cstdint>
@@ -10,8 +10,9 @@
 
 namespace relidar::scan_files {
 
-constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // a second
-constexpr int kCovariance = 36;  // numbers of a covariance: 0 where nothing is uncertain
+constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // nanoseconds per second
+// numbers in a covariance; all are 0, because poses and velocities are exact
+constexpr int kCovariance = 36;
 
 inline void add_time(Cdr& cdr, std::uint64_t time_ns) {
     cdr.add(std::int32_t(time_ns / kNanoseconds)).add(std::uint32_t(time_ns % kNanoseconds));
@@ -21,7 +22,7 @@ inline void add_header(Cdr& cdr, std::uint64_t stamp_ns, const std::string& fram
 }
 
 inline void add_vector(Cdr& cdr, const glm::dvec3& v) { cdr.add(v.x).add(v.y).add(v.z); }
-/// A pose, or a transform.
+/// Adds a pose or a transform.
 inline void add_pose(Cdr& cdr, const Pose& pose) {
     add_vector(cdr, pose.translation);
     cdr.add(pose.rotation.x).add(pose.rotation.y).add(pose.rotation.z).add(pose.rotation.w);
@@ -34,12 +35,12 @@ inline void add_velocity(Cdr& cdr, const Velocity& velocity) {
     add_covariance(cdr);
 }
 
-/// Topics of one sensor's clouds.
+/// Returns the topics with the clouds of one sensor.
 std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t sensor);
-/// Topics of the actors' boxes.
+/// Returns the topics with the boxes of the actors.
 std::vector<RecordedTopic> ros_actor_topics();
-/// A topic of a type, reliably published. @param is_latched  the last message is there
-/// for who comes later
+/// Returns a topic with reliable quality of service.
+/// @param is_latched true if later subscribers receive the last message
 RecordedTopic ros_topic(const std::string& name, const std::string& type,
                         std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,
                         bool is_latched = false);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Clouds as sensor_msgs/PointCloud2.
+// Writes clouds as sensor_msgs/PointCloud2.
 #include "ros_parts.hpp"
 
 #include <algorithm>
@@ -11,25 +11,26 @@ namespace {
 struct RosField {
     std::string name;
     std::uint32_t offset;
-    std::uint8_t type;  ///< a constant of sensor_msgs/PointField
+    std::uint8_t type;  ///< datatype, a constant of sensor_msgs/PointField
 };
 constexpr std::uint8_t kRosUint8 = 2, kRosUint16 = 4, kRosInt32 = 5, kRosUint32 = 6, kRosFloat32 = 7;
-/// By the names of Velodyne's drivers; channels come behind.
+/// Field names of the Velodyne drivers. Channels follow these fields.
 const std::vector<RosField> kPlain = {{"x", 0, kRosFloat32},     {"y", 4, kRosFloat32},
                                       {"z", 8, kRosFloat32},     {"intensity", 12, kRosFloat32},
                                       {"time", 16, kRosFloat32}, {"ring", 20, kRosUint16}};
-/// PointXYZIRCAEDT of Autoware and Nebula.
+/// Point type PointXYZIRCAEDT of Autoware and Nebula.
 const std::vector<RosField> kAutoware = {{"x", 0, kRosFloat32},          {"y", 4, kRosFloat32},
                                          {"z", 8, kRosFloat32},          {"intensity", 12, kRosUint8},
                                          {"return_type", 13, kRosUint8}, {"channel", 14, kRosUint16},
                                          {"azimuth", 16, kRosFloat32},   {"elevation", 20, kRosFloat32},
                                          {"distance", 24, kRosFloat32},  {"time_stamp", 28, kRosUint32}};
 
-/// Nebula's numbers of returns.
+/// Values of `return_type` in Nebula.
 enum ReturnType : std::uint8_t { kLast = 1, kStrongest = 3, kSecondStrongest = 8 };
 
-/// A second return lies behind its first: it is the last; or before it: then the first
-/// was the last, and this the next strongest.
+/// Returns the type of a return. A second return with a larger range than the first is
+/// the last return. Otherwise the first return was also the last, and the second return
+/// is the second strongest.
 ReturnType return_type(const Points& cloud, std::size_t point) {
     const bool second = !cloud.return_number.empty() && cloud.return_number[point] == 2;
     if (!second || point == 0) return kStrongest;
@@ -37,7 +38,8 @@ ReturnType return_type(const Points& cloud, std::size_t point) {
                                                                                            : kSecondStrongest;
 }
 
-/// Angles are those of x y z: azimuth from x to the left, elevation up, radians.
+/// Packs points as PointXYZIRCAEDT. Angles are computed from x y z in radians: azimuth
+/// from the x axis to the left, elevation upwards.
 std::string autoware_points(const Points& cloud) {
     std::string bytes;
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
@@ -58,16 +60,16 @@ std::string plain_points(const Points& cloud) {
     for (std::size_t i = 0; i < cloud.position_m.size(); ++i) {
         append(bytes, cloud.position_m[i]), append(bytes, cloud.intensity[i]);
         append(bytes, cloud.time_offset_s[i]), append(bytes, cloud.ring[i]);
-        append(bytes, std::uint16_t(0));  // to a multiple of 4
+        append(bytes, std::uint16_t(0));  // padding to a multiple of 4 bytes
         append_row(bytes, cloud.channels, i);
     }
     return bytes;
 }
 
-/// What points of a cloud look like.
+/// Layout of the points in a cloud.
 struct PointType {
     const std::vector<RosField>& fields;
-    std::uint32_t step;  ///< without channels
+    std::uint32_t step;  ///< bytes per point without channels
     std::string (*points)(const Points&);
     bool has_channels;
 };
@@ -108,7 +110,7 @@ std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t 
         });
     };
     std::vector<RecordedTopic> topics{of_type(topic, kPlainType)};
-    // its angles are the sensor's
+    // Only in the sensor frame, because azimuth and elevation are relative to the sensor.
     if (!rig.world) topics.push_back(of_type(topic + "_xyzircaedt", kAutowareType));
     return topics;
 }

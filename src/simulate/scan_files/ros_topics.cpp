@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A bag of ROS 2: the tree of frames, the vehicle's motion, the clock, and the topics of
-// sensors and actors.
+// Topics of a ROS 2 bag: transforms, odometry, clock, sensors and actors.
 #include "ros_parts.hpp"
 
 #include <utility>
@@ -12,8 +11,8 @@
 namespace relidar::scan_files {
 namespace {
 
-/// Quality of service as rosbag2 writes it: policies by their numbers in rmw, times
-/// without an end.
+/// Returns quality-of-service settings in the format of rosbag2. Policies are the numbers
+/// of rmw; durations are infinite.
 std::string service_quality(bool is_latched) {
     constexpr int kKeepLast = 1, kReliable = 1, kTransientLocal = 1, kVolatile = 2, kAutomatic = 1;
     constexpr const char* kEndless = "\n    sec: 9223372036\n    nsec: 854775807\n";
@@ -62,7 +61,8 @@ RecordedTopic pose_topic(const char* name, const char* type, std::string (*messa
     });
 }
 
-/// Once a moment, so that who begins in the middle has them.
+/// Returns the topic /tf_static. It is written once per moment, so that a player that
+/// starts in the middle of the file receives the mountings.
 RecordedTopic mounting_topic(const RecordedRig& rig) {
     const auto message = [rig](const RecordedMoment& moment) {
         Cdr cdr;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What scans.json says of one scan, and what is in the way of a new rendering.
+// Entries of scans.json, and removal of an earlier rendering.
 #pragma once
 
 #include <cstddef>
@@ -11,11 +11,14 @@
 
 namespace relidar::scan_files {
 
-/// @param frame  its number @param files  names in the folder @return a JSON object
+/// Returns the entry of a scan in scans.json, a JSON object.
+/// @param frame frame number
+/// @param files names of the scan's files in the folder
 std::string entry_json(int frame, const RenderedScan& scan, std::size_t n_points,
                        const std::vector<std::string>& files);
 
-/// Removes an earlier rendering from a folder, and what a killed one left half written.
+/// Removes the files of an earlier rendering from a folder, including partly written
+/// files of a killed process.
 /// @throws DataError for a file that cannot be removed
 void remove_scans(const std::filesystem::path& folder);
 

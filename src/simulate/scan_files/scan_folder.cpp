@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The folder of a rendering as a whole: what is in the way of a new one, and scans.json.
+// Writes the folder of a rendering: removes the files of an earlier rendering and writes
+// scans.json.
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
@@ -23,8 +24,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSummary = "scans.json";
 
-/// Whether a name is scans.json or frame_<number>.<format>: nobody else's files are taken
-/// for a rendering.
+/// Returns true for scans.json, recordings, and frame_<number>.<format>, so that files of
+/// other programs are never removed.
 bool is_of_rendering(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || std::ranges::any_of(scan_files::recording_formats(), is_named)) return true;
@@ -43,7 +44,8 @@ Json matrix_json(const Pose& pose) {
     return rows;
 }
 
-/// A setting as JSON: numbers and booleans as such, anything else as text.
+/// Converts a setting to JSON. Numbers and booleans keep their type; other values become
+/// strings.
 Json value_json(const std::string& text) {
     const Json value = Json::parse(text, nullptr, false);
     return value.is_number() || value.is_boolean() ? value : Json(text);
@@ -55,7 +57,7 @@ Json settings_json(const Config& config) {
     return json;
 }
 
-/// What arrays of files are called, what they hold and in what unit.
+/// Returns name, unit and meaning of each channel in the files.
 Json channels_json(const std::vector<ChannelInfo>& channels) {
     Json json = Json::object();
     const auto add = [&](const ChannelInfo& channel) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range images as pictures for people.
+// Converts range images to colour pictures.
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
@@ -11,8 +11,9 @@ namespace relidar {
 
 namespace {
 
-constexpr double kPictureAspect = 8.0;  // of one image in a stack
-constexpr float kFarthest_m = 80.0f;    // of the colours, where a scan has returns from farther
+constexpr double kPictureAspect = 8.0;  // ratio of width to height of each image in the stack
+// largest range of the colour scale; larger ranges have the colour of this range
+constexpr float kFarthest_m = 80.0f;
 
 std::vector<float> roots(std::vector<float> values) {
     for (float& v : values) v = std::sqrt(std::max(v, 0.0f));

@@ -40,7 +40,8 @@ ScanRecording::~ScanRecording() {
 void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     if (!std::exchange(has_notes_, true)) {
         McapWriter::Values values(notes_.begin(), notes_.end());
-        values["time_shift_s"] = fmt::format("{}", shift_s);  // added to times of the log
+        // offset from times of the log to times of the file
+        values["time_shift_s"] = fmt::format("{}", shift_s);
         writer_.add_metadata("relidar", values);
     }
     std::vector<std::pair<std::uint16_t, RecordedMessage>> messages;
@@ -49,16 +50,17 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
             messages.emplace_back(channel.id, std::move(message));
     std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
     for (const auto& [channel, message] : messages) {
-        // sweeps may overlap: what is late is logged when it comes
+        // Sweeps can overlap. A message with an earlier time gets the log time of the
+        // previous message, so that log times never decrease.
         last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);
         writer_.add_message(channel, last_logged_ns_, message.bytes);
     }
-    writer_.end_chunk();  // one a moment: what a player shows at a time
+    writer_.end_chunk();  // one chunk per moment, because players display the scans of a moment together
 }
 
 void ScanRecording::finish() {
     writer_.close();
-    // flushes it, and gives it its name
+    // flushes the file and renames it to its final name
     write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
 }
 

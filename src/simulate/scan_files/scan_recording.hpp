@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// One file with all moments of a rendering.
+// Writes all moments of a rendering to one MCAP file.
 #pragma once
 
 #include <cstdint>
@@ -11,20 +11,23 @@
 
 namespace relidar::scan_files {
 
-/// A recording appears under its name when it is finished; until then it lies beside it
-/// under a temporary name.
+/// A recording in the process of writing. It has a temporary name in the same folder
+/// until it is finished.
 class ScanRecording {
 public:
-    /// @param notes  what the file says of itself @throws DataError as all that write
+    /// Creates the file and its topics.
+    /// @param notes metadata of the file
+    /// @throws DataError if the file cannot be written
     ScanRecording(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig,
                   const FileNotes& notes);
-    /// Leaves nothing behind where finish() was not called.
+    /// Removes the temporary file if finish() was not called.
     ~ScanRecording();
     ScanRecording(const ScanRecording&) = delete;
     ScanRecording& operator=(const ScanRecording&) = delete;
 
-    /// @param shift_s  by how much the times of the file are later than the log's, the
-    /// same for all moments
+    /// Adds the messages of a moment.
+    /// @param shift_s offset from times of the log to times of the file; the same for all
+    /// moments
     void add(const RecordedMoment& moment, double shift_s);
     void finish();
 

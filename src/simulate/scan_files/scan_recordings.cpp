@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings of a rendering: their names for sensors, and the files that were asked for.
+// Writes the requested recordings of a rendering, and names sensors in them.
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
@@ -22,8 +22,8 @@ namespace fs = std::filesystem;
 
 bool is_topic_letter(char c) { return std::isalnum(static_cast<unsigned char>(c)) != 0 || c == '_'; }
 
-/// Whether ROS takes a name for a topic: /words/of/letters, digits and _, none of which
-/// begins with a digit.
+/// Returns true for a valid name of a ROS topic: /words/of/letters, digits and _. No word
+/// starts with a digit.
 bool is_topic(const std::string& topic) {
     if (topic.size() < 2 || topic.front() != '/' || topic.back() == '/') return false;
     for (std::size_t i = 1; i < topic.size(); ++i) {
@@ -36,7 +36,8 @@ bool is_topic(const std::string& topic) {
     return true;
 }
 
-/// @throws UsageError where ROS does not take a name, or two sensors share one
+/// Checks the topic and frame names of the sensors.
+/// @throws UsageError if a name is not valid in ROS, or if two sensors have the same name
 void check_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> taken{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
@@ -56,7 +57,8 @@ void check_names(const scan_files::RecordedRig& rig) {
     }
 }
 
-/// @throws UsageError where two topics have one name
+/// Checks that topic names are unique.
+/// @throws UsageError if two topics have the same name
 void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
     std::set<std::string> taken;
     for (const scan_files::RecordedTopic& topic : topics)
@@ -65,7 +67,7 @@ void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
                                          topic.name, fmt::join(taken, ", ")));
 }
 
-/// What a recording says of itself.
+/// Returns the metadata of a recording.
 FileNotes recording_notes(const std::vector<ScanFormat>& sensors) {
     const ScanFormat& format = sensors.front();
     std::vector<std::string> names;

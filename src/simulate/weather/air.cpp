@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Returns of fog, drops and flakes along a ray, and which of them a sensor reports. Fog
-// is a soft target by Rasshofer, Spies and Spies (2011), as Hahner et al. (ICCV 2021) use
-// it; particles are drawn for each beam as in LISA (Kilic et al. 2021) and by Hahner et
-// al. (CVPR 2022). That fog is uneven from stretch to stretch, and how much, is an
-// assumption.
+// Simulates returns of fog, raindrops and snowflakes along a ray, and selects the returns
+// that a sensor reports. Fog is a soft target (Rasshofer, Spies and Spies 2011), as in
+// Hahner et al. (ICCV 2021). Particles are drawn for each beam, as in LISA (Kilic et al.
+// 2021) and Hahner et al. (CVPR 2022). The density of fog varies along a ray; the amount
+// of variation is an assumption.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -18,20 +18,24 @@
 namespace relidar {
 namespace {
 
-constexpr double kStep_m = 0.05;  // of the tables
-// nearer the receiver does not see what the beam lights (Hahner et al. 2021)
+constexpr double kStep_m = 0.05;  // range step of the tables
+// At smaller ranges the receiver does not see the part of the air that the beam
+// illuminates (Hahner et al. 2021).
 constexpr double kOverlap_m = 1.0;
 constexpr double kLight_m_s = 299792458.0;
-// per steradian: beta of fog over its visibility (Rasshofer et al. 2011)
+// backscatter coefficient of fog times its visibility, per steradian (Rasshofer et al.
+// 2011)
 constexpr double kBackscatter = 0.046;
-constexpr double kFogSpread = 1.0;  // standard deviation of ln(beta); an assumption
-constexpr double kRareFog = 5.0;    // standard deviations: thicker fog is too rare to wait for
+// standard deviation of the logarithm of the fog density; an assumption
+constexpr double kFogSpread = 1.0;
+// denser fog than this number of standard deviations is ignored, because it is very rare
+constexpr double kRareFog = 5.0;
 
 double pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
 
 }  // namespace
 
-/// A return that a ray may have, of a power that the sensor sees.
+/// A possible return of a ray, with enough power for the sensor.
 struct Air::Candidate {
     Echo echo;
     double power;
@@ -39,7 +43,8 @@ struct Air::Candidate {
 
 namespace {
 
-/// Which of the returns is the second one.
+/// Returns the second return of a sensor that reports two: the last one, or the next
+/// strongest.
 template <class Candidates>
 Echo second_of(const Candidates& candidates, const Echo& strongest, double separation_m) {
     Echo last, next;
@@ -81,8 +86,9 @@ Air::Air(const Weather& weather, const WeatherSensor& sensor)
 
 double Air::nearest_m() const { return std::max(kOverlap_m, sensor_.min_range_m); }
 
-/// Diameter as water of the smallest particle that is bright enough; infinite where one
-/// that fills the beam is not.
+/// Returns the diameter of the smallest particle that the sensor detects at a range, in
+/// millimetres of liquid water. Returns infinity if even a particle that fills the beam
+/// is too dark.
 double Air::smallest_mm(double range_m) const {
     const double share = sensor_.threshold(range_m) * range_m * range_m * std::exp(2.0 * alpha_ * range_m) /
                          falling_.reflectivity;
@@ -90,7 +96,8 @@ double Air::smallest_mm(double range_m) const {
     return 1e3 * beam_m(range_m) * std::sqrt(share) / falling_.widening;
 }
 
-/// Mean power of fog from a range, by the midpoint rule over the pulse.
+/// Returns the mean power of fog at a range. Integrates over the pulse by the midpoint
+/// rule.
 double Air::fog_power(double range_m) const {
     constexpr int kParts = 32;
     const double width_m = pulse_m(sensor_), part_m = width_m / kParts;
@@ -157,8 +164,9 @@ void Air::add_particles(std::vector<Candidate>& candidates, double free_m, Rando
     }
 }
 
-/// Levels above the weakest power are those of a Gaussian's crests: power^2 = weakest^2 +
-/// 2 sigma^2 E, E exponential.
+/// Adds false returns that noise causes. Their powers follow the local maxima of Gaussian
+/// noise above the weakest detected power: power^2 = weakest^2 + 2 sigma^2 E, where E is
+/// exponentially distributed.
 void Air::add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m,
                     Random& random) const {
     const bool meets_surface = surfaces.strongest.source == PointSource::surface;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Light of the sun in a receiver, as shot noise: of N photo-electrons in a pulse's time
-// sqrt(F N) are noise; and how often noise looks like a return. What a data sheet does
-// not say of a sensor is that of a usual one with avalanche photodiodes at 905 nm, an
-// assumption.
+// Models sunlight in a receiver as shot noise: N photo-electrons during a pulse have a
+// standard deviation of sqrt(F N). Also computes how often noise causes a false return.
+// Parameters that data sheets do not list are those of a typical sensor with avalanche
+// photodiodes at 905 nm; these values are assumptions.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -13,20 +13,22 @@
 namespace relidar {
 namespace {
 
-// W/m^2/nm at 905 nm for 100 klux, direct light of a clear day: an assumption
+// W/m^2/nm at 905 nm per 100 klux of direct light on a clear day; an assumption
 constexpr double kIrradiance = 0.65;
-constexpr double kSun_rad = 4.65e-3;  // radius of its disc
+constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
-// of light one degree off, by 1 / angle^2: 5 % of it in all, a window with dust on it
+// Sunlight that a dusty window scatters by one degree, per steradian. It decreases with 1
+// / angle^2; the total is 5 % of the light.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;
-constexpr double kReceiver_m2 = 1e-3;       // a lens 5 cm wide that passes half
-constexpr double kEfficiency = 0.7;         // electrons per photon
-constexpr double kExcess = 3.0;             // F: an avalanche adds noise
-constexpr double kPeak_W = 75.0;            // of a pulse
-constexpr double kPhoton_J = 2.195e-19;     // 905 nm
-constexpr double kSpeed_m_s = 299792458.0;  // of light
+// effective area of a lens with a diameter of 5 cm and a transmission of one half
+constexpr double kReceiver_m2 = 1e-3;
+constexpr double kEfficiency = 0.7;         // quantum efficiency, electrons per photon
+constexpr double kExcess = 3.0;             // excess noise factor F of an avalanche photodiode
+constexpr double kPeak_W = 75.0;            // peak power of a pulse
+constexpr double kPhoton_J = 2.195e-19;     // energy of a photon at 905 nm
+constexpr double kSpeed_m_s = 299792458.0;  // speed of light
 
 }  // namespace
 
@@ -41,7 +43,7 @@ double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_ra
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
-    // a dull surface spreads by 1 / pi
+    // A diffuse surface scatters a fraction of 1 / pi per steradian.
     const double of_unit_power = kPeak_W * kReceiver_m2 / kPi * sensor.pulse_s * electrons_per_J;
     return std::sqrt(kExcess * n) / of_unit_power;
 }

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Weather as text, and what it takes away: alpha of fog by the definition of visibility,
-// exp(-alpha V) = 0.05; of drops and flakes the sum of their shadows, each of which takes
-// twice its area of light (Q_ext = 2, particles far larger than the wavelength).
+// Reads and writes weather as text, and computes its extinction coefficient alpha. For
+// fog, alpha follows from the definition of visibility V: exp(-alpha V) = 0.05. Raindrops
+// and flakes remove twice the light that their cross section covers (Q_ext = 2), because
+// they are much larger than the wavelength.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -28,14 +29,14 @@ constexpr const char* kExpected =
     "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
 constexpr const char* kSun =
     "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
-constexpr double kUsual_klux = 100.0;  // on a clear day
+constexpr double kUsual_klux = 100.0;  // illuminance on a clear day
 
 struct Kind {
     std::string_view name;
     double Weather::*value;
     double least, most;
     const char* range;
-    double usual = 0.0;  ///< of the word alone; 0: it needs a number
+    double usual = 0.0;  ///< value if the text has no number; 0: a number is required
 };
 constexpr Kind kKinds[] = {
     {"fog", &Weather::fog_visibility_m, 1.0, 1e6, "a visibility of 1 to 1e6 metres"},
@@ -55,7 +56,8 @@ bool is_sun(const Sun& sun) {
     throw UsageError(fmt::format("weather: found {}={}, expected {}", kind.name, found, kind.range));
 }
 
-/// @return nothing where the text is no number
+/// Parses a number.
+/// @return nothing if the text is not a number
 std::optional<double> number_of(std::string_view text) {
     double value = 0.0;
     const char* end = text.data() + text.size();
@@ -86,7 +88,8 @@ std::string sun_text(const Sun& sun) {
     return sun.klux == kUsual_klux ? where : fmt::format("{}:{}", where, sun.klux);
 }
 
-/// @param equals  where the name ends
+/// Parses one word, for example "rain=5".
+/// @param equals position of the equals sign, or the length of the word
 void read_word(Weather& weather, std::string_view word, std::size_t equals) {
     const auto twice = [](std::string_view name) {
         throw UsageError(fmt::format("weather: found {} twice, expected it once", name));
@@ -151,12 +154,12 @@ double extinction(const Weather& weather) {
 }
 
 Particles falling_in(const Weather& weather) {
-    // Marshall and Palmer 1948; a drop mirrors as water does at normal incidence, ((n -
-    // 1) / (n + 1))^2
+    // Drop sizes of Marshall and Palmer (1948). A drop reflects like water at normal
+    // incidence, ((n - 1) / (n + 1))^2.
     if (weather.rain_mm_h > 0.0)
         return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
-    // Gunn and Marshall 1958, of melted diameters; a flake of a tenth of water's density
-    // is wider
+    // Melted diameters of Gunn and Marshall (1958). A flake is wider than its melted
+    // drop, because its density is a tenth of the density of water.
     if (weather.snow_mm_h > 0.0)
         return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
                 2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};

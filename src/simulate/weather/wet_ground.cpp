@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Water on the ground: a smooth film over a dull surface (Lekner and Dorf, "Why some
-// things are darker when wet", Applied Optics 1988).
+// Models water on the ground as a smooth film on a diffuse surface (Lekner and Dorf, "Why
+// some things are darker when wet", Applied Optics 1988).
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -9,11 +9,11 @@
 namespace relidar {
 namespace {
 
-constexpr double kWater = 1.33;      // refractive index, near infrared
+constexpr double kWater = 1.33;      // refractive index of water in the near infrared
 constexpr double kTexture_mm = 1.0;  // depth of the texture of asphalt
 
-/// What a film mirrors of the light that comes from all sides onto a dull surface:
-/// integral of 2 c F(c) dc, by the midpoint rule.
+/// Returns the fraction of diffuse light that a film of water reflects: the integral of 2
+/// c F(c) dc, by the midpoint rule.
 double mean_mirrored() {
     constexpr int kParts = 1000;
     double sum = 0.0;
@@ -27,14 +27,15 @@ double mean_mirrored() {
 }  // namespace
 
 double mirrored_by_water(double cosine) {
-    const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWater * kWater));  // Snell
+    // cosine of the angle in water, from Snell's law
+    const double in_water = std::sqrt(1.0 - (1.0 - cosine * cosine) / (kWater * kWater));
     const double across = (cosine - kWater * in_water) / (cosine + kWater * in_water),
                  along = (in_water - kWater * cosine) / (in_water + kWater * cosine);
     return 0.5 * (across * across + along * along);
 }
 
 double wet_over_dry(double cosine, double albedo) {
-    // of what the ground scatters, by total reflection
+    // fraction of the scattered light that total reflection keeps in the film
     static const double kept = 1.0 - (1.0 - mean_mirrored()) / (kWater * kWater);
     const double passes = 1.0 - mirrored_by_water(cosine);
     return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * kept));
