@@ -127,11 +127,12 @@ struct ActorRegistration {
     double moved_m = 0.0;          ///< median correction of the registered tracks
 };
 
-/// Registers each moving box of at least 2.5 m by its points. Corrects the poses of its track so
-/// that the points of all training frames lie on common planes in the frame of the box (same
-/// equations as register_scans()), with a prior that keeps corrections small and slow. The mean
-/// correction is zero. Poses without points, for example in held-out frames, are interpolated
-/// from the nearest registered poses. A box whose points fit one constant pose gets that pose.
+/// Registers each moving box of at least 2.5 m by its points. Corrects the poses of its
+/// track so that the points of all training frames lie on common planes in the frame of
+/// the box (same equations as register_scans()), with a prior that keeps corrections
+/// small and slow. The mean correction is zero. Poses without points, for example in
+/// held-out frames, are interpolated from the nearest registered poses. A box whose
+/// points fit one constant pose gets that pose.
 /// @param train_positions  frames whose points are used
 ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& train_positions,
                                   const Progress& progress = {});

@@ -25,9 +25,9 @@ constexpr double kStanding_m = 3.0;  // a box that moves farther cannot stand
 constexpr int kNeighbours = 3;       // poses on each side from which a pose is interpolated
 constexpr double kLongestGap_s = 1.0;
 
-/// Prior of corrections, in units of the weight of one point. The error of a point is 0.05 m
-/// with its neighbours' errors correlated. Labels are off by 0.15 m and 2 degrees, and jitter
-/// by 0.05 m and 1 degree in 0.1 s.
+/// Prior of corrections, in units of the weight of one point. The error of a point is
+/// 0.05 m with its neighbours' errors correlated. Labels are off by 0.15 m and 2 degrees,
+/// and jitter by 0.05 m and 1 degree in 0.1 s.
 CorrectionPrior correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
@@ -77,8 +77,8 @@ ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& tra
     return actor;
 }
 
-/// Pose at `time_s` of a parabola through the nearest poses that have points, up to three on
-/// each side. Returns nothing if a side has none within a second.
+/// Pose at `time_s` of a parabola through the nearest poses that have points, up to three
+/// on each side. Returns nothing if a side has none within a second.
 std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<bool>& has_points,
                                      std::size_t pose) {
     const double time_s = track.time_s[pose];
@@ -124,8 +124,8 @@ PoseTrack identity_track(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if the points fit a box that does not move at least as well as the registered
-/// track.
+/// Returns true if the points fit a box that does not move at least as well as the
+/// registered track.
 bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
                  double registered_share) {
     const PoseTrack& track = box.world_from_box;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration of moving boxes on the synthetic street, whose tracks are known exactly. The
-// labels get a slow drift along the track, jitter, and errors of yaw.
+// Registration of moving boxes on the synthetic street, whose tracks are known exactly.
+// The labels get a slow drift along the track, jitter, and errors of yaw.
 #include <cmath>
 #include <random>
 
@@ -14,8 +14,8 @@ namespace {
 
 constexpr double kDegree = 0.017453292519943295;
 
-/// Adds the errors of a labeller to all poses of a box: a drift of 10 cm along the track, jitter
-/// with a standard deviation of 2 cm, and yaw that drifts by 2 degrees.
+/// Adds the errors of a labeller to all poses of a box: a drift of 10 cm along the track,
+/// jitter with a standard deviation of 2 cm, and yaw that drifts by 2 degrees.
 BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> jitter(0.0, 0.02);
@@ -29,8 +29,8 @@ BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     return box;
 }
 
-/// Errors of a track: the largest difference to the exact track, after the mean error in the
-/// frame of the box is removed. No point can show a constant offset of a box.
+/// Errors of a track: the largest difference to the exact track, after the mean error in
+/// the frame of the box is removed. No point can show a constant offset of a box.
 struct TrackError {
     double largest_m = 0.0, largest_rad = 0.0;
 };
