@@ -132,10 +132,10 @@ struct Lidar {
     /// Mounting. Identity if the log has a single LiDAR, because the vehicle frame is
     /// then the sensor frame.
     Pose vehicle_from_sensor;
-    /// nominal, of one that does not spin; not given: it spins, or is known by its scans
-    /// alone
+    /// Nominal pattern of a LiDAR that does not spin. Empty if it spins, or if only its
+    /// scans are known.
     std::optional<SensorPattern> pattern = {};
-    RangeNoise range_noise = {};  ///< none unless measured
+    RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
     double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
@@ -143,11 +143,12 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
-/// The nominal sensor of a LiDAR. One that is known by its scans alone has no beams.
+/// Returns the nominal sensor of a LiDAR. It has no beams if only the scans of the LiDAR
+/// are known.
 SensorModel sensor_of(const Lidar& lidar);
 
-/// Rays of a LiDAR's scan at a time, for frames without one of their own: none for one
-/// that is known by its scans alone.
+/// Returns the nominal rays of a LiDAR at a time, for frames without a scan. Returns no
+/// rays if only the scans of the LiDAR are known.
 RayTable nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures how far the head of a spinning LiDAR deviated from its nominal azimuth at
@@ -212,8 +213,8 @@ struct BoxTrack {
 };
 
 /// Model of the intensity as a function of range and incidence, common to all beams of a
-/// log:
-///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and perpendicular incidence
+/// log. The factor is 1 at 10 m and perpendicular incidence.
+///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
 struct IntensityResponse {
     std::vector<double> range_m;  ///< knots, ascending; empty: factor 1 at every range
     std::vector<double> factor;   ///< [knots] factor, interpolated linearly
