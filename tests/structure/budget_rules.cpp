@@ -33,7 +33,8 @@ std::size_t columns_of(const std::string& line) {
 }
 
 /// Returns the limit that a line exceeds, or 0. Literals may be longer than code. Comment
-/// lines that are indented by two or more spaces (tables, equations) may be as long as code.
+/// lines that are indented by two or more spaces (tables, equations) may be as long as
+/// code.
 std::size_t exceeded_columns(const std::string& text, const std::string& code) {
     const std::size_t columns = columns_of(text), first = text.find_first_not_of(' ');
     if (first != std::string::npos && text.compare(first, 2, "//") == 0) {

@@ -143,12 +143,10 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
-/// Returns the nominal sensor of a LiDAR. It has no beams if only the scans of the LiDAR
-/// are known.
+/// Returns the nominal sensor of a LiDAR, without beams if only its scans are known.
 SensorModel sensor_of(const Lidar& lidar);
 
-/// Returns the nominal rays of a LiDAR at a time, for frames without a scan. Returns no
-/// rays if only the scans of the LiDAR are known.
+/// Returns the nominal rays of a LiDAR at a time, or none if only its scans are known.
 RayTable nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures how far the head of a spinning LiDAR deviated from its nominal azimuth at
@@ -196,16 +194,13 @@ struct BoxTrack {
     /// - An average is farther from the first one than 2 m, or than half the longer side
     ///   of the box but at least 0.2 m.
     /// - From one average to the next it moves faster than 0.5 m/s and by more than 0.2
-    ///   m.
-    ///
-    /// These thresholds are needed because the poses of a log drift while a parked car is
-    /// in view.
+    ///   m. The thresholds are needed because the poses of a log drift while a parked car
+    ///   is visible.
     bool moves() const;
     /// Returns true if the box was observed at a time, or within half a mean step of an
     /// observation. The tolerance is half a sweep on either side of a label.
     bool present(double t_s) const;
-    /// Returns the box with its labelled poses only, without the `n_before` and `n_after`
-    /// added poses.
+    /// Returns the box without the `n_before` and `n_after` poses that were added.
     BoxTrack labelled_part() const;
     /// Returns true if a point in the world frame is in the box at a time. The box is
     /// enlarged by margin_m.
@@ -339,15 +334,14 @@ struct WorldReturn {
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                          std::size_t number = 0);
 
-/// Returns true if a point in the world frame is in any moving box at time t_s. Each
-/// box is enlarged by margin_m and interpolated in time. A box is absent before its first
-/// and after its last observation. A tolerance of half a step between observations
-/// includes all rays of the sweep in which the box was labelled.
+/// Returns true if a point in the world frame is in any moving box at time t_s. Boxes are
+/// interpolated in time and enlarged by margin_m. A box is absent before its first and
+/// after its last observation, with a tolerance of half a step for the other rays of that
+/// sweep.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                    double margin_m);
 
-/// Result of calibrate_ranges(): how well the beams agree on planes that several of them
-/// have measured.
+/// Result of calibrate_ranges(): how well the beams agree on common planes.
 struct LaserCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
     double rms_before = 0.0;  ///< distance of points from their plane, metres

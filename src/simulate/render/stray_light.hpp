@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Light of retro-reflectors that ends in other beams; private to render.
+// Computes the light of retro-reflectors that is scattered into other beams. Private to
+// render.
 #pragma once
 
 #include <vector>
@@ -8,15 +9,16 @@
 
 namespace relidar {
 
-/// What stray light of retro-reflectors looks like along the rays of a scan: a return at
-/// the reflector's range, of reflectivity
-///   X bloom * integral of (1 deg / angle)^3 over the reflector, deg^2,   ln X normal of mean 0 and deviation 3, a deviate for each beam
-/// the angle at least half a degree. Reflectors are what returns 0.95 or more of the
-/// scale of intensities; what does is counted in squares of a degree. Of several the one
-/// with the most power, with what is within half a metre of its range. (docs/method.md,
-/// measured on a log)
-/// @param bloom  reflectivity, Weather::bloom; 0: none
-/// @return [rays] of nothing where there is none; empty where no ray has any
+/// Computes the stray light of retro-reflectors along the rays of a scan. Stray light
+/// looks like a return at the range of the reflector, with the reflectivity
+///   X bloom * integral of (1 deg / angle)^3 over the reflector, in deg^2
+/// ln X is normally distributed with mean 0 and standard deviation 3, and differs for
+/// each beam. The angle is at least half a degree. Reflectors are returns with 0.95 or
+/// more of the largest intensity; they are collected in squares of one degree. Of several
+/// reflectors, the one with the most power determines the range. Reflectors within half a
+/// metre of this range are added to it. (docs/method.md, measured on a log)
+/// @param bloom  reflectivity, Weather::bloom; 0: no stray light
+/// @return [rays] stray light, zero for rays without any; empty if no ray has any
 std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed);
 
 }  // namespace relidar

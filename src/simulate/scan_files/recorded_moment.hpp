@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What recordings hold of scans that were taken together, whatever their messages look
-// like.
+// Data that recordings contain for scans at the same time, in any message format.
 #pragma once
 
 #include <cmath>
@@ -25,10 +24,10 @@ struct RecordedSensor {
 };
 struct RecordedRig {
     std::vector<RecordedSensor> sensors;
-    bool world = false;  ///< points are in the world, else in their sensor's frame
+    bool world = false;  ///< true: points are in the world frame; false: in the frame of their sensor
 };
 
-/// How something moves, in its own axes.
+/// Velocity of an object, in its own axes.
 struct Velocity {
     glm::dvec3 linear_mps{0.0}, angular_radps{0.0};
 };
@@ -37,7 +36,7 @@ struct RecordedPose {
     Pose world_from_vehicle;
     Velocity velocity;
 };
-/// Where a box is at a time.
+/// Pose and velocity of a box at a time.
 struct BoxState {
     std::uint64_t time_ns;
     Pose world_from_box;
@@ -47,20 +46,24 @@ struct RecordedActor {
     std::string name, category;
     glm::dvec3 size_m;  ///< length, width, height
     bool is_parked = false;
-    BoxState faced;     ///< when the sensor faces it: a moving box fits the points on the actor only then
-    BoxState at_stamp;  ///< at the stamp of the cloud
+    /// state when the sensor faces the box; only then a moving box fits the actor's
+    /// points
+    BoxState faced;
+    BoxState at_stamp;  ///< state at the stamp of the point cloud
 };
 
-/// Stamp of a time of the file.
+/// Returns the stamp of a time of the file, in nanoseconds.
 inline std::uint64_t stamp_of(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
 
 struct RecordedMoment {
-    std::uint64_t first_ns, last_ns;  ///< of all rays
-    std::vector<RecordedPose> poses;  ///< ascending, behind those of earlier moments
-    /// [sensors] Points with time_s in the file's time, that of the first ray; deskewed: in
-    /// the sensor's frame at time_s
+    std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
+    /// ascending in time; all are later than the poses of earlier moments
+    std::vector<RecordedPose> poses;
+    /// [sensors] point clouds. time_s is the time of the first ray, in the file's time.
+    /// Deskewed points are in the sensor frame at time_s.
     std::vector<Points> clouds;
-    std::map<std::uint64_t, std::vector<RecordedActor>> actors;  ///< by the stamps of the clouds
+    /// actors by the stamps of the point clouds
+    std::map<std::uint64_t, std::vector<RecordedActor>> actors;
 };
 
 }  // namespace relidar::scan_files
