@@ -190,12 +190,12 @@ struct BoxTrack {
 
     /// Returns true if the object moves, as far as labels and poses can show it.
     /// Positions are averaged over one second (half of a shorter track), because labels
-    /// jitter (by 9 cm on KITTI). An object moves in either of these cases:
+    /// jitter (by 9 cm on KITTI). The poses of a log also drift while a parked car is
+    /// visible. Therefore an object moves only in one of these cases:
     /// - An average is farther from the first one than 2 m, or than half the longer side
     ///   of the box but at least 0.2 m.
     /// - From one average to the next it moves faster than 0.5 m/s and by more than 0.2
-    ///   m. The thresholds are needed because the poses of a log drift while a parked car
-    ///   is visible.
+    ///   m.
     bool moves() const;
     /// Returns true if the box was observed at a time, or within half a mean step of an
     /// observation. The tolerance is half a sweep on either side of a label.
