@@ -48,7 +48,7 @@ struct Place {
     double time_s;
 };
 
-/// Points of a scan and what the street has along their rays.
+/// Points of a scan, and the exact ranges of the street along the same rays.
 struct RayEnds {
     const RayTable& rays;
     const std::vector<float>& range_m;

@@ -202,7 +202,7 @@ RayTable make_rays(const SpinningSensor& sensor);
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
 /// Ray-drop of the sensor itself (paper section 3.5): the probability that a beam has no
-/// return in an azimuth bin, whatever the scene is. An example is the body of the
+/// return in an azimuth bin, independent of the scene. An example is the body of the
 /// sensor's own vehicle. P(drop) = 1 - (1 - P of the scene) (1 - P of the sensor).
 struct DropTable {
     int channels = 0;

@@ -233,7 +233,7 @@ struct Sequence {
     /// response of the intensity, common to all LiDARs; factor 1 unless estimated
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
-    std::vector<std::string> notes;  ///< what the log lacks, a line each
+    std::vector<std::string> notes;  ///< data that the log lacks, one line for each kind
     /// Indices of the frames that published results on this part of the dataset hold out.
     /// See split_frames().
     std::vector<int> test_frames = {};
