@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the measurements of a sensor from its rendered rays: ranges and intensities as
-// the beams measure them, and the drop probability (M6):
-//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop)))
-// drop_prob is 1 if the ray hit nothing within the sensor's limits. A ray with a
-// drop_prob of 1 never returns, and no other kernel makes this decision. One thread per
-// ray. Input: rays, fired, rendered, surfaces, beams, response. Output: measured.
+// Computes the measurements of a sensor from rendered rays: ranges, intensity and drop
+// probability (method.md, M6)
+//   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop))),
+// or 1 if the ray hit nothing within the sensor's range limits. A ray with a drop_prob of
+// 1 never returns; no other kernel changes this. One thread per ray. Input: rays, fired,
+// rendered, surfaces, beams, response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

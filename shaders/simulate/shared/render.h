@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Structs for rays of a sensor and their measurements, shared by host and shaders.
+// Rays of a sensor and their measurements.
 #ifndef RELIDAR_INCLUDED_SIMULATE_SHARED_RENDER_H
 #define RELIDAR_INCLUDED_SIMULATE_SHARED_RENDER_H
 #include "relidar/diff/rays.h"
@@ -8,25 +8,25 @@ RELIDAR_SHARED_BEGIN
 
 /// A ray of a sensor, in the sensor frame.
 struct SensorRay {
-    vec3 origin;          // origin, metres
+    vec3 origin;          // m
     vec3 direction;       // unit vector
     float time_offset_s;  // firing time relative to the sweep's reference time
-    float sees;           // 1 - drop probability of the sensor itself, without the scene
+    float sees;           // 1 - drop probability of the sensor in this direction, independent of the scene
     uint channel;         // beam number
 };
 RELIDAR_POINTER(SensorRays, SensorRay);
 
-/// Pose of the sensor at a time, and its motion to the next pose.
+/// A pose of the sensor, and the motion from this pose to the next one.
 struct SensorPose {
-    vec3 x;  // axes of the sensor frame
+    vec3 x;  // axes of the sensor
     vec3 y;
     vec3 z;
-    vec3 position;        // position, metres
-    vec3 position_rest;   // rounding error of `position`, metres
-    vec3 way;             // translation to the next pose, metres
-    vec3 turn;            // rotation vector to the next pose, radians
-    float time_offset_s;  // time relative to the sweep's reference time
-    float per_s;          // 1 / seconds to the next pose; 0: there is no next pose
+    vec3 position;        // m
+    vec3 position_rest;   // m, rounding error of `position`
+    vec3 way;             // translation to the next pose, m
+    vec3 turn;            // rotation vector to the next pose, rad
+    float time_offset_s;  // relative to the sweep's reference time
+    float per_s;          // 1 / seconds to the next pose; 0 if it is the last pose
 };
 RELIDAR_POINTER(SensorPoses, SensorPose);
 
@@ -51,9 +51,9 @@ struct MeasuredRay {
     float range_m;         // range selected by config.render.range; 0 if nothing was hit
     float median_range_m;  // range of the dominant surface; range_m if no surface dominates
     float mean_range_m;    // D / W; range_m if no surface dominates
-    float intensity;       // intensity, 0..1
+    float intensity;       // 0..1
     float drop_prob;       // drop probability (M6); 1 if nothing was hit within the sensor's limits
-    float weight;          // blended weight W
+    float weight;          // W
     float incidence;       // cosine between the ray and the blended normal; 0 without a normal
     uint instance;         // instance that was hit, or RELIDAR_NO_INSTANCE
 };
@@ -66,22 +66,19 @@ RELIDAR_POINTER(MeasuredRays, MeasuredRay);
 #define RELIDAR_RANGE_MEDIAN 3u
 
 struct MeasureRaysParams {
-    SensorRays rays;        // input [n_rays]
-    Rays fired;             // input [n_rays] the same rays in the world frame
-    RenderedRays rendered;  // input [n_rays]
-    // input [n_surfaces], one per ray, or a single zero entry if no surfaces were
-    // rendered
-    RenderedSurfaces surfaces;
-    // input [n_beams]; rays of other beams measure the values of the surface unchanged
-    SensorBeams beams;
-    Vec2s response;  // input [n_response] pairs of range in metres and intensity factor; empty: factor 1
-    MeasuredRays measured;  // output [n_rays]
+    SensorRays rays;            // input [n_rays]
+    Rays fired;                 // input [n_rays] the same rays in the world frame
+    RenderedRays rendered;      // input [n_rays]
+    RenderedSurfaces surfaces;  // input [n_surfaces] one per ray, or a single entry of zeros
+    SensorBeams beams;          // input [n_beams]; other channels use an offset of 0 and a gain of 1
+    Vec2s response;             // input [n_response] range in m, intensity factor; if empty, the factor is 1
+    MeasuredRays measured;      // output [n_rays]
     uint n_rays;
     uint n_surfaces;
     uint n_beams;
     uint n_response;
     uint range_kind;
-    float min_weight;  // rays with a smaller weight count as having no hit
+    float min_weight;  // a ray with a smaller weight counts as having hit nothing
     float min_range_m;
     float max_range_m;
 };
@@ -102,15 +99,15 @@ struct DropChannelsParams {
     MeasuredRays measured;                     // input [n_rays]
     RELIDAR_OF(Uints, DropChannels) channels;  // input [n_channels] indices of the channels
     RELIDAR_OF(Floats, DropSamples) samples;   // output [n_channels,n_rays]
-    vec3 origin;                               // position of the sensor, metres
+    vec3 origin;                               // position of the sensor, m
     uint n_channels;
     uint n_rays;
 };
 
 /// Point of a returned ray.
 struct ReturnedPoint {
-    vec3 position;        // position, metres
-    float intensity;      // intensity, 0..1
+    vec3 position;        // m
+    float intensity;      // 0..1
     float time_offset_s;  // firing time of its ray, relative to the sweep's reference time
     uint ring;            // beam number
     uint instance;        // instance on whose surface the point lies, or RELIDAR_NO_INSTANCE
@@ -124,7 +121,7 @@ struct MarkReturnsParams {
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for returned rays, otherwise 0
     uint n_rays;
     uint refined;
-    uint of_image;         // 1: points use the range of the range image; 0: the range of the dominant surface
+    uint of_image;         // 1: points use the range of the image; 0: the range of the dominant surface
     float drop_threshold;  // a ray with a drop probability at or above this value does not return
 };
 
@@ -135,11 +132,11 @@ struct GatherPointsParams {
     RELIDAR_OF(Uints, ReturnMarks) marks;  // input [n_rays]
     RELIDAR_OF(Uints, ReturnPlaces) places;  // input [n_rays] number of returned rays before each ray
     ReturnedPoints points;                   // output [number of returned rays]
-    // output [n_asked] ranges of the dominant surface, of the rays k n_rays / n_asked
+    // output [n_asked] ranges of the dominant surfaces of rays k n_rays / n_asked
     RELIDAR_OF(Floats, AskedRanges) asked;
     uint n_rays;
     uint n_poses;
-    uint n_asked;  // number of ranges in `asked`, at most n_rays and 65,536
+    uint n_asked;  // at most n_rays and 65,536
     uint of_image;
 };
 

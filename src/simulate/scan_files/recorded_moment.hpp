@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Data that recordings contain for scans at the same time, in any message format.
+// Content of recordings for scans at the same time, independent of the message format.
 #pragma once
 
 #include <cmath>
@@ -27,7 +27,7 @@ struct RecordedRig {
     bool world = false;  ///< true: points are in the world frame; false: in the frame of their sensor
 };
 
-/// Velocity of an object, in its own axes.
+/// Velocity of an object, in its own frame.
 struct Velocity {
     glm::dvec3 linear_mps{0.0}, angular_radps{0.0};
 };
@@ -44,26 +44,24 @@ struct BoxState {
 };
 struct RecordedActor {
     std::string name, category;
-    glm::dvec3 size_m;  ///< length, width, height
+    glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
-    /// state when the sensor faces the box; only then a moving box fits the actor's
-    /// points
+    /// At the time when the sensor faces the actor. The box of a moving actor fits its
+    /// points only at this time.
     BoxState faced;
-    BoxState at_stamp;  ///< state at the stamp of the point cloud
+    BoxState at_stamp;  ///< at the stamp of the cloud
 };
 
-/// Returns the stamp of a time of the file, in nanoseconds.
+/// Converts a time of the file to a stamp in nanoseconds.
 inline std::uint64_t stamp_of(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
 
 struct RecordedMoment {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
-    /// ascending in time; all are later than the poses of earlier moments
-    std::vector<RecordedPose> poses;
-    /// [sensors] point clouds. time_s is the time of the first ray, in the file's time.
-    /// Deskewed points are in the sensor frame at time_s.
+    std::vector<RecordedPose> poses;  ///< in ascending order of time, after the poses of earlier moments
+    /// [sensors] Points of each sensor. `time_s` is the time of the first ray, in the
+    /// time of the file. Deskewed points are in the sensor's frame at `time_s`.
     std::vector<Points> clouds;
-    /// actors by the stamps of the point clouds
-    std::map<std::uint64_t, std::vector<RecordedActor>> actors;
+    std::map<std::uint64_t, std::vector<RecordedActor>> actors;  ///< actors at the stamp of each cloud
 };
 
 }  // namespace relidar::scan_files
