@@ -22,8 +22,9 @@ std::string describe_value(const nlohmann::json& value) {
     return "found " + (text.size() <= 60 ? text : text.substr(0, 57) + "...");
 }
 
-/// Appends the numbers of nested lists. @return what is neither a number nor a list, or
-/// nests too deep; null if nothing
+/// Appends the numbers of nested lists.
+/// @return the first value that is neither a number nor a list, or that is nested too
+/// deeply; null if all values are valid
 const nlohmann::json* collect_numbers(const nlohmann::json& value, int depth, std::vector<double>& numbers) {
     if (value.is_number()) {
         numbers.push_back(value.get<double>());
@@ -134,8 +135,8 @@ nlohmann::json parse_json(const std::string& text, const std::string& file) {
     try {
         return nlohmann::json::parse(text);
     } catch (const nlohmann::json::exception& error) {
-        // Removes the prefix of "[json.exception.parse_error.101] parse error at line 1,
-        // column 2: ...".
+        // Removes the first part of the message, for example
+        // "[json.exception.parse_error.101] parse error at line 1, column 2: ".
         std::string why = error.what();
         if (const std::size_t bracket = why.find("] "); bracket != std::string::npos)
             why.erase(0, bracket + 2);

@@ -37,9 +37,10 @@ public:
     std::string text() const;
     std::string text(std::size_t most) const;  ///< Returns a text of at most `most` bytes in one line.
     std::vector<double> numbers() const;
-    /// The numbers of lists, of at most so many lists in one another, in their order.
+    /// Returns the numbers of nested lists in their order.
+    /// @param depth  maximum depth of nesting
     std::vector<double> nested_numbers(int depth) const;
-    /// Exactly n numbers.
+    /// Returns the numbers of a list with exactly n numbers.
     template <std::size_t n>
     std::array<double, n> numbers() const {
         const std::vector<double> all = numbers();
@@ -49,8 +50,8 @@ public:
         std::copy(all.begin(), all.end(), result.begin());
         return result;
     }
-    std::string where() const;  ///< "file: field", for messages
-    /// @throws DataError "file: field: found, expected"
+    std::string where() const;  ///< Returns "file: field" for error messages.
+    /// Throws a DataError with the text "file: field: found, expected".
     [[noreturn]] void fail(const std::string& found, const std::string& expected) const;
 
 private:

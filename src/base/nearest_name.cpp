@@ -2,7 +2,8 @@
 // Finds similar names. Uses the Levenshtein distance, in which two swapped neighbours
 // count as one error:
 //
-//   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j], d(i-2, j-2) + 1 if a_i = b_{j-1} and a_{i-1} = b_j)
+//   d(i, j) = min(d(i-1, j) + 1, d(i, j-1) + 1, d(i-1, j-1) + [a_i != b_j],
+//                 d(i-2, j-2) + 1 if a_i = b_{j-1} and a_{i-1} = b_j)
 #include <relidar/base/error.hpp>
 
 #include <algorithm>

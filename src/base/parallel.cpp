@@ -22,8 +22,8 @@ void parallel_for(int n, const std::function<void(int)>& task) {
     std::exception_ptr failure;
     int failed = n;
     std::atomic<int> next{0};
-    // oneTBB would split [0, n) in the middle. A shared counter starts the tasks in
-    // ascending order instead: when a task fails, all tasks before it have started.
+    // A shared counter starts the tasks in ascending order. If a task fails, all tasks
+    // before it have therefore started. oneTBB would split [0, n) in the middle instead.
     const auto run_tasks = [&] {
         for (int i = next++; i < n; i = next++) {
             try {
@@ -39,8 +39,9 @@ void parallel_for(int n, const std::function<void(int)>& task) {
     if (n_threads == 1) {
         run_tasks();
     } else {
-        // Isolated: a waiting thread runs no other loop, and a cancelled task group of
-        // the caller does not cancel this loop.
+        // The isolated context has two effects. A waiting thread does not run tasks of
+        // other loops, and a cancelled task group of the caller does not cancel this
+        // loop.
         tbb::task_group_context context(tbb::task_group_context::isolated);
         tbb::this_task_arena::isolate([&] {
             tbb::parallel_for(

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loops over independent items on the threads of oneTBB. The result of a loop does not
-// depend on the number of threads. A tbb::global_control or the CPU affinity of the
+// Runs loops over independent items on the threads of oneTBB. The result of a loop does
+// not depend on the number of threads. A tbb::global_control or the CPU affinity of the
 // process limits that number.
 #pragma once
 
@@ -12,18 +12,20 @@
 
 namespace relidar {
 
-/// Number of threads that a loop of the calling thread may use, at least 1.
+/// Returns the number of threads that a loop of the calling thread may use, at least 1.
 std::size_t max_concurrency();
 
-/// Runs task(i) for every i in [0, n) on the calling thread and on threads of oneTBB that
-/// are free. Tasks start in ascending order of i. A task may run another loop; while it
-/// waits for that loop it runs no task of another loop.
-/// After a failure no further task is started. When all started tasks have ended, the
-/// failure with the smallest i is thrown, so that a message does not depend on timing.
+/// Runs task(i) for every i in [0, n) on the calling thread and on idle threads of
+/// oneTBB. Tasks start in ascending order of i. A task may run another loop. While it
+/// waits for that loop, its thread does not run tasks of any other loop.
+///
+/// After a failure, no further task is started. When all started tasks have ended, the
+/// function throws the failure with the smallest i, so that the error message does not
+/// depend on timing.
 void parallel_for(int n, const std::function<void(int)>& task);
 
-/// Number of neighbouring items that a thread processes together: several blocks for each
-/// thread, and large enough that starting a block costs little.
+/// Returns the number of neighbouring items that a thread processes together. Each thread
+/// gets several blocks, and blocks are large enough that starting one costs little.
 inline std::size_t block_size(std::size_t n) {
     constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
     return std::clamp(n / (kBlocksPerThread * max_concurrency()), kSmallest, kLargest);
@@ -45,10 +47,10 @@ void for_each_block(std::size_t n, const Task& task) {
     });
 }
 
-/// Sum over [0, n). Each range of `size` items has one partial sum. The partial sums are
-/// added in the order of their ranges, so that the result is the same for any number of
-/// threads.
-/// @param part  (begin, end) -> Sum; operator+= adds two of them
+/// Returns the sum over [0, n). Each range of `size` items has one partial sum. The
+/// partial sums are added in the order of their ranges, so that the result is the same
+/// for any number of threads.
+/// @param part  (begin, end) -> Sum; operator+= adds two sums
 template <class Part>
 auto parallel_reduce(std::size_t n, std::size_t size, const Part& part) {
     using Sum = decltype(part(std::size_t{}, std::size_t{}));

@@ -2,8 +2,11 @@
 // Adds a zero to every array index. The compiler cannot know that the value is zero in
 // each lane, and therefore treats the index as different for each lane:
 //
-//   %lane_zero = LocalInvocationIndex & push.nothing.x & 255      `nothing` is a multiple of 256 (shaders/base/kernel.glsl)
-//   %place = OpAccessChain %pointer %array %int_0 %index    with    %index + %lane_zero    in place of    %index
+//   %lane_zero = LocalInvocationIndex & push.nothing.x & 255
+//   %place = OpAccessChain %pointer %array %int_0 (%index + %lane_zero)
+//
+// The second line replaces `%index` by the sum. `nothing` is a multiple of 256
+// (shaders/base/kernel.glsl).
 #include <set>
 #include <string>
 

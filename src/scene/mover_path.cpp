@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Fits a smoothing spline. The spline is the mean of a random walk with white noise on
 // the jerk. A Kalman filter runs forward and a Rauch-Tung-Striebel smoother backward:
-//   state = (p, v, a),   F = [1 dt dt^2/2; 0 1 dt; 0 0 1],   Q = q [dt^5/20 dt^4/8 dt^3/6; dt^4/8 dt^3/3 dt^2/2; dt^3/6 dt^2/2 dt]
+//   state = (p, v, a)
+//   F = [1 dt dt^2/2; 0 1 dt; 0 0 1]
+//   Q = q [dt^5/20 dt^4/8 dt^3/6; dt^4/8 dt^3/3 dt^2/2; dt^3/6 dt^2/2 dt]
 #include "scene/mover_path.hpp"
 
 #include <algorithm>

@@ -27,7 +27,7 @@
 namespace relidar {
 namespace {
 
-/// Runs task() with n threads, also where that is more than there are cores.
+/// Runs task() with n threads, even if the machine has fewer cores.
 template <class Task>
 void with_threads(int n, const Task& task) {
     const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, std::size_t(n));
@@ -74,7 +74,7 @@ TEST(ParallelFor, ThrowsTheFirstFailureAndBeginsNothingElse) {
 }
 
 TEST(ParallelFor, WorksInAFork) {
-    parallel_for(4, [](int) {});  // this process has threads, its fork has none of them
+    parallel_for(4, [](int) {});  // the parent process has threads; a forked child has none of them
     const pid_t child = ::fork();
     if (child == 0) {
         std::atomic<int> n{0};

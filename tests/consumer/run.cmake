@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-# Installs a built relidar into an empty folder, or takes PREFIX, where it is installed, and builds and runs the consumer project against
-# it.
-# Where it installs, and a device is promised (RELIDAR_REQUIRE_GPU), also the programs of tools/examples, on a small street that the
-# installed relidar trains.
-#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DPREFIX=...] [-DGENERATOR=...] [-DCXX_COMPILER=...] [-DCXX_FLAGS=...]
-#         -P run.cmake
+# Installs a built relidar into an empty folder, or uses the installation in PREFIX. Then
+# builds and runs the consumer project against it. If it installs and a device is required
+# (RELIDAR_REQUIRE_GPU), it also runs the programs of tools/examples on a small street,
+# with a run that the installed relidar trains.
+#   cmake -DBUILD_DIR=<built relidar> -DWORK_DIR=<scratch> [-DPREFIX=...] [-DGENERATOR=...]
+#         [-DCXX_COMPILER=...] [-DCXX_FLAGS=...] -P run.cmake
 cmake_minimum_required(VERSION 3.25)
 foreach(needed BUILD_DIR WORK_DIR)
     if(NOT ${needed})

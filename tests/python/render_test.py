@@ -29,7 +29,9 @@ class Render(TestCase):
                     self.assert_same(scan[name], written[name])
                     continue
                 self.assertEqual((scan[name].dtype, scan[name].shape), (written[name].dtype, written[name].shape))
-                # The tool adds the sensor's offset, the module goes by the dataset's world: 1e-9 m apart before the rounding to float.
+                # The tool adds the offset of the world, the module uses the dataset's
+                # world frame. Positions therefore differ by 1e-9 m before they are
+                # rounded to float.
                 np.testing.assert_allclose(scan[name], written[name], rtol=1e-4, atol=1e-4, err_msg=name)
 
     def test_points_have_the_bits_of_the_files(self):
@@ -74,7 +76,8 @@ class Render(TestCase):
         time = run().times[3]
         default = run().render(time=time)
         self.assert_same(run().render(time=time, pose=run().trajectory)["range"], default["range"])
-        # The boxes' own tracks place the actors where the run does, but for those that are absent now.
+        # The tracks of the boxes place the actors like the run does, except actors that
+        # are absent at this time.
         given = run().render(time=time, actors=present(run(), time))
         self.assertGreater(np.mean(given["instance"] == default["instance"]), 0.99)
         self.assertTrue(np.any(given["instance"] > 0))

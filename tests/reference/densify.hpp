@@ -13,7 +13,7 @@ namespace relidar::reference {
 /// Activated parameters of a surfel.
 struct DensifiedSurfel {
     glm::dvec3 mean{0.0};
-    glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};  ///< w, x, y, z, unnormalised
+    glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};  ///< quaternion w, x, y, z, unnormalised
     glm::dvec2 scale{1.0};
     double opacity = 0.0;
     bool finite = true;
@@ -27,8 +27,8 @@ struct DensifyRules {
     double max_scale = 1e30;
     double clone_scale = 0.0;
     double gradient_threshold = 1e30;
-    glm::dvec3 half_size{0.0};  ///< 0 = unbounded
-    std::uint32_t key = 0;      ///< of the random numbers
+    glm::dvec3 half_size{0.0};  ///< half size of the actor's box, 0 = unbounded
+    std::uint32_t key = 0;      ///< key of the random numbers
 };
 
 /// Returns what densification does with a surfel.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The reference of densification against what it is to achieve: random numbers are normal;
-// copies are handed out fairly.
+// Tests the reference of densification: random numbers must be normally distributed, and
+// copies must be distributed in proportion to the weights.
 #include <cmath>
 #include <numeric>
 

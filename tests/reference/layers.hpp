@@ -45,7 +45,8 @@ std::vector<double> convolve_weights_vjp(const ImageBatch& from, const ImageBatc
 std::vector<double> channel_sums(const ImageBatch& d_to);
 
 struct Moments {
-    std::vector<double> mean, variance;  ///< [channels], over the full batch (divided by its size)
+    /// [channels] moments over the full batch; the variance is divided by the batch size
+    std::vector<double> mean, variance;
 };
 Moments moments_of(const ImageBatch& from);
 

@@ -22,14 +22,15 @@ struct Settings {
     double likelihood_scale_m = 0.05;  ///< s of M12
 };
 
-/// A number for each blended value.
+/// One number for each blended value of a ray.
 struct BlendedValues {
 #define RELIDAR_FIELD(name, built, value, input, slope, meaning) double name = 0.0;
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
 #undef RELIDAR_FIELD
 };
 
-/// What one ray brings back (M5): sum w c of each blended value c, plus T_N in drop_logit.
+/// Rendered values of a ray (M5): the sum of w c for each blended value c, plus T_N in
+/// drop_logit.
 struct Pixel : BlendedValues {
     double transmittance = 1.0;  ///< T_N, after the last blended surfel
     /// t of the surfel that reduces T from above 0.5 to 0.5 or less; 0 if there is none
@@ -42,9 +43,10 @@ struct Pixel : BlendedValues {
     glm::dvec3 normal{0.0};
 };
 
-/// dL/d(Pixel) of its blended values.
+/// Gradient of the loss with respect to the blended values of a pixel.
 using PixelGradient = BlendedValues;
-/// sum of gradient times output, over all outputs: a loss with that gradient.
+/// Returns the sum of gradient times output over all outputs. As a loss, it has this
+/// gradient.
 double inner_product(const PixelGradient& g, const Pixel& p);
 
 /// Kernel of M12 around the measured range z of a ray: s^2 / (s^2 + (t - z)^2). It is 0
@@ -59,14 +61,14 @@ RangeKernel range_kernel(const Settings& settings, const Ray& ray, double t);
 struct ShadedHit {
     Hit hit;
     double t, u, v, w;       ///< w is 0 except for a 3D Gaussian
-    double gauss;            ///< G
+    double gauss;            ///< Gaussian weight G
     double alpha;            ///< min(alpha_max, sigma G)
     bool alpha_clamped;      ///< true if sigma G > alpha_max; then alpha has no gradient
     glm::dvec3 value;        ///< channels; the intensity is clamped to >= 0
     double raw_intensity;    ///< intensity before the clamp
     bool intensity_clamped;  ///< true if the raw intensity is < 0; then the intensity has no gradient
     double side;             ///< -1 if the surfel's normal points along the ray, else 1
-    glm::dvec3 normal;       ///< world, facing the sensor
+    glm::dvec3 normal;       ///< unit normal that faces the sensor, world frame
 };
 /// Returns c of each blended value of a hit.
 BlendedValues values_of(const Settings& settings, const Ray& ray, const ShadedHit& hit);
@@ -92,12 +94,14 @@ struct Surface {
 /// @return surfaces, nearest first
 std::vector<Surface> surfaces(const std::vector<ShadedHit>& blended, double gap_m);
 
-/// Gradient with respect to an instance's pose.
-///   world_from_model becomes (exp([rotation]x) R, translation' = translation + d_translation): the rotation vector is
-///   expressed in the world and turns the model about its own origin; the translation is not turned.
-/// For a model that moves during a sweep, the gradient is expressed in the axes of
-/// world_from_model. The pose at the time of a ray changes by
-///   R(t) R^-1 (translation, rotation), so that the change is the same for all rays in the axes of the model.
+/// Gradient with respect to an instance's pose. world_from_model becomes
+///   (exp([rotation]x) R, translation' = translation + d_translation)
+/// The rotation vector is expressed in the world frame and turns the model about its own
+/// origin; the translation is not turned. For a model that moves during a sweep, the
+/// gradient is expressed in the axes of world_from_model. The pose at the time of a ray
+/// changes by
+///   R(t) R^-1 (translation, rotation)
+/// so that the change is the same for all rays in the axes of the model.
 struct PoseGradient {
     glm::dvec3 translation{0.0};
     glm::dvec3 rotation{0.0};

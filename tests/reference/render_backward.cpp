@@ -11,7 +11,7 @@ namespace {
 /// Derivatives of the loss with respect to one hit.
 struct HitGradient {
     double alpha = 0.0;
-    double t = 0.0;  // direct part; what flows through u, v is added with the geometry
+    double t = 0.0;  // direct derivative; the part through u and v is added with the geometry
     glm::dvec3 value{0.0};
 };
 
@@ -20,12 +20,13 @@ struct LocalGradient {
     glm::dvec3 origin{0.0}, direction{0.0}, view{0.0};
 };
 
-/// M7, front to back: needs the final pixel, the running sums and T before each hit.
+/// Computes the gradients of all hits front to back (M7) from the final pixel, the
+/// running sums, and T before each hit.
 std::vector<HitGradient> hit_gradients(const std::vector<ShadedHit>& hits, const Settings& settings,
                                        const Ray& ray, const Pixel& pixel, const PixelGradient& g) {
     std::vector<HitGradient> result(hits.size());
     double transmittance = 1.0;
-    BlendedValues sum;  // C_{<=i}: without any background
+    BlendedValues sum;  // C_{<=i} without the background
     for (std::size_t i = 0; i < hits.size(); ++i) {
         const ShadedHit& s = hits[i];
         const double w = s.alpha * transmittance;
@@ -97,8 +98,8 @@ void gaussian_backward(const Surfel& surfel, const LocalRay<double>& ray, const 
     *d_surfel.log_scale_w += d_log_scale(2);
 }
 
-/// Opacity and geometry of a surfel (M8): alpha = sigma exp(-(u^2 + v^2)/2), p = t d - q
-/// with q = mean - origin, t = n.q / n.d.
+/// Propagates gradients to opacity and geometry of a surfel (M8), with q = mean - origin:
+///   alpha = sigma exp(-(u^2 + v^2)/2),  p = t d - q,  t = n.q / n.d
 void geometry_backward(const Surfel& surfel, const LocalRay<double>& ray, const ShadedHit& s,
                        const HitGradient& g, Surfel& d_surfel, LocalGradient& d_local) {
     const Activated a = activate(surfel);

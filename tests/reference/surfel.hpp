@@ -21,15 +21,16 @@ namespace relidar::reference {
 /// Parameters of one surfel in the model's frame: the same 58 numbers as one row of
 /// relidar::Surfels. Also used for their gradient.
 struct Surfel {
-    glm::dvec3 mean{0.0};  ///< metres
+    glm::dvec3 mean{0.0};  ///< position of the centre in metres
     /// quaternion w, x, y, z, unnormalised
     glm::dvec4 rotation{1.0, 0.0, 0.0, 0.0};
-    glm::dvec2 log_scale{0.0};          ///< ln metres
-    std::optional<double> log_scale_w;  ///< ln metres along the normal; only for a 3D Gaussian
+    glm::dvec2 log_scale{0.0};  ///< logarithm of the scales in metres
+    /// logarithm of the scale along the normal in metres; only for a 3D Gaussian
+    std::optional<double> log_scale_w;
     double opacity_logit = 0.0;
-    double gait_phase = 0.0;  ///< turns
+    double gait_phase = 0.0;  ///< phase of the gait, in turns
     double gait_sharpness = 0.0;
-    glm::dvec3 gait_swing{0.0};          ///< metres
+    glm::dvec3 gait_swing{0.0};          ///< swing of the gait, in metres
     std::array<double, kShFloats> sh{};  ///< [3,16] channel-major: intensity, hit logit, drop logit
 };
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a client gets: the scan of a ScanRenderer to the bit, points where things are,
-// tracks of the log, sensors of its own.
+// Tests the answers that a client receives: scans must equal those of ScanRenderer bit by
+// bit, and points must lie on surfaces. Also tests tracks of the log and sensors of the
+// client.
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
@@ -19,7 +20,7 @@ protected:
         return ScanClient(address()).render(request);
     }
 
-    /// The same as the library renders it.
+    /// Renders the same scan with the library.
     RenderedScan rendered(const ScanRequest& request, const std::string& sensor,
                           std::optional<std::uint64_t> sample, const std::string& in_weather = "") {
         const relidar::Run run = load_run(folder / "small");
@@ -66,8 +67,8 @@ TEST_F(Service, RendersToTheBitAsTheLibrary) {
     expect_same(scan_of(request), rendered({0.45, way, ActorPoses{}}, "VLP-16:90x10", 7));
 }
 
-/// Each request has its own weather, or the server's, and the next one that of its own
-/// again.
+/// Each request is rendered in its own weather, or in the server's weather if it has
+/// none. A request must not affect the next one.
 TEST_F(Service, WeatherIsThatOfTheRequest) {
     weather = parse_weather("snow=4");
     start();
@@ -114,7 +115,7 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     const Pose begin = at_x(-1.0),
                end{rotation_of(0.2, 0.0, 0.0), at_x(0.0).translation + glm::dvec3(0.0, 0.5, 0.0)};
     add_pose(*request.mutable_path(), 0.45, begin), add_pose(*request.mutable_path(), 0.55, end);
-    request.mutable_actors();  // no actor is there: the wall alone
+    request.mutable_actors();  // removes all actors, so that only the wall is visible
     const v1::LidarScan scan = scan_of(request);
     EXPECT_EQ(scan.points_at_s(), 0.55);
     EXPECT_NEAR(scan.time_s() + values<float>(scan.points().time_s()).front(), 0.55, 0.1);
@@ -133,9 +134,9 @@ TEST_F(Service, PointsLieOnThingsSeenFromTheEndOfTheSweep) {
     EXPECT_THAT(values<std::uint16_t>(scan.points().ring()), testing::Contains(2));
 }
 
-/// The wall faces the sensor squarely wherever that stands: its normal is -x of the
-/// world, in the frame of the points. The device makes points alone, the host those beside
-/// an image.
+/// The wall faces the sensor, so its normal is -x of the world, in the frame of the
+/// points. Points without an image are made on the device, points with an image on the
+/// host. Both must be equal.
 TEST_F(Service, PointsAloneAreThoseBesideAnImage) {
     start();
     v1::RenderLidarRequest request = standing();
@@ -184,7 +185,7 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     request.mutable_actors();
     for (const bool is_own : {true, false}) {
         request.mutable_sensor()->set_name(is_own ? "native" : "VLP-16:360x10");
-        for (const bool beside_image : {true, false}) {  // points alone are made on the device
+        for (const bool beside_image : {true, false}) {  // points without an image are made on the device
             request.mutable_wanted()->set_range_image(beside_image),
                 request.mutable_wanted()->set_drop_probability(beside_image);
             const v1::LidarScan scan = scan_of(request);
@@ -214,8 +215,8 @@ TEST_F(Service, ScansOfACompensatedLogHaveTheRollingShutterOfTheirSensor) {
     }
 }
 
-/// A network that says of every ray that it returns, of a sensor that mostly sees
-/// nothing.
+/// Uses a network that predicts a return for every ray, and a sensor most of whose rays
+/// hit nothing.
 TEST_F(Service, ImageAndPointsHaveAsManyReturns) {
     relidar::Run run = small_run(folder / "small");
     run.config.refine.enabled = true;
@@ -273,7 +274,7 @@ TEST_F(Service, FirstRayIsFiredAtTheBeginningOfThePathUnlessToldOtherwise) {
     spec.mutable_rays()->set_time_s(fired_s.data(), 12);
     *request.mutable_sensor()->mutable_spec() = spec;
     request.clear_path();
-    // 2 m/s
+    // a speed of 2 m/s
     add_pose(*request.mutable_path(), 0.0, at_x(-4.0)), add_pose(*request.mutable_path(), 0.5, at_x(-3.0));
     request.mutable_actors();
     const v1::LidarScan scan = scan_of(request);
@@ -298,7 +299,7 @@ TEST_F(Service, ActorsAreTheLogsOrTheClients) {
     add_pose(*car.mutable_poses(), 0.0, at_x(6.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "where the client has it";
     car.clear_poses();
-    // until 0.5 s before the scan
+    // the track of the car ends 0.5 s before the scan
     add_pose(*car.mutable_poses(), -0.5, at_x(4.0)), add_pose(*car.mutable_poses(), 0.0, at_x(5.0));
     EXPECT_NEAR(range_m(), 6.0, 0.05) << "it goes on at the same speed";
     request.mutable_actors()->clear_actors();
@@ -351,8 +352,8 @@ TEST_F(Service, RigIsAScanForEachOfItsSensors) {
     EXPECT_THAT(seen, testing::ElementsAre("front 8.00", "rear 13.00"));
 }
 
-/// More sensors than go to the device at once, and in their midst one whose scan the host
-/// has to make.
+/// Uses more sensors than are submitted to the device together. The scan of one of them
+/// must be made on the host.
 TEST_F(Service, PointsOfARigAreThoseOfEachSensorAlone) {
     start();
     v1::RenderRigRequest request;

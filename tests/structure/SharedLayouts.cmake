@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-# relidar_write_shared_layouts(<file> <headers...>) writes a C++ table of the members of all structs shared by C++ and GLSL,
-# with their offsets on the host. It reads the text of the headers, so that new members are included automatically.
+# relidar_write_shared_layouts(<file> <headers...>) writes a C++ table of the members of
+# all structs that C++ and GLSL share, with their offsets on the host. It reads the text
+# of the headers, so that new members are included automatically.
 function(relidar_write_shared_layouts out)
     set(includes "")
     set(rows "")

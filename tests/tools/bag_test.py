@@ -372,7 +372,8 @@ def packets_of(dual, product=0x22, n=170, lost=()):
                     seen = (firing + laser) % 3 > 0
                     mm = 4000 + 20 * laser + 2 * (firing % 500) if seen else 0
                     two = dual and seen and firing % 5 == 0
-                    # the last return is the brighter one, so that the second block has the next strongest
+                    # The last return is the stronger one, so the second block has the
+                    # second strongest return.
                     values = [(mm, 90), (mm - 1500 if two else mm, 40 if two else 90)] if dual else [(mm, 90)]
                     for block, (value, bright) in zip(blocks, values):
                         block += struct.pack("<HB", value // 2, bright if value else 0)
@@ -399,7 +400,8 @@ def test_packets():
         bag = WORK / "packets.mcap"
         bags.write_mcap(bag, messages, form="ros1" if lost else "cdr")
         folder, head = converted(bag)
-        # whole turns from behind to behind: of 170 packets, 0.2256 s, the one from 0.05 to 0.15 s
+        # Complete turns start and end facing backward. Of 170 packets (0.2256 s), there
+        # is one such turn, from 0.05 to 0.15 s.
         expect(len(head["frames"]) == 1, f"{name}: {len(head['frames'])} turns")
         text = head["conventions"].split("0 s is ")[1].split()[0]
         zero_s = int(text.split(".")[0]) - T0 // 10**9 + float("0." + text.split(".")[1]) - 1e-9 * (T0 % 10**9)

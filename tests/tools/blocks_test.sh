@@ -1,15 +1,18 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# relidar train --blocks on a small synthetic street: the run is used as any other; whatever ends its training, --resume goes on, and what
-# comes out is the same to the bit; so it is where mpirun shares the blocks among processes, where one of them is killed, and where a device
-# is lost. Processes that share frames render and score as one does.
+# Tests `relidar train --blocks` on a small synthetic street. The run must be usable like
+# any other run. After any interruption, --resume must continue the training with
+# bit-identical results. This also holds if mpirun distributes the blocks over processes,
+# if one process is killed, and if a device is lost. Processes that share frames must
+# render and score the same as one process.
 #
 #   blocks_test.sh RELIDAR [WORK_FOLDER] [LAYER_FOLDER] [MPIRUN]
 #
-# LAYER_FOLDER: of the manifest of the layer that loses the device (device_loss/).
+# LAYER_FOLDER: folder with the manifest of the layer that loses the device
+# (device_loss/).
 #
-# Exits 77 (skipped) where there is no Vulkan device, or fails there with RELIDAR_REQUIRE_GPU=1.
+# Exits 77 (skipped) if there is no Vulkan device, or fails if RELIDAR_REQUIRE_GPU=1.
 set -uo pipefail
 relidar=$(realpath "${1:?usage: blocks_test.sh RELIDAR [WORK_FOLDER] [LAYER_FOLDER] [MPIRUN]}")
 tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
@@ -23,7 +26,8 @@ source "$tests/checks.sh"
 settings=(--preset quick --set train.iterations=6 --set train.log_every=1 --set train.deterministic=true
     --set refine.enabled=false --set dataset.test_every=6 --set train.checkpoint_minutes=1e-9 --set init.voxel_m=0.3)
 
-# same RUN: its surfels, its poses and what was learnt of them are those of `one`, to the bit.
+# same RUN: checks that surfels, poses and learnt values of RUN equal those of `one` bit
+# by bit.
 same() {
     local file
     for file in model.safetensors scene.json coverage.safetensors intensity_scatter.safetensors blocks/000/model.safetensors blocks/001/model.safetensors blocks/002/model.safetensors; do
@@ -112,7 +116,8 @@ stopped() {
 
 losing=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers")
 
-# The device is lost when a block begins, and between two of its iterations: one line says so, and what is there stays.
+# Tests a device that is lost when a block begins, and between two iterations. One line
+# must report the error, and finished blocks must stay.
 lost_device() {
     local after
     for after in 10 220; do
@@ -146,7 +151,8 @@ kill_one() {
 
 mpi() { "$mpirun" --allow-run-as-root --oversubscribe -n "$@"; }
 
-# mpi_pair FIRST... -- SECOND...: two processes, each of its own command. Not by mpirun's colon, at which that of Open MPI 5.0.7 crashes.
+# mpi_pair FIRST... -- SECOND...: runs two processes with different commands. Does not use
+# the colon of mpirun, because it crashes in Open MPI 5.0.7.
 mpi_pair() {
     local first=()
     while [[ $1 != -- ]]; do
@@ -198,7 +204,9 @@ ranks() {
     same lost
 }
 
-# Processes that cannot work together, and one that fails: mpirun ends with its exit code, and the others leave what a next start needs.
+# Tests processes that cannot work together, and a process that fails. mpirun must end
+# with its exit code, and the other processes must leave a state from which training can
+# resume.
 misfits() {
     cp "$relidar" other && printf x >>other
     mpi_pair "$relidar" train street --out misfit --blocks 30m "${settings[@]}" -- ./other train street --out misfit --blocks 30m "${settings[@]}" >out 2>err
@@ -214,7 +222,8 @@ misfits() {
     same misfit
 
     mkdir -p full && mount -t tmpfs -o size=2500k tmpfs full 2>/dev/null || return 0   # not everybody may
-    # no checkpoints on the way: one half written beside it would take the room of the first model
+    # Disables checkpoints, because a partial checkpoint would use the space of the first
+    # model.
     mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_minutes=10 --quiet >out 2>err
     check "a full folder: exit code $?, expected 3" test $? = 3
     check "the message lacks the block" grep -Eq "^relidar: block . of 3: writing .*: No space left on device; trained blocks are kept, continue with: relidar train --resume full/run" err

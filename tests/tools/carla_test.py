@@ -71,7 +71,8 @@ for frame, points in clouds.items():
         check(f"frame {frame}: {n} points on actor {id}, which is {'' if id in there else 'not '}there", n > 2000 if id in there else n < 500)
     check(f"frame {frame}: {wrong[carla.CAR]} points where the car's mirror image is", carla.PASSING in there or wrong[carla.CAR] < 500)
 
-# The first sweep has no cars. Right-handed by hand, angles to the left: that of the map, less CARLA's, plus the mount's.
+# The first sweep has no cars. The expected right-handed angle is positive to the left:
+# the angle of the map, minus CARLA's angle, plus the mounting angle.
 service = v1_grpc.RenderServiceStub(grpc.insecure_channel(address, options=[("grpc.max_receive_message_length", -1)]))
 scene = service.ListScenes(v1.ListScenesRequest()).scenes[0]
 request = v1.RenderLidarRequest(sensor=v1.Sensor(name="Pandar128"))

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: Apache-2.0
-# What tests of the command line have in common: commands run and judged. Sourced by them, with $relidar set, in a folder of their own.
+# Functions that tests of the command line share: they run commands and check the results.
+# A test sources this file in a separate folder, with $relidar set.
 n_checks=0 n_failed=0
 
 fail() { n_failed=$((n_failed + 1)); printf 'FAILED: %s\n' "$*"; [[ ! -s err ]] || sed 's/^/    stderr: /' err; }

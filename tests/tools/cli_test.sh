@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# The command line tool as a user meets it: every command on a tiny synthetic street, and every bad input answered with one
-# line and the right exit code.
+# Tests the command line tool like a user: every command on a tiny synthetic street. Every
+# invalid input must give a one-line message and the correct exit code.
 #
 #   cli_test.sh RELIDAR [WORK_FOLDER]
 #
-# Exits 77 (skipped) where there is no Vulkan device, or fails there with RELIDAR_REQUIRE_GPU=1.
+# Exits 77 (skipped) if there is no Vulkan device, or fails if RELIDAR_REQUIRE_GPU=1.
 set -uo pipefail
 relidar=$(realpath "${1:?usage: cli_test.sh RELIDAR [WORK_FOLDER]}")
 tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
@@ -95,7 +95,8 @@ wrong_usage() {
     absent x
 }
 
-# What the system refuses is told as what it is, never as a fault of relidar. Root may go anywhere, so that it asks as "nobody".
+# Errors of the operating system must be reported as such, not as errors of relidar. Root
+# has all permissions, so the commands run as "nobody".
 bad_paths() {
     local own=$relidar
     mkdir locked && cp -r street unreadable && ln -s loop loop && printf 'elevation_deg\n0\n' >beams.csv
@@ -210,7 +211,8 @@ training() {
     says '"surfels": [1-9]'
 }
 
-# What other programs find in the files: numpy (python3-numpy) and OpenEXR's own tool (openexr), where they are.
+# Reads the files with other programs, if they are installed: numpy (python3-numpy) and
+# OpenEXR's tool (openexr).
 foreign_readers() {
     local python
     for python in python3 /usr/bin/python3 none; do "$python" -c 'import numpy' 2>/dev/null && break; done
@@ -367,13 +369,12 @@ range_limits() {
     bad 2 "range limits: 30 to 20 m, expected 0 <= dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
 }
 
-# x y z yaw of a track's start, as --copy takes it.
-# Largest difference between the numbers of two .bin scans.
 points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
+# Prints the largest difference between the numbers of two .bin scans.
 difference() { paste <(od -An -v -t f4 -w4 "$1") <(od -An -v -t f4 -w4 "$2") | awk 'NF != 2 { most = 1e9 } { d = $1 - $2; if (d < 0) d = -d; if (d > most) most = d } END { print most + 0 }'; }
 
-# Along the path of the log's own sensor, as it was exported, there are the log's own scans; every path and moment that makes no sense is refused.
-# The network that corrects ray-drop: part of a run, used where it fits, left out where asked for.
+# Tests the network that corrects ray-drop. It is part of a run, is used if it fits the
+# sensor, and can be turned off.
 ray_drop() {
     good info run
     says "^ray drop +corrected by a network of [0-9]+ parameters that reads native images$"
@@ -406,6 +407,8 @@ ray_drop() {
     absent x
 }
 
+# The exported path of the log's sensor must give the scans of the log. Invalid paths and
+# times must be rejected.
 own_paths() {
     good export run --out way.csv
     says "12 poses"
@@ -438,6 +441,7 @@ own_paths() {
     absent x
 }
 
+# Prints x, y, z and yaw of the start of a track, in the form of --copy.
 start_of() { "$relidar" info "$1" | awk -v track="$2" '$1 == track { for (i = 1; i <= NF; i++) if ($i ~ /^[-0-9.]+,[-0-9.]+,[-0-9.]+,[-0-9.]+$/) print $i }'; }
 
 editing() {
@@ -689,7 +693,8 @@ damaged_runs() {
     absent x
 }
 
-# The viewer: what it prints, refuses, and how it ends. Its server and page have tests of their own (tests/view).
+# Tests the output, the rejected arguments and the end of the viewer. tests/view tests its
+# server and page.
 viewing() {
     good view --help
     if ! grep -q -- "--port" out; then
@@ -716,7 +721,8 @@ viewing() {
     check "a viewer that Ctrl-C has ended: exit code $code, expected 0" test "$code" = 0
 }
 
-# whole_or_none: an edit that is killed, or finds the disk full, leaves a run that loads, or nothing of that name.
+# whole_or_none: if an edit is killed or the disk is full, there must be a complete run of
+# this name, or none.
 whole_or_none() {
     local begin=${EPOCHREALTIME/./} share pid
     good edit run --out killed --remove 0 --quiet
@@ -745,7 +751,8 @@ whole_or_none() {
     rm -rf killed
 }
 
-# Ctrl-C while the scene is initialised: nothing is left but settings and an empty log, from which --resume starts.
+# Tests Ctrl-C during the initialisation of the scene. Only the settings and an empty log
+# must stay, and --resume must start from them.
 early_interruption() {
     "$relidar" train street --out early --preset quick --set train.refine_poses=none --set train.iterations=2 --set refine.enabled=false >out 2>err &
     local pid=$!
@@ -795,7 +802,8 @@ interruption() {
     absent stopped/.lock
 }
 
-# The interrupted run goes on, with the log it had, from the newest checkpoint that can be read.
+# The interrupted run must resume with its log, from the newest checkpoint that can be
+# read.
 resuming() {
     [[ -n $stopped_at ]] || return 0   # said above
     local total=$((stopped_at + 3))
@@ -820,7 +828,8 @@ resuming() {
     bad 3 "training, iteration 1: (the intensity loss is|array .*: row [0-9]+ holds inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
 }
 
-# Ctrl-C while the network is trained: a checkpoint stays, and the network ends as it would have without.
+# Tests Ctrl-C during the training of the network. A checkpoint must stay, and the resumed
+# training must give the same network.
 network_resuming() {
     local few=(--preset quick --set train.refine_poses=none --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
     local checkpoints=half/checkpoints/drop_network
@@ -851,7 +860,8 @@ network_resuming() {
     check "nobody says that there is nothing to resume" grep -q "^relidar: note: other has no checkpoint of its network" err
 }
 
-# stop_in_network ARGS...: a command whose network is trained on $checkpoints, ended by SIGTERM once it has written one.
+# stop_in_network ARGS...: runs a command that trains a network on $checkpoints. Ends it
+# by SIGTERM after it has written a checkpoint.
 stop_in_network() {
     [[ $1 == train ]] || checkpoints=$2/checkpoints/drop_network
     "$relidar" "$@" >out 2>err &
@@ -867,7 +877,8 @@ stop_in_network() {
     check "interrupted $1 leaves no checkpoint of its network" compgen -G "$checkpoints/iteration_*.safetensors" >/dev/null
 }
 
-# The short report. What it counts comes from the street's definition and from `relidar list devices`.
+# Tests the short report. The expected numbers come from the definition of the street and
+# from `relidar list devices`.
 bench() {
     good bench --json numbers/bench.json
     says "^traversal +(software|ray_query)$"
@@ -882,7 +893,8 @@ bench() {
     for key in build refit forward backward iteration; do
         check "bench.json lacks ${key}_ms" grep -Eq "^ \"${key}_ms\": [0-9.]*[1-9]" numbers/bench.json
     done
-    # a step on all rays takes longer than the search for hits in it, and 65536 rays in the time of a pass are its rate
+    # A step with all rays takes longer than the search for hits in it. The rate of a pass
+    # is 65536 rays divided by its time.
     check "bench.json: times or rates that contradict each other" awk -F '[:,]' '{gsub(/[" ]/, "", $1); v[$1] = $2}
         END {rate = 65.536 / v["forward_ms"]; exit !(v["iteration_ms"] > v["forward_ms"] / 2 && v["forward_mrays_per_s"] / rate > 0.999 && v["forward_mrays_per_s"] / rate < 1.001)}' numbers/bench.json
     good bench --run run --json run.json

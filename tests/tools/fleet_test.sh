@@ -1,12 +1,13 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Many logs: the table of scores of `relidar eval RUN RUN ... --table FILE`, and the files of tools/examples/fleet for make,
-# Snakemake (if it is installed), Slurm and Kubernetes.
+# Tests the processing of many logs: the table of scores of `relidar eval RUN RUN ...
+# --table FILE`, and the files of tools/examples/fleet for make, Snakemake (if it is
+# installed), Slurm and Kubernetes.
 #
 #   fleet_test.sh RELIDAR [WORK_FOLDER]
 #
-# Exits 77 (skipped) if there is no Vulkan device, or fails then with RELIDAR_REQUIRE_GPU=1.
+# Exits 77 (skipped) if there is no Vulkan device, or fails if RELIDAR_REQUIRE_GPU=1.
 set -uo pipefail
 relidar=$(realpath "${1:?usage: fleet_test.sh RELIDAR [WORK_FOLDER]}")
 tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
@@ -92,7 +93,8 @@ kubernetes() {
     has called.txt "train $work/fleet/logs/b --out $work/fleet/runs/b --preset default --quiet --resume"
 }
 
-# Settings that train on these streets within a second. Eight rows are too few to place a scan.
+# Settings that train on these streets within a second. Eight rows are not enough to
+# register a scan.
 train="--preset quick --set train.iterations=2 --set train.refine_poses=none --set refine.enabled=false"
 train+=" --set init.actor_min_points=10 --set init.unlabelled_movers=removed --set dataset.test_every=5"
 
@@ -103,7 +105,8 @@ streets() {
 
 fleet_make() { make -f "$fleet/Makefile" RELIDAR="$relidar" TRAIN="$train" "$@" >../out 2>../err; }
 
-# make trains each log once, resumes, and writes the table. A damaged log does not stop the others.
+# make must train each log once, resume, and write the table. A damaged log must not stop
+# the other logs.
 makefile() {
     cp -r streets make && cd make || exit 1
     fleet_make -n
@@ -129,7 +132,8 @@ makefile() {
     cd ..
 }
 
-# Snakemake does the same, with the runs of make. Debian's package brings 76 others, so that tools/dev/setup does not install it.
+# Snakemake must do the same with the runs of make. tools/dev/setup does not install it,
+# because Debian's package depends on 76 other packages.
 snakefile() {
     command -v snakemake >/dev/null || { echo "note: no snakemake, the Snakefile is not run"; return; }
     cd make && rm -r done scores.* || exit 1

@@ -41,7 +41,7 @@ for rule in spec["podFailurePolicy"]["rules"]:
         actions.update({code: rule["action"] for code in rule["onExitCodes"]["values"]})
     else:
         expect(rule["action"] == "Ignore" and [c["type"] for c in rule["onPodConditions"]] == ["DisruptionTarget"], f"{rule}")
-# Errors of usage and data would occur again. An interruption is no failure. All other codes (1 bug, 4 device, 137 killed) count
-# as a try.
+# Errors of usage and data would occur again. An interruption is no failure. All other
+# codes (1 bug, 4 device, 137 killed) count as a try.
 expect(actions == {2: "FailIndex", 3: "FailIndex", 130: "Ignore"}, f"exit codes {actions}")
 print(container["args"][0])

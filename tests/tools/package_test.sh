@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# The Debian package as `cpack` makes it of a built tree: what it holds, what it says of itself, and that the program and the
-# library in it work.
+# Tests the Debian package that `cpack` makes from a built tree: its files, its
+# description, its program and its library.
 #
 #   package_test.sh BUILD_FOLDER WORK_FOLDER [CMAKE_OPTIONS of tests/consumer...]
 #
@@ -20,7 +20,8 @@ for program in dpkg-deb dpkg-shlibdeps file readelf; do
     command -v "$program" >/dev/null || { echo "package: no $program"; exit 77; }
 done
 
-# make_package FOLDER: prints the path of the one package made there. Gzip, because xz takes longer than everything else here.
+# make_package FOLDER: makes a package and prints its path. Uses gzip, because xz takes
+# longer than all other steps of this test.
 make_package() {
     (umask 077 && cpack --config "$build/CPackConfig.cmake" -B "$PWD/$1" -D CPACK_DEBIAN_COMPRESSION_TYPE=gzip) >"$1.log" 2>&1 \
         || fail "cpack failed: $(cat "$1.log")"
@@ -33,7 +34,8 @@ deb=$(make_package first)
 cmp "$deb" "$(make_package second)" || fail "two packages of the same build differ"
 dpkg-deb -x "$deb" root
 
-# What it holds: exactly what cmake --install installs, owned by root, writable by nobody else.
+# The package must contain exactly the files that `cmake --install` installs, owned by
+# root and not writable by other users.
 cmake --install "$build" --prefix "$PWD/prefix/usr" >/dev/null
 diff <(cd prefix && find . | sort) <(cd root && find . | sort) || fail "the package (>) holds other files than cmake --install (<) makes"
 foreign=$(dpkg-deb -c "$deb" | awk '!($1 ~ /^(drwxr-xr-x|-rwxr-xr-x|-rw-r--r--|lrwxrwxrwx)$/ && $2 == "root/root")')

@@ -130,7 +130,8 @@ def packets(product, n, dual=False, lost=(), zero_us=3_599_950_000):
             code = {"VLP-16": 0x22, "VLP-32C": 0x28, "HDL-32E": 0x21}[product.name]
             data = body + struct.pack("<IBB", round(time_us + zero_us) % 3_600_000_000, mode, code)
         else:
-            # the manuals: a laser fires at its block's start plus its own time, the first at -54.67 (-54.668, +0.368) us
+            # According to the manuals, a laser fires at the start of its block plus its
+            # time offset, the first at -54.67 (-54.668, +0.368) us.
             block, own = {"Pandar40P": (-28.58, -54.67), "Pandar64": (-42.58, -54.668), "XT32": (5.632, 0.368)}[product.name]
             time_us = last_us - block - own
             stamp = struct.pack("<I", round(time_us + zero_us) % 1_000_000)

@@ -15,7 +15,8 @@ from pathlib import Path
 
 SOURCE, RELIDAR, WORK = (Path(word).resolve() for word in sys.argv[1:4])
 
-# Writes the scores of a part, fails or is interrupted, as the name of the part says. Notes each call.
+# Program that writes the scores of a part, fails, or is interrupted, depending on the
+# name of the part. It also records each call.
 STAND_IN = """#!/usr/bin/env python3
 import json, os, sys
 from pathlib import Path

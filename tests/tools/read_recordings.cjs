@@ -1,11 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads scans.mcap and rosbag.mcap of a rendering as a player does, message by message in the order of the file: each cloud's points are
-// taken to the world by the transforms that have been heard by then, and compared with the ply files of the same scans rendered with
-// --frame world; boxes with the run's scene.json; everything else with the ply files and scans.json beside the recording.
+// Reads scans.mcap and rosbag.mcap of a rendering like a player, message by message in
+// the order of the file. Transforms the points of each cloud to the world with the
+// transforms that were received before. Compares them with the ply files of the same
+// scans rendered with --frame world. Compares boxes with the run's scene.json, and all
+// other data with the ply files and scans.json next to the recording.
 //
-//   node read_recordings.cjs NODE_MODULES RUN FOLDER WORLD SUBFOLDER=TOPIC=FRAME ...     one a sensor; SUBFOLDER . of one that stands alone
+//   node read_recordings.cjs NODE_MODULES RUN FOLDER WORLD SUBFOLDER=TOPIC=FRAME ...
 //
-// Prints what is wrong (with SHOW in the environment how far off each cloud is, too); exit code 1 where anything is, 77 where a package is missing.
+// The last argument is repeated for each sensor; SUBFOLDER is . for a single sensor.
+// Prints all errors, and with SHOW in the environment also the error of each cloud. The
+// exit code is 1 if there are errors, and 77 if a package is missing.
 "use strict";
 const fs = require("fs");
 const path = require("path");
@@ -31,14 +35,17 @@ function plyOf(summary, i) {
     return readPly(path.join(summary.folder, summary.scans[i].files.find((f) => f.endsWith(".ply"))));
 }
 
-/** A cloud of any kind as points with `seconds` from the stamp. */
+/** Returns a cloud of any kind as points with `seconds` relative to the stamp. */
 function unpack(message) {
     const rows = points(message.value), stamp = nanoseconds(message.value.header?.stamp ?? message.value.timestamp);
     for (const row of rows) row.seconds = row.time ?? 1e-9 * row.time_stamp;
     return { rows, stamp, frame: message.value.header?.frame_id ?? message.value.frame_id };
 }
 
-/** Without a rolling shutter all rays of a scan are fired at its time, whatever ply says of the sensor's. */
+/**
+ * Returns the firing time of a ray. Without a rolling shutter all rays of a scan are
+ * fired at its time, although the ply file contains times of the sensor.
+ */
 function firedAt(summary, row) {
     return summary.settings["sensor.rolling_shutter"] ? row.time : 0;
 }
@@ -69,7 +76,10 @@ function checkCloud(what, sensor, i, message, frames, shift) {
     else checkChannels(what, rows, own, said.deskewed && !inWorld);
 }
 
-/** Channels are those of the ply; deskewed normals are not: a recording's are in the frame of its stamp. */
+/**
+ * Checks that the channels equal those of the ply file. Skips deskewed normals, because a
+ * recording has them in the frame of its stamp.
+ */
 function checkChannels(what, rows, own, isOtherFrame) {
     const names = Object.keys(own[0]).filter((name) => !["x", "y", "z", "intensity", "ring", "time", "instance", "return"].includes(name));
     for (const name of names) {
@@ -90,7 +100,7 @@ function checkAngles(what, rows) {
     check(`${what}: ${wrong.length} points have another return, angle or distance`, wrong.length === 0);
 }
 
-/** Boxes of an actors' message of any kind: by id, with pose and size. */
+/** Returns the boxes of an actors' message of any kind by id, with pose and size. */
 function boxesOf({ value }) {
     const pose = (p) => ({ t: xyz(p.position), q: [...xyz(p.orientation), p.orientation.w] });
     if (value.entities)
@@ -104,7 +114,10 @@ function boxesOf({ value }) {
         pose: pose(o.kinematics.pose_with_covariance.pose), velocity: xyz(o.kinematics.twist_with_covariance.twist.linear) })) };
 }
 
-/** Where the run's scene.json has a box at a time of the log, and how fast it is in its own axes. */
+/**
+ * Returns the pose of a box of scene.json at a time of the log, and its velocity in its
+ * own axes.
+ */
 function boxAt(box, seconds) {
     const last = box.time_s.length - 2;
     const i = Math.min(last, Math.max(0, box.time_s.findLastIndex((t) => t <= seconds)));
@@ -133,7 +146,10 @@ function checkBoxes(what, message, tracked, shift) {
     });
 }
 
-/** Velocity between two transforms of one sweep; nothing where they are too near for a difference. */
+/**
+ * Returns the velocity between two transforms of one sweep, or nothing if their times are
+ * too close.
+ */
 function wayBetween(a, b) {
     const [from, to] = [a, b].map((message) => message?.value.transforms[0]);
     const seconds = from && to ? 1e-9 * Number(nanoseconds(to.header.stamp) - nanoseconds(from.header.stamp)) : 0;
@@ -168,7 +184,10 @@ function checkServiceQuality(file) {
     check("no record of rosbag2, by which it takes numbers for policies", file.records.rosbag2?.get("serialized_metadata") === "");
 }
 
-/** Where the log's LiDAR is mounted, and on it by scans.json the sensor. */
+/**
+ * Returns the mounting of the log's LiDAR combined with the pose of the sensor on it from
+ * scans.json.
+ */
 function checkMounting(what, frame, offset, found) {
     const [x, y, z, ...wxyz] = (scene.lidars.find((lidar) => lidar.name === frame) ?? scene.lidars[0]).vehicle_from_sensor;
     const q = [...wxyz.slice(1), wxyz[0]];

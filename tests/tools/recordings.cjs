@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recordings read by others' packages (npm: @mcap/core, protobufjs, @foxglove/rosmsg, @foxglove/rosmsg2-serialization), messages decoded by
-// the schemas in the files, and a tree of frames as a player keeps it.
+// Reads recordings with packages of other projects (npm: @mcap/core, protobufjs,
+// @foxglove/rosmsg, @foxglove/rosmsg2-serialization). Decodes messages with the schemas
+// in the files, and builds a tree of frames like a player.
 "use strict";
 const fs = require("fs");
 const path = require("path");
 const { createRequire } = require("module");
 
-/** The packages in a folder's node_modules; exits with 77 where one is missing. */
+/** Loads the packages in a folder's node_modules. Exits with 77 if one is missing. */
 function packages(modules) {
     const from = createRequire(path.resolve(modules, "reader.cjs"));
     try {
@@ -23,7 +24,7 @@ function packages(modules) {
     }
 }
 
-/** A file that the reader asks for pieces of. */
+/** Gives the reader access to parts of a file. */
 class File {
     constructor(name) {
         this.bytes = fs.readFileSync(name);
@@ -46,7 +47,10 @@ function decoder(npm, schema) {
     return (data) => reader.readMessage(data);
 }
 
-/** Messages in the order of the file, each {topic, type, time, value}, times in nanoseconds of the log; channels; what the file says. */
+/**
+ * Returns the messages in the order of the file as {topic, type, time, value}, the
+ * channels, and the metadata of the file. Times are nanoseconds of the log.
+ */
 async function read(npm, file, check) {
     const name = path.basename(file);
     const reader = await npm.core.McapIndexedReader.Initialize({ readable: new File(file) });
@@ -71,7 +75,7 @@ async function read(npm, file, check) {
     return { name, messages, channels, records, shift: Number(records.relidar?.get("time_shift_s")) };
 }
 
-/** Nanoseconds of a time of ROS or of Foxglove. */
+/** Returns a time of ROS or Foxglove in nanoseconds. */
 function nanoseconds(t) {
     return BigInt(t.sec ?? t.seconds) * 1000000000n + BigInt(t.nsec ?? t.nanosec ?? t.nanos);
 }
@@ -79,7 +83,7 @@ function nanoseconds(t) {
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
 const xyz = (v) => [v.x, v.y, v.z];
 
-/** q v q*, q as x y z w. */
+/** Rotates v by the quaternion q (x y z w): q v q*. */
 function rotate(q, v) {
     const t = cross(q, v).map((x) => 2 * x), u = cross(q, t);
     return v.map((x, i) => x + q[3] * t[i] + u[i]);
@@ -89,7 +93,7 @@ function apply(pose, v) {
     return rotate(pose.q, v).map((x, i) => x + pose.t[i]);
 }
 
-/** As tf2 does: a line and slerp. */
+/** Interpolates two poses like tf2: translations linearly, rotations by slerp. */
 function interpolate(a, b, s) {
     const dot = a.q.reduce((sum, x, i) => sum + x * b.q[i], 0), sign = dot < 0 ? -1 : 1, angle = Math.acos(Math.min(1, Math.abs(dot)));
     const [wa, wb] = angle < 1e-9 ? [1 - s, s] : [Math.sin((1 - s) * angle) / Math.sin(angle), Math.sin(s * angle) / Math.sin(angle)];
@@ -97,7 +101,7 @@ function interpolate(a, b, s) {
     return { t: a.t.map((x, i) => x + s * (b.t[i] - x)), q: q.map((x) => x / length) };
 }
 
-/** Transforms that have been heard so far. */
+/** Transforms of all messages that were read so far. */
 class Frames {
     constructor() {
         this.of = new Map();   // child -> {parent, isStatic, times, poses}
@@ -110,7 +114,7 @@ class Frames {
         if (isStatic) edge.times.length = edge.poses.length = 0;
         edge.times.push(time), edge.poses.push(pose);
     }
-    /** Listens to /tf and /tf_static of both kinds. */
+    /** Reads messages of /tf and /tf_static of both kinds. */
     hear({ topic, value }) {
         for (const t of value.transforms ?? [value])
             this.add(t.header?.frame_id ?? t.parent_frame_id, t.child_frame_id, nanoseconds(t.header?.stamp ?? t.timestamp),
@@ -127,7 +131,10 @@ class Frames {
         if (low === high) return poses[low];
         return interpolate(poses[low], poses[high], Number(time - times[low]) / Number(times[high] - times[low]));
     }
-    /** From a frame to the world at a time; nothing is extrapolated. @return edges, innermost first */
+    /**
+     * Returns the transforms from a frame to the world at a time. Does not extrapolate.
+     * @return edges, innermost first
+     */
     chain(frame, time) {
         const edges = [];
         for (let child = frame; child !== "world"; child = this.of.get(child).parent) {
@@ -141,7 +148,7 @@ class Frames {
     }
 }
 
-/** Columns of a ply: x y z intensity ring time instance. */
+/** Returns the columns of a ply file: x y z intensity ring time instance. */
 function readPly(name) {
     const bytes = fs.readFileSync(name);
     const end = bytes.indexOf("end_header\n") + 11;
@@ -169,7 +176,10 @@ function readPly(name) {
 const kFoxglove = { 1: (b, i) => b.readUInt8(i), 3: (b, i) => b.readUInt16LE(i), 6: (b, i) => b.readInt32LE(i), 7: (b, i) => b.readFloatLE(i) };
 const kRos = { 2: (b, i) => b.readUInt8(i), 4: (b, i) => b.readUInt16LE(i), 6: (b, i) => b.readUInt32LE(i), 7: (b, i) => b.readFloatLE(i) };
 
-/** Points of a foxglove.PointCloud or a sensor_msgs/PointCloud2, from the fields that it describes. */
+/**
+ * Returns the points of a foxglove.PointCloud or a sensor_msgs/PointCloud2. Uses the
+ * fields that the message describes.
+ */
 function points(cloud) {
     const bytes = Buffer.from(cloud.data), stride = cloud.point_stride ?? cloud.point_step;
     const readers = cloud.point_stride ? kFoxglove : kRos;

@@ -1,13 +1,17 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# Recordings of `relidar render` read by others' readers: @mcap/core with protobufjs and @foxglove/rosmsg2-serialization, of npm:
+# Reads recordings of `relidar render` with readers of other projects from npm: @mcap/core
+# with protobufjs and @foxglove/rosmsg2-serialization.
 #   npm install --prefix FOLDER @mcap/core protobufjs @foxglove/rosmsg @foxglove/rosmsg2-serialization
-# Every cloud, taken to the world by the recording's own transforms, must lie where `--frame world` has it (read_recordings.cjs).
+# Every cloud, transformed to the world by the transforms of the recording, must equal the
+# output of `--frame world` (read_recordings.cjs).
 #
-#   recordings_test.sh RELIDAR WORK_FOLDER READERS       READERS: that FOLDER; $RELIDAR_READERS instead where it is set
+#   recordings_test.sh RELIDAR WORK_FOLDER READERS
 #
-# Exits 77 (skipped) where there is no node, no such package or no Vulkan device.
+# READERS is the FOLDER of npm; $RELIDAR_READERS replaces it if set.
+#
+# Exits 77 (skipped) if node, a package or a Vulkan device is missing.
 set -uo pipefail
 relidar=$(realpath "${1:?usage: recordings_test.sh RELIDAR WORK_FOLDER READERS}")
 tests=$(realpath "$(dirname "${BASH_SOURCE[0]}")")
@@ -25,8 +29,9 @@ rm -rf "$work" && mkdir -p "$work/street" && cd "$work" || exit 1
 failures=0
 fail() { printf 'FAILED: %s\n' "$*"; failures=$((failures + 1)); }
 
-# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in the sensor's frame, deskewed and in the world, all with
-# FLAGS, those that have recordings with ONLY_FLAGS too, and reads them.
+# check NAME "SUBFOLDER=TOPIC=FRAME ..." FLAGS... -- ONLY_FLAGS...: renders NAME in the
+# sensor frame, deskewed and in the world with FLAGS. Renderings with recordings also use
+# ONLY_FLAGS. Then reads the recordings.
 check() {
     local name=$1 sensors=$2 flags=() recording=() frame code
     shift 2
@@ -54,7 +59,8 @@ train() {
 run=run
 printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
 train street run
-# 16 m/s through a lane change of 3.5 m in 1.2 s; and a bend of 60 degrees a second, its poses 15 degrees apart.
+# Paths: a lane change of 3.5 m in 1.2 s at 16 m/s, and a curve of 60 degrees per second
+# with poses 15 degrees apart.
 awk 'BEGIN { pi = 3.14159265358979; print "time_s,x,y,z,yaw_deg"; for (i = 0; i <= 24; ++i) { t = 0.05 * i; u = pi * t / 1.2
     printf "%.4f,%.6f,%.6f,1.73,%.6f\n", t, -8 + 16 * t, -1.75 * cos(u), atan2(1.75 * sin(u) * pi / 1.2, 16) * 180 / pi } }' >lane.csv
 awk 'BEGIN { pi = 3.14159265358979; print "time_s,x,y,z,yaw_deg"; for (i = 0; i <= 6; ++i) { t = 0.25 * i; a = pi / 3 * t
@@ -78,7 +84,8 @@ check rig_named "front=/sensing/front/points=front_link 2nd-rear=/sensing/_2nd_r
     -- --topic "/sensing/{name}/points" --frame-id "{name}_link"
 check merged "$alone" --trajectory bend.csv --times 0.2:0.4:0.1 --sensor rig.json --merge --channels normal
 
-# A log of several LiDARs: base_link is the frame that they are mounted in, and names are theirs.
+# Tests a log of several LiDARs. They are mounted in base_link, and topics have their
+# names.
 mkdir two && printf 'seed = 5\nn_frames = 6\nrig = "../rig.json"\n' >two/street.toml
 train two run_of_two
 run=run_of_two

@@ -120,7 +120,8 @@ for k, (cloud, frame, entry) in enumerate(zip(clouds, frames, read)):
     scan = np.load(work / "read" / entry["scan"])
     hit = scan["range"] > 0
     found = (scan["origin"] + scan["range"][..., None] * scan["directions"])[hit]
-    # the reader puts a cloud into an image, where the nearer one of two points of a pixel stays
+    # The reader converts a cloud to an image. If two points belong to one pixel, it keeps
+    # the nearer one.
     check(f"cloud {k}: {len(found)} of {len(points)} points read", 0.95 * len(points) < len(found) <= len(points))
     apart = max(np.linalg.norm(points - point, axis=1).min() for point in found[::100])
     check(f"cloud {k}: points were read {apart} m off", apart < 1e-3)

@@ -26,7 +26,8 @@ def check(what, condition):
         failures.append(what)
 
 
-# The wire. Every message is a list of (field number, value); a value is bytes, str, float (fixed32), Fixed64, int (varint) or a message.
+# Wire format. A message is a list of (field number, value). A value is bytes, str, float
+# (fixed32), Fixed64, int (varint) or a message.
 
 class Fixed64(int):
     pass
@@ -135,7 +136,8 @@ for entry in map(decode, ways[1][1]):
     log.append((struct.unpack("<Q", entry.get(2, [bytes(8)])[0])[0], read_pose(entry[1][0])))
 check("times rise", all(a[0] < b[0] for a, b in zip(log, log[1:])))
 
-# A frame of the log's own, driven faster than the log did and turning, and its traffic. Relidar's own service tells where that is.
+# Renders a frame of the log with a faster and turning sensor, and with its traffic.
+# relidar's own service provides the expected positions.
 
 sys.path.insert(0, f"{root}/tools/examples")
 from closed_loop_client import v1, v1_grpc   # noqa: E402  makes the stubs

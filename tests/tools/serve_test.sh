@@ -1,13 +1,15 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 #
-# `relidar serve` as a user meets it: a server in a process of its own, on a small street; clients in Python whose stubs are made of the
-# proto, one of which compares scans with those of `relidar render` to the bit; bad input; Ctrl-C.
+# Tests `relidar serve` like a user: a server process on a small street, Python clients
+# with stubs generated from the proto, invalid input, and Ctrl-C. One client compares
+# scans with those of `relidar render` bit by bit.
 #
 #   serve_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER [LAYER_FOLDER]
 #
-# LAYER_FOLDER: of the manifest of the layer that loses the device (device_loss/).
-# Exits 77 (skipped) where there is no Vulkan device, or no Python with grpcio and numpy.
+# LAYER_FOLDER: folder with the manifest of the layer that loses the device
+# (device_loss/).
+# Exits 77 (skipped) if there is no Vulkan device, or no Python with grpcio and numpy.
 set -uo pipefail
 relidar=$(realpath "${1:?usage: serve_test.sh RELIDAR RELIDAR_DEV WORK_FOLDER}")
 relidar_dev=$(realpath "$2")
@@ -32,7 +34,8 @@ done
 [[ -n $python ]] || { echo "no Python with grpcio, protobuf and numpy"; exit 77; }
 
 before=()   # words before the command of a server
-# serve ARGS...: starts a server at a free port; $server is its process, $address where it listens.
+# serve ARGS...: starts a server at a free port. Sets $server to its process and $address
+# to its address.
 serve() {
     "${before[@]}" "$relidar" serve "$@" --listen 127.0.0.1:0 >serve.out 2>serve.err &
     server=$!
@@ -94,7 +97,8 @@ bad 2 "listening at $address: it is taken" serve run --listen "$address"
 grep -q "town at $address: 8 calls by 2 clients, 768 rays" bench.out || fail "bench --serve prints: $(cat bench.out)"
 relidar=$relidar_dev bad 3 "found status 5, reading scene: found \"city\"" bench --serve "$address" --serve-scene city
 
-# gRPC's own services, asked in bytes: health of ours (1 = serving), and the list of services by reflection.
+# Tests gRPC's standard services with raw messages: health of our services (1 = serving),
+# and the list of services by reflection.
 "$python" - "$address" <<'PYTHON' || fail "health or reflection"
 import sys
 import grpc
@@ -123,7 +127,8 @@ grep -q "stopped .* m behind the actor" loop.out || fail "closed_loop_client.py:
 stop
 ! "$relidar_dev" bench --serve "$address" --calls 1 >/dev/null 2>&1 || fail "it answers after Ctrl-C"
 
-# The other car of the street as an asset, under a name of the client's; taken out again, the name is free.
+# Adds the other car of the street as an asset with a name chosen by the client. After its
+# removal the name must be free.
 bad 3 "nowhere: no such folder" serve run --assets nowhere
 bad 3 "street: found no asset in it" serve run --assets street
 "$relidar" assets run --out assets --least 0 --quiet || fail "no assets to serve"
@@ -176,7 +181,8 @@ PYTHON
 timeout 20 "$relidar_dev" bench --serve "$address" --calls 2 >bench.out 2>&1 || fail "it does not serve after silent connections: $(cat bench.out)"
 stop
 
-# A lost device: clients hear UNAVAILABLE, and the server ends with the exit code of a device.
+# Tests a lost device: clients must receive UNAVAILABLE, and the server must end with the
+# exit code for devices.
 if [[ -n $layers ]]; then
     before=(env VK_INSTANCE_LAYERS=VK_LAYER_RELIDAR_device_loss "VK_ADD_LAYER_PATH=$layers" RELIDAR_LOSE_DEVICE_AFTER=60)
     serve run

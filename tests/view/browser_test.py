@@ -16,7 +16,8 @@ from selenium.webdriver.common.by import By
 from selenium.webdriver.common.keys import Keys
 from selenium.webdriver.support.ui import Select
 
-# Counts the pixels of a picture (PNG, base64) that are not white, black or gray: points and boxes.
+# Counts the pixels of a picture (PNG, base64) that are not white, black or gray. These
+# are points and boxes.
 COLOURED = """
 const done = arguments[arguments.length - 1], image = new Image();
 image.onload = () => {

@@ -48,7 +48,7 @@ struct Place {
     double time_s;
 };
 
-/// Points of a scan and what the street has along their rays.
+/// Points of a scan, and the exact ranges of the street along the same rays.
 struct RayEnds {
     const RayTable& rays;
     const std::vector<float>& range_m;
@@ -57,11 +57,12 @@ struct RayEnds {
     glm::vec3 at(std::size_t i, float range) const { return rays.origin[i] + range * rays.direction[i]; }
 };
 
-/// Distance of points to the nearest surface at the times of their rays: infinity where
-/// no probe meets one. Surfaces of the street have one side, and a point may lie
-/// millimetres behind one. So it is asked from itself to all around, and from all around
-/// to itself, from as near as a surface counts as its own, and from as far as one counts
-/// at all.
+/// Returns the distance of each point to the nearest surface at the time of its ray, or
+/// infinity if no probe ray hits a surface. Surfaces of the street are one-sided, and a
+/// point may lie some millimetres behind one. Probe rays are therefore cast from the
+/// point in all directions, and also from all directions back to the point. The latter
+/// start at the distance up to which a point belongs to a surface, and at the maximum
+/// distance.
 std::vector<float> distances(const Place& place, const RayEnds& points,
                              const std::vector<std::size_t>& chosen) {
     static const std::array<glm::vec3, kProbes> directions = all_around();
@@ -100,7 +101,8 @@ std::vector<float> distances(const Place& place, const RayEnds& points,
 struct Count {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    /// @param scan  whose rays return or not
+    /// Adds the points of a scan.
+    /// @param scan scan that determines which rays return
     void add(const Place& place, const RayEnds& of, const RenderedScan& scan) {
         const std::vector<float>& range_m = of.range_m;
         std::vector<std::size_t> doubtful;

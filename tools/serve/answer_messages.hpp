@@ -14,7 +14,7 @@ namespace relidar::serve {
 /// @param config settings of the run, which select the range of points
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
                 v1::LidarScan& message);
-/// The same without an image.
+/// Writes a scan of points without an image.
 void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarScan& message);
 
 /// Writes the description of a scene.

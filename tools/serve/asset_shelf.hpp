@@ -9,14 +9,15 @@
 
 namespace relidar::serve {
 
-/// Immutable after construction, so that any thread may read it.
+/// Catalogue of assets. It is immutable after construction, so that any thread may read
+/// it.
 class AssetShelf {
 public:
     /// Reads only the descriptions of assets, because many are never used. The surfels
     /// are read when an asset is inserted.
     /// @param folders folders of `relidar assets`
-    /// @throws DataError if a folder cannot be read; UsageError if two assets have the
-    /// same name
+    /// @throws DataError if a folder cannot be read
+    /// @throws UsageError if two assets have the same name
     explicit AssetShelf(const std::vector<std::string>& folders);
 
     struct Entry {

@@ -43,9 +43,9 @@ inline constexpr std::size_t kMostAtOnce = 8;
 inline constexpr std::size_t kCallsTogether = 4;
 static_assert(2 * kCallsTogether * kMostAtOnce <= ScanRenderer::kScansInFlight);
 
-/// The points alone of scans of one scene, which go to the device at once, and perhaps
-/// with those of other calls.
-/// @param wanted  at most kMostAtOnce
+/// Renders only the points of several scans of one scene. The scans are submitted to the
+/// device together, possibly with scans of other calls.
+/// @param wanted at most kMostAtOnce scans
 Timed<std::vector<RenderedPoints>> render_points(RenderQueue::Place& place, SceneSet& scenes,
                                                  std::span<const WantedScan> wanted,
                                                  const grpc::ServerContext& context);

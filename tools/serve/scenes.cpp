@@ -100,7 +100,7 @@ void SceneSet::load(std::size_t scene, const Run& run) {
         loaded.renderer->render(one_ray(), first_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    // Parallel copies must not displace another scene.
+    // Parallel copies of the scene must not displace another scene.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->side_by_side();
     loaded.renderer->side_by_side(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));

@@ -17,8 +17,8 @@
 
 namespace relidar::serve {
 
-/// Must be used from the device's thread only, except outlines(), assets() and spawned(),
-/// which any thread may call.
+/// Served scenes of one device. May be used from the device's thread only, except
+/// outlines(), assets() and spawned(), which any thread may call.
 class SceneSet {
 public:
     /// Loads each run once to check it and to measure its size.
@@ -42,8 +42,8 @@ public:
     /// is too small. The scene is then unchanged.
     std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnWish>& wishes);
 
-    /// Number of loads of a scene. A renderer of a later load does not know requests to
-    /// an earlier one.
+    /// Number of the load of a scene. A renderer of a later load does not have the
+    /// pending requests of an earlier one.
     enum class Load : std::uint64_t {};
     /// Calls a function with a scene's renderer. Loads the scene if necessary.
     /// @param scene index into outlines()

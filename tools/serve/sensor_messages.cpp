@@ -199,7 +199,8 @@ SensorChoice read_sensor(const v1::SensorSpec& message, const std::string& field
             pattern.divergence_rad = static_cast<decltype(pattern.divergence_rad)>(divergence_rad);
         },
         sensor.pattern);
-    // says now what is not finite: its rays are made scan by scan
+    // Reports values that are not finite now, because the rays of this sensor are
+    // otherwise made only when a scan is rendered.
     if (describe_pattern(sensor.pattern).has_rays_by_time) make_rays(sensor);
     return sensor_choice(sensor);
 }

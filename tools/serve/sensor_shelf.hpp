@@ -15,7 +15,7 @@ struct SensorChoice;
 
 namespace relidar::serve {
 
-/// May be used from any thread.
+/// Cache of sensors. May be used from any thread.
 class SensorShelf {
 public:
     static constexpr std::size_t kMostSensors = 64;

@@ -19,7 +19,7 @@ namespace relidar::serve {
 
 namespace sensorsim = nre::grpc::protos::sensorsim;
 
-/// May be used from any thread.
+/// Reader for requests of sensorsim.proto. May be used from any thread.
 class SensorsimReader {
 public:
     /// Creates a reader for the messages of sensorsim.proto.
@@ -54,7 +54,7 @@ private:
                          const std::string& field) const;
 };
 
-/// Points of a scan that has been rendered as read() says.
+/// Writes the points of a scan that was rendered for a request of read().
 void write_points(const Points& points, sensorsim::LidarRenderReturn& message);
 
 /// Writes the trajectories of the log's vehicle and of its LiDARs.

@@ -18,7 +18,7 @@ struct WantedScan;
 
 class SensorsimService final : public sensorsim::SensorsimService::Service {
 public:
-    /// Both arguments must outlive the service.
+    /// Creates the service. The queue and the scenes must outlive it.
     /// @param scenes used only on the queue's thread
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order);
     ~SensorsimService() override;

@@ -17,7 +17,7 @@ namespace relidar::serve {
 
 class RenderService final : public v1::RenderService::Service {
 public:
-    /// Both arguments must outlive the service.
+    /// Creates the service. The queue and the scenes must outlive it.
     /// @param scenes used only on the queue's thread
     RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 

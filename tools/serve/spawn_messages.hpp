@@ -17,7 +17,8 @@ void write_asset(const AssetFacts& facts, v1::Asset& message);
 /// @param run run of the scene, without surfels
 void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::SpawnedActor& message);
 
-/// Says which actors that the request placed are too coarse for where they stand.
+/// Writes the names of actors that the request placed and whose surfels are too coarse at
+/// their distance from the sensor.
 void write_sparse_actors(const WantedScan& wanted, v1::LidarScan& message);
 
 }  // namespace relidar::serve

@@ -52,8 +52,8 @@ public:
     /// Returns the places in use.
     std::vector<Place> taken(std::size_t scene) const;
 
-    /// Assigns a place to each actor. If no place of its source is free, the number of places
-    /// of that source is doubled, but at most 8 places are added.
+    /// Assigns a place to each actor. If no place of its source is free, the number of
+    /// its places is doubled, but at most 8 places are added.
     /// @return places in the order of the requests
     /// @throws Refusal if a name is in use or the limit of places is reached; nothing is
     /// changed then

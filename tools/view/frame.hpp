@@ -32,16 +32,18 @@ namespace relidar::view {
 /// Columns of one scan. Entry i of each array belongs to ray i. Probabilities and
 /// intensities are in steps of 1/255.
 struct ScanColumns {
-    int rows = 0, columns = 0;                 ///< rows = 1: no image
-    std::vector<glm::vec3> position_m = {};    ///< [n] relidar's world
-    std::vector<float> range_m = {};           ///< [n] 0 where nothing came back or was met
-    std::vector<std::uint8_t> intensity = {};  ///< [n]
-    std::vector<std::uint8_t> drop = {};       ///< [n] probability; a real scan has 0 and 255 alone
-    /// [n] index into the instances that the scan names, 65535 where there is none; or
-    /// empty
+    int rows = 0, columns = 0;                 ///< Image size; rows = 1 if the rays do not form an image.
+    std::vector<glm::vec3> position_m = {};    ///< [n] end points of the rays, in relidar's world frame.
+    std::vector<float> range_m = {};           ///< [n] ranges; 0 if the ray has no return and hit nothing.
+    std::vector<std::uint8_t> intensity = {};  ///< [n] intensities.
+    /// [n] drop probabilities. A measured scan has only the values 0 and 255.
+    std::vector<std::uint8_t> drop = {};
+    /// [n] index into the instances that the header lists, 65535 for no instance. May be
+    /// empty.
     std::vector<std::uint16_t> instance = {};
-    std::vector<std::uint16_t> ring = {};    ///< [n]
-    std::vector<ScanChannel> channels = {};  ///< [n] each; arrays "channel_NAME"
+    std::vector<std::uint16_t> ring = {};  ///< [n] beam numbers.
+    /// Additional channels, [n] values each, sent as arrays "channel_NAME".
+    std::vector<ScanChannel> channels = {};
 };
 
 /// Returns the columns of a simulated scan.

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Defines the pointer and vector types that C++ and GLSL share. All other shared headers
-// are struct definitions, and a few functions, that both languages read unchanged. Structs use the scalar
-// block layout. A pointer is a buffer reference in GLSL and an 8-byte address in C++.
+// are struct definitions, and a few functions, that both languages read unchanged.
+// Structs use the scalar block layout. A pointer is a buffer reference in GLSL and an
+// 8-byte address in C++.
 #ifndef RELIDAR_INCLUDED_BASE_LANG_H
 #define RELIDAR_INCLUDED_BASE_LANG_H
 #ifdef __cplusplus

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Densification on the device, for the background and all actors together. Adds surfels
-// where the scans need more of them and removes useless surfels (docs/method.md section
-// 6). Parameters, optimiser moments and statistics are moved together.
+// in places where the image needs more of them, and removes useless surfels
+// (docs/method.md section 6). Keeps parameters, optimiser moments and statistics in the
+// same order.
 #pragma once
 
 #include <cstdint>

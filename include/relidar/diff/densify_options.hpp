@@ -13,7 +13,7 @@ namespace relidar {
 /// Strategy for adding and removing surfels.
 enum class DensifyStrategy {
     none,
-    adaptive  ///< the paper's: clone and split by gradient, prune, reset opacities
+    adaptive  ///< Strategy of the paper: clones and splits by gradient, prunes, resets opacities.
 };
 
 /// Schedule and thresholds of densification. The defaults are the paper's (section 6).
@@ -34,19 +34,24 @@ struct DensifyOptions {
     /// Minimum opacity; fainter surfels are removed. ImageModel::alpha_min, which tracing
     /// uses, is a lower bound of this value.
     double min_opacity = 0.003;
-    double max_extent_share = 0.01;  ///< of the extent: larger ones are removed ...
-    int large_from = 3000;           ///< ... after this step
-    int opacity_reset_every = 3000;  ///< until `until`; 0 = never
-    double reset_opacity = 0.01;     ///< at least 2.5 times ImageModel::alpha_min, which is traced
-    int max_surfels = 4000000;       ///< no growth beyond; a scene that starts larger is not cut
+    /// Maximum scale, relative to the extent; larger surfels are removed after
+    /// `large_from`.
+    double max_extent_share = 0.01;
+    int large_from = 3000;  ///< Step after which surfels that are too large are removed.
+    /// Number of steps between opacity resets, up to step `until`; 0 = never.
+    int opacity_reset_every = 3000;
+    double reset_opacity = 0.01;  ///< Opacity after a reset; at least 2.5 times ImageModel::alpha_min.
+    /// Maximum number of surfels for growth. A larger initial scene is not reduced.
+    int max_surfels = 4000000;
     bool operator==(const DensifyOptions&) const = default;
 };
 
 /// Result of a densification.
 struct DensifyReport {
     std::uint32_t before = 0, after = 0;
-    std::uint32_t added = 0;  ///< rows more than survivors: a clone and a split add one each
-    /// wanted by their gradient; where the sum exceeds `added` there was no room for all
+    std::uint32_t added = 0;  ///< Number of added surfels; each clone or split adds one.
+    /// Number of surfels whose gradient requires a clone or a split. If their sum exceeds
+    /// `added`, there was not enough memory for all of them.
     std::uint32_t clones = 0, splits = 0;
     /// Number of removed surfels by reason: not finite, low opacity, large scale, outside
     /// the actor's box.

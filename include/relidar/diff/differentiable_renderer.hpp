@@ -27,7 +27,8 @@ struct GradientOptions {
 /// dL/d(rendered) of every ray, one array for each differentiable array of Rendering. An
 /// empty array means zeros.
 struct RenderedGradients {
-    /// [n] of depth (1/m), weight, intensity, hit_logit and drop_logit, as in Rendering
+    /// [n] gradients with respect to depth (1/m), weight, intensity, hit_logit and
+    /// drop_logit, as in Rendering.
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name{};
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES

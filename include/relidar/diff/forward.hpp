@@ -17,21 +17,22 @@ namespace relidar {
 
 /// Rendered values, one entry per ray.
 struct Rendering {
-    /// depth, weight, intensity, hit_logit and drop_logit: <relidar/diff/blended_values.h>
-    /// says what each one is.
+    /// Depth, weight, intensity, hit_logit and drop_logit.
+    /// <relidar/diff/blended_values.h> explains each of them.
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name;
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
-    std::vector<float> transmittance;  ///< T after the last blended surfel
-    std::vector<float> median_depth;   ///< t at which T crosses 0.5, 0 where it never does, metres
-    std::vector<std::uint32_t> hits;   ///< blended surfels
-    /// Whose surface a ray meets, an index into Scene::instances: that of the surfel at
-    /// which T crosses 0.5, since a faint surfel before it would give its own name to
-    /// what is seen through it; where T stays above, of the nearest blended one; -1
-    /// without a hit.
+    std::vector<float> transmittance;  ///< Transmittance T after the last blended surfel.
+    /// Distance t at which T crosses 0.5, metres; 0 if T stays above 0.5.
+    std::vector<float> median_depth;
+    std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
+    /// Index into Scene::instances of the surface that the ray hits. It is the instance
+    /// of the surfel at which T crosses 0.5, so that a faint surfel in front does not
+    /// hide it. If T stays above 0.5, it is the instance of the nearest blended surfel.
+    /// -1 without hits.
     std::vector<std::int32_t> instance;
-    /// sum w n of unit normals that face the sensor, world; empty without
-    /// TraceOptions::normals
+    /// Sum of w n, where n is a unit normal that faces the sensor, world frame. Empty
+    /// without TraceOptions::normals.
     std::vector<glm::vec3> normal;
     /// Mean t of the heaviest surface, metres; 0 without hits. Empty without
     /// TraceOptions::mode_gap_m.
@@ -47,14 +48,14 @@ public:
     /// Records the trace of a batch. The scene must be activated and accel updated
     /// before, in the same stream.
     /// @param rendered  [>= n_rays] output
-    /// @param kept      output, for the backward pass of the same batch; null where it
-    /// shall cast the rays again
+    /// @param kept      output, for the backward pass of the same batch; null = the
+    /// backward pass traces the rays again
     /// @param surfaces  [>= n_rays] output, needed with TraceOptions::has_surfaces()
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
              Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr,
              const Array<shared::RenderedSurface>* surfaces = nullptr);
-    /// Rays that reached the cap of passes since the last call (they end early, which is
-    /// an error). Blocks.
+    /// Returns the number of rays that reached the maximum number of passes since the
+    /// last call. Such rays end too early, which is an error. Blocks.
     std::uint32_t take_pass_cap_count();
     /// Number of rays that reached the maximum number of passes, [1] on the device. It
     /// grows until it is set to 0. Can be read back without waiting.
@@ -69,7 +70,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Returns rendered rays as host arrays. @param surfaces  of as many rays, or empty
+/// Returns rendered rays as host arrays.
+/// @param surfaces one entry per ray, or empty
 Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
                        const std::vector<shared::RenderedSurface>& surfaces = {});
 

@@ -78,9 +78,11 @@ struct SurfelGradients {
 class Loss {
 public:
     virtual ~Loss() = default;
-    /// Records terms of what rays render; between the forward and the backward pass.
-    /// @param rendered  its upstream is accumulated; ImageLoss, which comes first, writes it
-    /// @param terms     accumulated
+    /// Records loss terms that compare rendered and measured rays. Called between the
+    /// forward and the backward pass.
+    /// @param rendered rays to compare. The loss adds to `upstream`; only ImageLoss,
+    /// which is recorded first, overwrites it.
+    /// @param terms row to which the loss adds its terms
     virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                          const TermRow& terms);
     /// Records terms that depend directly on the parameters. Called after the backward
@@ -118,7 +120,8 @@ private:
 /// Exact Chamfer distance between the simulated points A and the measured points B of a
 /// batch (docs/method.md section 5):
 ///
-///   chamfer ( sum_A min_B |a - b|^2 + sum_B min_A |a - b|^2 ) / min(|A|, |B|);  0 if a cloud is empty
+///   chamfer = (sum_A min_B |a - b|^2 + sum_B min_A |a - b|^2) / min(|A|, |B|);
+///             0 if a cloud is empty
 ///
 /// A: origin + range * direction of known rays with ray-drop below 0.5 and W > 0.1; the
 /// range is D / W, or D (normalised_depth). B: the measured points of known rays that
@@ -145,8 +148,9 @@ private:
 };
 
 /// Likelihood of the measured ranges (docs/method.md M12), a mean over returned rays:
-///   likelihood  -ln(f + (1 - f) S), S = sum_i w_i k(t_i) with the RangeKernel k about the measured range, f the likelihood_floor
-/// The batch must be rendered with TraceOptions::likelihood and with the same targets.
+///   likelihood = -ln(f + (1 - f) S),  S = sum_i w_i k(t_i)
+/// Here k is the RangeKernel about the measured range, and f is the likelihood_floor. The
+/// batch must be rendered with TraceOptions::likelihood and with the same targets.
 class LikelihoodLoss final : public Loss {
 public:
     LikelihoodLoss(Device& device, const LossWeights& weights);

@@ -6,9 +6,9 @@
 #ifndef RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 #define RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 
-/// TERM(place in a row of terms, name, setting of its weight, the loss that computes it,
-/// default, what the setting accepts, what it means) A loss computes one term or several.
-/// It is made, once, where a weight of its terms is above 0 (make_losses).
+/// TERM(index in a row of terms, name, setting of its weight, loss that computes it,
+/// default, accepted values, meaning). A loss computes one or more terms. make_losses()
+/// creates it if the weight of at least one of its terms is above 0.
 #define RELIDAR_LOSS_TERMS(TERM)                                                                         \
     TERM(0u, depth, depth, image, 0.1f, at_least(0), "weight of the range term, L1 on returned rays")    \
     TERM(1u, intensity, intensity, image, 0.1f, at_least(0),                                             \

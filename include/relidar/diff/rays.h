@@ -32,8 +32,8 @@ RELIDAR_POINTER(Targets, DeviceTarget);
 /// Output of the forward pass for a ray (M5): the blended values and data about the hits.
 struct RenderedRay {
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
-    float transmittance;  // T after the last blended surfel
-    float median_depth;   // t where T crosses 0.5, 0 where it never does
+    float transmittance;  // Transmittance T after the last blended surfel.
+    float median_depth;   // Distance t at which T crosses 0.5; 0 if T stays above 0.5.
     uint n_hits;
     // Instance of the surfel at which T crosses 0.5; otherwise of the nearest blended
     // surfel; RELIDAR_NO_INSTANCE without hits.
@@ -48,10 +48,10 @@ struct RayGradient {
 RELIDAR_POINTER(RayGradients, RayGradient);
 #undef RELIDAR_FIELD
 
-/// What a scan needs of the surface that a ray meets; without gradients.
+/// Surface that a ray hits, rendered without gradients.
 struct RenderedSurface {
-    vec3 normal;  // sum w n, n a surfel's unit normal in the world, facing the sensor
-    float mode;   // m, mean of t over the heaviest surface of the ray (M13), 0 without hits
+    vec3 normal;  // Sum of w n, where n is a surfel's unit normal that faces the sensor, world frame.
+    float mode;   // Mean of t over the heaviest surface of the ray (M13), metres; 0 without hits.
 };
 RELIDAR_POINTER(RenderedSurfaces, RenderedSurface);
 

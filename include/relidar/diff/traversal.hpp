@@ -111,16 +111,16 @@ struct KeptHits {
 /// kB per ray), or `per_ray` if that is larger.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
-/// A batch that has been rendered, as losses compare it and the backward pass
-/// differentiates it.
+/// Rendered batch with the arrays that losses and the backward pass need.
 struct RenderedBatch {
     RayBatch rays;
     /// Rendered values of ForwardPass::run, [n_rays].
     const Array<shared::RenderedRay>* rendered = nullptr;
     /// dL/d(rendered), [n_rays]: written by losses, read by the backward pass.
     Array<shared::RayGradient>* upstream = nullptr;
-    const KeptHits* kept = nullptr;  ///< of the same ForwardPass::run, or null
-    /// [n_rays] of the same ForwardPass::run, or null without TraceOptions::has_surfaces()
+    const KeptHits* kept = nullptr;  ///< Kept hits of the same ForwardPass::run, or null.
+    /// Surfaces of the same ForwardPass::run, [n_rays], or null without
+    /// TraceOptions::has_surfaces().
     const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 

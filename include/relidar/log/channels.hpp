@@ -120,8 +120,8 @@ T nothing_of(const ChannelInfo& channel) {
 }
 
 /// Appends the value of a return of a ray to a channel of points. A second return gets
-/// its value in `ScanChannel::second` if that is not empty. Otherwise it gets the value of
-/// the ray if `ChannelInfo::of_ray` is set, or else `ChannelInfo::none`.
+/// its value in `ScanChannel::second`, if that is not empty. Otherwise it gets the value
+/// of the ray if `ChannelInfo::of_ray` is set, or else `ChannelInfo::none`.
 /// @param number  number of the return, starting at 1
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// What readers of datasets have in common: points to scans, poses and boxes to tracks,
-// and the check of what was read. A reader parses the dataset's files and fills a
-// Sequence with these; docs/architecture.md section 3 has the recipe.
+// Functions that all dataset readers share. They convert points to scans, poses and boxes
+// to tracks, and check the result. A reader parses the files of a dataset and fills a
+// Sequence; docs/architecture.md section 3 explains how to add one.
 #pragma once
 
 #include <cstdint>
@@ -13,123 +13,136 @@
 
 namespace relidar {
 
-/// Head angles at which a spinning LiDAR may fire: the ticks of its encoder, or even
-/// steps.
+/// Azimuths of the head at which a spinning LiDAR may fire: the ticks of its encoder, or
+/// equal steps.
 struct HeadLattice {
-    int n_ticks = 0;        ///< a sweep
+    int n_ticks = 0;        ///< number of ticks in a sweep
     double zero_rad = 0.0;  ///< azimuth of tick 0
 
     double tick_rad() const;
-    /// Tick nearest to a head azimuth, in [0, n_ticks).
+    /// Returns the tick nearest to an azimuth of the head, in [0, n_ticks).
     int tick(double head_azimuth_rad) const;
-    /// Head azimuth of a tick in (-pi, pi].
+    /// Returns the azimuth of the head at a tick, in (-pi, pi].
     double azimuth_of(int tick) const;
 };
 
-/// One sweep: the lattice of a head and the ticks at which it fired, azimuth falling from
-/// +pi.
+/// One sweep: the lattice of the head azimuths, and the ticks at which the head fired.
+/// The azimuth decreases from +pi.
 struct Sweep {
     HeadLattice lattice;
     std::vector<int> firings;
 };
 
-/// A sweep of even steps, sensor.columns of them, where the heads of the points
-/// (head_azimuth() of their beams) lie.
-/// @param points  with rings
+/// Fits a sweep with sensor.columns equal steps to the head azimuths of the points, which
+/// head_azimuth() computes from their beams.
+/// @param points  points with rings
 Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 
-/// The scan of a spinning LiDAR, a cell for every ray fired, image order as RayTable has
-/// it. Each point is put on the ray that took it: a return keeps its own direction, its
-/// ray starts at the beam's origin. A firing without a point becomes a dropped ray of the
-/// model. Of two first returns for one ray the second goes to a free cell beside it, else
-/// the nearer is kept. Points beyond sensor.max_range_m only get rays that no other point
-/// takes: drop_outside() removes them. A ray was fired when its point was measured, or
-/// the nearest firing of that sweep; without times of points, when a head that faces
-/// forward at time 0 gets there. A sweep with fewer firings than sensor.columns repeats
-/// some of them, returns included, rather than invent drops: first where firings are
-/// missing, then at its end.
-/// @param points  with rings @throws UsageError where the points have no rings, or one of
-/// no beam, or arrays of different lengths
+/// Builds the scan of a spinning LiDAR, with one cell for each fired ray, in the image
+/// order of RayTable. Each point is assigned to the ray that measured it. A returned ray
+/// keeps its measured direction, and starts at the origin of its beam. A firing without a
+/// point becomes a dropped ray with the direction of the sensor model.
+///
+/// If two first returns belong to one ray, the second is moved to a free neighbouring
+/// cell. If no such cell is free, only the nearer point is kept. A point beyond
+/// sensor.max_range_m gets a ray only if no other point uses this ray; drop_outside()
+/// removes such points later.
+///
+/// The firing time of a ray is the time of its point, or of the nearest firing in that
+/// sweep. For points without times, it is the time at which a head that faces forward at
+/// time 0 reaches the azimuth. A sweep with fewer firings than sensor.columns repeats
+/// some firings with their returns, because additional dropped rays would be wrong. It
+/// repeats firings first at gaps, then at the end of the sweep.
+/// @param points  points with rings
+/// @throws UsageError if the points have no rings, if a ring has no beam, or if the
+/// arrays have different lengths
 Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Sweep& sweep);
 
-/// The scan of a LiDAR without image order: a ray from the sensor's origin to each point,
-/// in the given order, rows = 1. Which rays were dropped is not known. Further returns of
-/// a ray follow its first one in the list. @throws as spinning_scan, but rings are not
-/// needed
+/// Builds the scan of a LiDAR without image order: one ray from the sensor origin to each
+/// point, in the given order, rows = 1. Dropped rays are unknown. The further returns of
+/// a ray follow its first return in the list. Rings are not needed.
+/// @throws UsageError as spinning_scan()
 Scan unordered_scan(const Points& points);
 
-/// Beams of a spinning LiDAR from points without rings: the elevations at which the
-/// farther points gather, highest first, each beam starting at the sensor's centre. A few
-/// scans are enough.
-/// @return nothing where elevations do not gather in at least 4 narrow bands with nothing
-/// between them, as those of a LiDAR that scans in another way, or whose beams start so
-/// far from its centre that bands overlap (HDL-64E)
+/// Estimates the beams of a spinning LiDAR from points without rings. Beams are the
+/// elevations around which distant points cluster, highest first. Each beam starts at the
+/// sensor's centre. A few scans are enough.
+/// @return nothing if the elevations do not form at least 4 narrow, separate bands. This
+/// is so for LiDARs that do not spin, and for LiDARs whose beams start so far from the
+/// centre that the bands overlap (HDL-64E).
 std::vector<Beam> find_beams(const std::vector<Points>& scans);
 
-/// Gives every point the ring of the beam that passes nearest to it. @param beams  at
-/// least one
+/// Sets the ring of each point to the beam that passes nearest to the point.
+/// @param beams  at least one beam
 void recover_rings(Points& points, const std::vector<Beam>& beams);
 
-/// A spinning LiDAR as its points show it.
+/// Model of a spinning LiDAR that was fitted to its points.
 struct FittedSensor {
-    SpinningSensor sensor;  ///< name and range limits are left to the reader
-    /// [highest ring + 1] beam that took the points of a ring; kNoBeam: there was no
-    /// point
+    SpinningSensor sensor;  ///< fitted sensor; the reader must set its name and range limits
+    /// [highest ring + 1] index of the beam that measured the points of a ring; kNoBeam
+    /// if the ring has no points
     std::vector<std::uint16_t> beam_of_ring;
 };
 inline constexpr std::uint16_t kNoBeam = 0xFFFF;
-/// Fits a spinning LiDAR to points whose rings are known, in whatever order the dataset
-/// counts them. Elevations are medians over the farther half of a ring; columns follow
-/// from the steps of the azimuth, offsets of beams within a step from its phase; period
-/// and direction from the times, where there are any. Beams start at the sensor's centre;
-/// a stagger by whole steps is not found.
-/// @param scans  a few, with rings, whole sweeps @param period_s  of a sweep, for points
-/// without times
-/// @throws UsageError for points without rings, DataError where their azimuths have no
-/// steps
+/// Fits a spinning LiDAR to points with known rings, which the dataset may number in any
+/// order. The elevation of a beam is the median over the farther half of the points of
+/// its ring. The number of columns follows from the azimuth steps, and the azimuth
+/// offsets of beams within a step from the phase of the azimuths. Period and direction
+/// follow from the times of the points, if there are any. All beams start at the sensor's
+/// centre. Azimuth offsets of complete steps cannot be detected.
+/// @param scans  a few complete sweeps with rings
+/// @param period_s  duration of a sweep, for points without times
+/// @throws UsageError if the points have no rings
+/// @throws DataError if the azimuths are not in steps
 FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s);
 
-/// Undoes motion compensation: points that a dataset has brought to the sensor at the
-/// frame's reference time go back to the sensor as it was when each was measured. @param
-/// points  with times @param world_from_sensor  of the LiDAR that measured them
+/// Reverts motion compensation. Converts points from the sensor frame at the reference
+/// time of the frame to the sensor frame at the time of each point.
+/// @param points  points with times
+/// @param world_from_sensor  poses of the LiDAR that measured the points
 void undo_compensation(Points& points, const PoseTrack& world_from_sensor, double time_s);
 
-/// Rotation and translation as a pose. @param where  file and field, for the message
-/// @throws DataError where the matrix is no rotation within 1e-3
+/// Returns a rotation and a translation as a pose.
+/// @param where  file and field, for the error message
+/// @throws DataError if the matrix is not a rotation within 1e-3
 Pose rigid_pose(const glm::dmat3& rotation, const glm::dvec3& translation, const std::string& where);
 
-/// Appends a frame, its scan still empty, and the vehicle's pose at its time unless a
-/// frame of another LiDAR at the same time has given it.
+/// Appends a frame with an empty scan. Also appends the pose of the vehicle at its time,
+/// unless a frame of another LiDAR at the same time already added it.
 Frame& add_frame(Sequence& sequence, int index, double time_s, const Pose& world_from_vehicle, int lidar = 0);
 
-/// Moves the world's origin to the vehicle in the middle pose: poses and boxes that were
-/// read so far, and world_offset_m. Single precision is enough afterwards.
+/// Moves the world origin to the vehicle at the middle pose. Changes the poses and boxes
+/// that were read so far, and world_offset_m. Single precision is then sufficient.
 void recentre(Sequence& sequence);
-/// The same to a given origin, in the present world.
+/// Moves the world origin to a point.
+/// @param origin_m  new origin in the present world frame
 void recentre(Sequence& sequence, glm::dvec3 origin_m);
 
-/// A box as datasets list them, one moment at a time.
+/// Box of an object at one time, as datasets list it.
 struct BoxLabel {
     std::string id;
     std::string category;
     glm::dvec3 size_m{0.0};  ///< length, width, height
     double time_s = 0.0;
-    Pose world_from_box;  ///< of its centre
+    Pose world_from_box;  ///< pose of the centre of the box
 };
-/// Labels joined to tracks by id, in the order of their first labels; size and category
-/// are those of the first.
+/// Joins labels with the same id to tracks, in the order of their first labels. The first
+/// label of a track sets its size and category.
 std::vector<BoxTrack> tracks_of(const std::vector<BoxLabel>& labels);
 
-/// Whether a log is what sequence.hpp says: LiDARs and their numbers, ascending times
-/// with a pose each, rays and returns that are finite, of unit direction and as many as
-/// their tables say, boxes within reach of the vehicle. load_sequence() calls it for
-/// every reader.
-/// @throws DataError naming frame or box, field and value
+/// Checks that a log meets the requirements of sequence.hpp:
+/// - The LiDAR indices are valid, and each time has a pose; the times ascend.
+/// - Rays and returns are finite, directions are unit vectors, and all arrays of a scan
+///   have the length of its ray table.
+/// - Boxes are within reach of the vehicle. load_sequence() calls this function for every
+///   reader.
+/// @throws DataError naming the frame or box, the field and the value
 void check_sequence(const Sequence& sequence);
 
-/// Compares the times between frames with the usual one, their median. Adds a note to the
-/// log for gaps, steps above 1 s and ten usual ones. Throws a DataError for a jump of its
-/// clock, a step above 60 s and ten usual ones.
+/// Compares the time steps between frames with their median. Adds a note to the log for
+/// each gap, which is a step above 1 s and above ten medians.
+/// @throws DataError for a jump of the clock, which is a step above 60 s and above ten
+/// medians
 void check_gaps(Sequence& sequence);
 
 }  // namespace relidar

@@ -46,7 +46,7 @@ struct Registration {
     PoseTrack world_from_vehicle;  ///< corrected poses; the poses of the log if registration was stopped
     std::vector<RegisterRound> rounds;
     /// Indices into world_from_vehicle of poses whose scans could not be registered.
-    /// These poses are moved like their neighbours.
+    /// These poses get the same correction as their neighbours.
     std::vector<std::size_t> lost;
     /// Fraction of a training scan's points that are on common planes. Median over all
     /// training scans.
@@ -69,7 +69,8 @@ struct Registration {
 ///
 /// Error of the adjustment; each point p moves with the two poses between which it was
 /// fired:
-///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d),  rho(r) = r^2 / (1 + r^2 / s^2)
+///   min over all poses and planes (n, d) of  sum over points p of rho(n . p - d)
+///   rho(r) = r^2 / (1 + r^2 / s^2)
 /// Given poses may therefore drift by metres, or jump. A motion that is common to all
 /// poses cannot be observed. So the mean correction is zero, or, without given motion,
 /// the middle pose is fixed.
@@ -129,10 +130,10 @@ struct ActorRegistration {
 
 /// Registers each moving box of at least 2.5 m by its points. Corrects the poses of its
 /// track so that the points of all training frames lie on common planes in the frame of
-/// the box (same equations as register_scans()), with a prior that keeps corrections
-/// small and slow. The mean correction is zero. Poses without points, for example in
-/// held-out frames, are interpolated from the nearest registered poses. A box whose
-/// points fit one constant pose gets that pose.
+/// the box. It uses the equations of register_scans(), with a prior that keeps
+/// corrections small and slow. The mean correction is zero. Poses without points, for
+/// example in held-out frames, are interpolated from the nearest registered poses. A box
+/// whose points fit one constant pose gets that pose.
 /// @param train_positions  frames whose points are used
 ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& train_positions,
                                   const Progress& progress = {});

@@ -111,11 +111,11 @@ std::vector<glm::dvec2> footprint_pattern(int n);
 /// Returns some rays of a table as a new table without image order (rows = 1).
 RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
-/// A beam of a spinning LiDAR. If the head is at azimuth `theta` (counter-clockwise),
-/// the ray has elevation `elevation_rad` and azimuth theta + azimuth_offset_rad. It
-/// starts at
+/// A beam of a spinning LiDAR. If the head is at azimuth `theta` (counter-clockwise), the
+/// ray has elevation `elevation_rad` and azimuth theta + azimuth_offset_rad. It starts at
 ///   R_z(theta) * (origin_offset_m, 0, 0)
-///   + R_z(theta + azimuth_offset_rad) * (-origin_up_m * sin(elevation), origin_left_m, origin_up_m * cos(elevation))
+///   + R_z(theta + azimuth_offset_rad)
+///     * (-origin_up_m * sin(elevation), origin_left_m, origin_up_m * cos(elevation))
 struct Beam {
     double elevation_rad = 0.0;
     double azimuth_offset_rad = 0.0;
@@ -202,7 +202,7 @@ RayTable make_rays(const SpinningSensor& sensor);
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
 /// Ray-drop of the sensor itself (paper section 3.5): the probability that a beam has no
-/// return in an azimuth bin, whatever the scene is. An example is the body of the
+/// return in an azimuth bin, independent of the scene. An example is the body of the
 /// sensor's own vehicle. P(drop) = 1 - (1 - P of the scene) (1 - P of the sensor).
 struct DropTable {
     int channels = 0;
@@ -267,8 +267,9 @@ GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& po
 
 /// A LiDAR that deflects its beam with two prisms rotating in opposite directions. Its
 /// scan is a rosette about the x axis, with different petals in every scan:
-///   direction = (cos r, sin r cos p, sin r sin p),   r e^(ip) = deflection (e^(i 2 pi f1 t) + e^(i 2 pi f2 t)),
-/// which is the paraxial form of two thin prisms with equal wedge angles.
+///   direction = (cos r, sin r cos p, sin r sin p)
+///   r e^(ip) = deflection (e^(i 2 pi f1 t) + e^(i 2 pi f2 t))
+/// This is the paraxial form of two thin prisms with equal wedge angles.
 struct Rosette {
     std::string name;
     double deflection_rad = 0.0;  ///< deflection by each prism: half of the cone's half angle
@@ -302,45 +303,49 @@ struct ScanningWindow {
 /// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
-/// What makes the rays of a sensor. relidar has a table of these kinds, which
-/// docs/architecture.md explains.
+/// Scan pattern of a sensor, from which its rays are generated. docs/architecture.md
+/// explains the table of these kinds.
 using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
 
-/// Rays of the scan at a time. @throws UsageError as make_rays() of the kind it holds
+/// Returns the rays of the scan at a time.
+/// @throws UsageError as make_rays() of the kind of the pattern
 RayTable make_rays(const SensorPattern& pattern, double time_s);
 
-/// A sweep at even speed over columns of rays, each fired together.
+/// A sweep at constant speed over columns of rays. All rays of a column fire at the same
+/// time.
 struct AzimuthSweep {
     double first_rad, last_rad;  ///< azimuths of the first and last column
     int columns;
 };
 
-/// What is known of a pattern without making its rays.
+/// Properties of a scan pattern that are known without generating its rays.
 struct PatternSummary {
-    std::size_t n_rays = 0;         ///< of a scan
-    double period_s = 0.0;          ///< time of one scan; 0: it follows from the time offsets of the rays
-    bool has_rays_by_time = false;  ///< scans at different times have different rays
-    std::optional<AzimuthSweep> sweep = {};  ///< unless it spins or fires in another order
+    std::size_t n_rays = 0;         ///< number of rays in a scan
+    double period_s = 0.0;          ///< duration of a scan; 0: given by the time offsets of the rays
+    bool has_rays_by_time = false;  ///< true: scans at different times have different rays
+    /// azimuth sweep; empty if the sensor spins or fires in another order
+    std::optional<AzimuthSweep> sweep = {};
 };
-/// The summary of a pattern, from the row of its kind.
+/// Returns the properties of a pattern.
 PatternSummary describe_pattern(const SensorPattern& pattern);
-/// PatternSummary::period_s.
+/// Returns the duration of a scan, see PatternSummary::period_s.
 double period_of(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
     std::string name;
-    /// single line: what the sensor is and the source of its specification; empty for a
-    /// sensor file
+    /// one line that describes the sensor and names the source of its specification;
+    /// empty for a sensor file
     std::string about = {};
     RangeLimits limits = {};
     SensorPattern pattern;
 };
 
-/// Rays of the scan at a time. @throws UsageError as make_rays() of the pattern
+/// Returns the rays of the scan at a time.
+/// @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
-/// The pattern of a sensor that does not spin; nothing for one that spins.
+/// Returns the pattern of a sensor that does not spin, or nothing for a spinning sensor.
 std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor);
 
 /// Returns the names that known_sensor() accepts.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors for readers and writers of files: their JSON object, and of the built-in ones
-// the maker's numbers of the beams and when each fires.
+// Reads and writes sensors as JSON objects. Also returns the channel numbers and firing
+// times of the beams of built-in sensors.
 #pragma once
 
 #include <string>
@@ -12,19 +12,20 @@ namespace relidar {
 
 class JsonField;
 
-/// Reads a sensor: {"<kind>": {...}} with a kind of describe_pattern_kinds(). All
-/// files that hold sensors use this object. The maximum range is infinite where the file
-/// gives none.
-/// @param name  of the sensor if the file gives none
+/// Reads a sensor from an object {"<kind>": {...}}, where the kind is one of
+/// describe_pattern_kinds(). All files that contain sensors use this object. If the file
+/// has no maximum range, the maximum range is infinite.
+/// @param name  name of the sensor if the file does not contain one
 /// @throws DataError naming the member that is wrong
 SensorModel read_sensor_json(const JsonField& field, const std::string& name);
-/// Text of that object. It reads back to a sensor with the same rays, bit by bit.
+/// Returns the JSON text of a sensor for read_sensor_json(). Reading it restores the same
+/// rays bit by bit.
 std::string write_sensor_json(const SensorModel& sensor);
 
-/// The kinds of that object and their members, a line for each.
+/// Returns the kinds of sensor objects and their members, one line for each kind.
 std::string describe_pattern_kinds();
 
-/// A line of a beam table.
+/// Firing data of one beam, from a line of a beam table.
 struct BeamFiring {
     int channel = 0;         ///< channel number of the manufacturer
     double offset_us = 0.0;  ///< time since the first beam of the firing cycle

@@ -132,10 +132,10 @@ struct Lidar {
     /// Mounting. Identity if the log has a single LiDAR, because the vehicle frame is
     /// then the sensor frame.
     Pose vehicle_from_sensor;
-    /// nominal, of one that does not spin; not given: it spins, or is known by its scans
-    /// alone
+    /// Nominal pattern of a LiDAR that does not spin. Empty if it spins, or if only its
+    /// scans are known.
     std::optional<SensorPattern> pattern = {};
-    RangeNoise range_noise = {};  ///< none unless measured
+    RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
 
     /// Returns the duration of a sweep, or 0 if it is unknown.
     double period_s() const { return pattern ? period_of(*pattern) : sensor.period_s; }
@@ -143,11 +143,10 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
-/// The nominal sensor of a LiDAR. One that is known by its scans alone has no beams.
+/// Returns the nominal sensor of a LiDAR, without beams if only its scans are known.
 SensorModel sensor_of(const Lidar& lidar);
 
-/// Rays of a LiDAR's scan at a time, for frames without one of their own: none for one
-/// that is known by its scans alone.
+/// Returns the nominal rays of a LiDAR at a time, or none if only its scans are known.
 RayTable nominal_rays(const Lidar& lidar, double time_s);
 
 /// Measures how far the head of a spinning LiDAR deviated from its nominal azimuth at
@@ -191,20 +190,17 @@ struct BoxTrack {
 
     /// Returns true if the object moves, as far as labels and poses can show it.
     /// Positions are averaged over one second (half of a shorter track), because labels
-    /// jitter (by 9 cm on KITTI). An object moves in either of these cases:
+    /// jitter (by 9 cm on KITTI). The poses of a log also drift while a parked car is
+    /// visible. Therefore an object moves only in one of these cases:
     /// - An average is farther from the first one than 2 m, or than half the longer side
     ///   of the box but at least 0.2 m.
     /// - From one average to the next it moves faster than 0.5 m/s and by more than 0.2
     ///   m.
-    ///
-    /// These thresholds are needed because the poses of a log drift while a parked car is
-    /// in view.
     bool moves() const;
     /// Returns true if the box was observed at a time, or within half a mean step of an
     /// observation. The tolerance is half a sweep on either side of a label.
     bool present(double t_s) const;
-    /// Returns the box with its labelled poses only, without the `n_before` and `n_after`
-    /// added poses.
+    /// Returns the box without the `n_before` and `n_after` poses that were added.
     BoxTrack labelled_part() const;
     /// Returns true if a point in the world frame is in the box at a time. The box is
     /// enlarged by margin_m.
@@ -212,8 +208,8 @@ struct BoxTrack {
 };
 
 /// Model of the intensity as a function of range and incidence, common to all beams of a
-/// log:
-///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos),   1 at 10 m and perpendicular incidence
+/// log. The factor is 1 at 10 m and perpendicular incidence.
+///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
 struct IntensityResponse {
     std::vector<double> range_m;  ///< knots, ascending; empty: factor 1 at every range
     std::vector<double> factor;   ///< [knots] factor, interpolated linearly
@@ -237,7 +233,7 @@ struct Sequence {
     /// response of the intensity, common to all LiDARs; factor 1 unless estimated
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
-    std::vector<std::string> notes;  ///< what the log lacks, a line each
+    std::vector<std::string> notes;  ///< data that the log lacks, one line for each kind
     /// Indices of the frames that published results on this part of the dataset hold out.
     /// See split_frames().
     std::vector<int> test_frames = {};
@@ -338,15 +334,14 @@ struct WorldReturn {
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                          std::size_t number = 0);
 
-/// Returns true if a point in the world frame is in any moving box at time t_s. Each
-/// box is enlarged by margin_m and interpolated in time. A box is absent before its first
-/// and after its last observation. A tolerance of half a step between observations
-/// includes all rays of the sweep in which the box was labelled.
+/// Returns true if a point in the world frame is in any moving box at time t_s. Boxes are
+/// interpolated in time and enlarged by margin_m. A box is absent before its first and
+/// after its last observation, with a tolerance of half a step for the other rays of that
+/// sweep.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                    double margin_m);
 
-/// Result of calibrate_ranges(): how well the beams agree on planes that several of them
-/// have measured.
+/// Result of calibrate_ranges(): how well the beams agree on common planes.
 struct LaserCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
     double rms_before = 0.0;  ///< distance of points from their plane, metres

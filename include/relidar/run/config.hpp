@@ -190,8 +190,9 @@ struct Config {
     RenderConfig render;
     TraceConfig trace;
 
-    /// Whether a loss compares neighbouring pixels: steps then see windows of columns in
-    /// the place of groups of columns from all around.
+    /// Returns true if a loss compares neighbouring pixels. A training step then uses
+    /// windows of adjacent columns instead of groups of columns from all around the
+    /// sensor.
     bool needs_images() const { return loss.intensity * loss.intensity_ssim > 0.0f; }
     bool operator==(const Config&) const = default;
 };

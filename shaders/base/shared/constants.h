@@ -9,15 +9,15 @@
 #define RELIDAR_CONSTANTS(X) \
     X(WORKGROUP_SIZE, 0u)      /* threads of a workgroup */ \
     X(CHUNK, 1u)               /* hits sorted at a time */ \
-    X(BOXES, 2u)               /* proxies: 0: triangles; 1: boxes for a driver; 2: boxes for the software structure */ \
-    X(SH_PER_SURFEL, 3u)       /* harmonics are evaluated 1: once a surfel; 0: a hit */ \
-    X(TOGETHER, 4u)            /* 1: rays of a subgroup walk the tree together; 2: and load surfels for each other */ \
-    X(COUNT_VISITS, 5u)        /* 1: nodes opened and surfels tested are counted */ \
-    X(GATHER, 6u)              /* 1: write a record of each hit, for backward/gather; 0: add its gradient with atomics */ \
-    X(COALESCED_ATOMICS, 7u)   /* 1: neighbouring lanes add the floats of one hit; 0: each lane those of its own */ \
-    X(SINGLE_DROP_LOGIT, 8u)   /* 1: hit logits are 0, whatever the scene holds */ \
-    X(PRIMITIVE, 9u)           /* number of a row of relidar/scene/primitives.h */ \
-    X(NORMAL, 10u)             /* 1: blended normal too */ \
+    X(BOXES, 2u)               /* proxies: 0: triangles; 1: driver boxes; 2: boxes of the software tree */ \
+    X(SH_PER_SURFEL, 3u)       /* 1: harmonics are evaluated once per surfel; 0: once per hit */ \
+    X(TOGETHER, 4u)            /* 1: a subgroup traverses the tree together; 2: and shares loads */ \
+    X(COUNT_VISITS, 5u)        /* 1: count the opened nodes and the tested surfels */ \
+    X(GATHER, 6u)              /* gradients of hits: 1: records for backward/gather; 0: atomics */ \
+    X(COALESCED_ATOMICS, 7u)   /* 1: neighbouring lanes add the floats of one hit together */ \
+    X(SINGLE_DROP_LOGIT, 8u)   /* 1: all hit logits count as 0 */ \
+    X(PRIMITIVE, 9u)           /* index of a row in relidar/scene/primitives.h */ \
+    X(NORMAL, 10u)             /* 1: also compute the blended normal */ \
     X(KEY_WORDS, 11u)          /* 32-bit words of a sort key */ \
     X(UNTIL_DONE, 12u)         /* 1: a single workgroup repeats until no work is left */ \
     X(STAGED, 13u)             /* 1: threads of a workgroup move harmonics together through shared memory */ \

@@ -27,7 +27,8 @@ struct ClosedLoops {
 /// closure is accepted if the share of the scan's points on planes of the earlier pass is
 /// as high as in odometry. Loop closures that contradict the others get a lower weight
 /// (Geman and McClure 1985). The corrections x of the poses minimise
-///   sum over the track of |x_k+1 - x_k|^2 / s_k^2  +  sum over places of rho(|x_later - x_earlier - what it was off|)
+///   sum over the track of |x_k+1 - x_k|^2 / s_k^2
+///   + sum over loop closures of rho(|x_later - x_earlier - measured correction|)
 /// where each x is a translation and a rotation that also moves all later poses.
 /// @param followed poses from odometry: accurate from scan to scan, with a drift of
 /// metres over kilometres

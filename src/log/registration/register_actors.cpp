@@ -15,19 +15,21 @@
 namespace relidar {
 namespace {
 
-constexpr double kSmallest_m = 2.5;      // length of a box; shorter actors are people and cyclists, who bend
-constexpr double kAboveGround_m = 0.25;  // points below are returns of the ground
+// minimum length of a box; shorter actors are people and cyclists, whose shape changes
+constexpr double kSmallest_m = 2.5;
+constexpr double kAboveGround_m = 0.25;  // lower points of a box are returns of the ground
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-constexpr double kGain = 0.02;  // smallest increase of the share of points on planes
-constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;  // corrections beyond are errors
-constexpr double kStanding_m = 3.0;  // a box that moves farther cannot stand
-constexpr int kNeighbours = 3;       // poses on each side from which a pose is interpolated
+constexpr double kGain = 0.02;  // minimum increase of the share of points on planes
+// maximum corrections; larger ones are errors
+constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
+constexpr double kStanding_m = 3.0;  // maximum motion of a box that may be standing
+constexpr int kNeighbours = 3;       // number of poses on each side from which a pose is interpolated
 constexpr double kLongestGap_s = 1.0;
 
-/// Prior of corrections, in units of the weight of one point. The error of a point is
-/// 0.05 m with its neighbours' errors correlated. Labels are off by 0.15 m and 2 degrees,
-/// and jitter by 0.05 m and 1 degree in 0.1 s.
+/// Returns the prior of corrections, in units of the weight of one point. The error of a
+/// point is 0.05 m, and errors of neighbouring points are correlated. Labels have errors
+/// of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
 CorrectionPrior correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
@@ -37,9 +39,9 @@ CorrectionPrior correction_prior() {
     return prior;
 }
 
-/// The points of a track, in the frame of its labelled box.
+/// Points of a track, in the frame of its labelled box.
 struct ActorPoints {
-    std::vector<ThinPoint> points;       ///< pose: index into the track
+    std::vector<ThinPoint> points;       ///< `pose` of each point is an index into the track
     std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
 };
 
@@ -77,8 +79,9 @@ ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& tra
     return actor;
 }
 
-/// Pose at `time_s` of a parabola through the nearest poses that have points, up to three
-/// on each side. Returns nothing if a side has none within a second.
+/// Returns the pose at `time_s` on a parabola through the nearest poses that have points,
+/// up to three on each side. Returns nothing if one side has no such pose within a
+/// second.
 std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<bool>& has_points,
                                      std::size_t pose) {
     const double time_s = track.time_s[pose];
@@ -107,7 +110,7 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
     return moved(reference, twist);
 }
 
-/// Share of the points on planes that several poses share.
+/// Returns the share of points on planes that several poses have in common.
 double share_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
     return adjustment.share_on_planes(adjustment.planes(kLastActorRound), points, kLastActorRound.scale_m);
 }
@@ -119,13 +122,13 @@ PlaneAdjustment adjustment_of(const PoseTrack& track, std::vector<ThinPoint> poi
     return adjustment;
 }
 
-/// Track of identity poses: corrections start from no correction.
+/// Returns a track of identity poses, the initial value of the corrections.
 PoseTrack identity_track(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if the points fit a box that does not move at least as well as the
-/// registered track.
+/// Returns true if a standing box fits the points at least as well as the registered
+/// track.
 bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
                  double registered_share) {
     const PoseTrack& track = box.world_from_box;
@@ -157,14 +160,15 @@ void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std
                 track.pose[k] = *pose;
 }
 
-/// Median of absolute values. 0 for none.
+/// Returns the median of the absolute values, or 0 if there are none.
 double median_of(std::vector<double> values) {
     if (values.empty()) return 0.0;
     std::ranges::nth_element(values, values.begin() + std::ptrdiff_t(values.size() / 2));
     return values[values.size() / 2];
 }
 
-/// Registers one track. Does not change the box if its points do not define better poses.
+/// Registers the track of one box. Does not change it if its points do not improve the
+/// poses.
 void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
                     std::vector<double>& moved_m) {
     std::vector<bool> has_points(actor.n_of_pose.size());

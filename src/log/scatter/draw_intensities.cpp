@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Each ray descends the tree and draws one of the intensities of its leaf. The tree
-// compares what was drawn before, along the beam and above. So the image is drawn as a
-// wavefront of tiles. The result equals drawing ray by ray, row by row.
+// Draws a random intensity for each ray from a leaf of the decision tree. The tree
+// compares intensities that were drawn before, for neighbours in the same row and in the
+// rows above. The image is therefore drawn as a wavefront of tiles. The result is the
+// same as drawing ray by ray, row by row.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>
@@ -14,10 +15,10 @@
 namespace relidar {
 namespace {
 
-constexpr int kTileColumns = 64;  // of one row
-/// A tile needs the tile to its left. From the rows above it needs up to kAhead columns
-/// to its right: tile t of row r needs tile t + 1 of row r - 1. So tiles with the same
-/// 2 r + t do not need each other.
+constexpr int kTileColumns = 64;  // number of columns of a tile, which has one row
+/// A tile depends on the tile to its left. It also depends on up to kAhead columns to its
+/// right in the rows above: tile t of row r needs tile t + 1 of row r - 1. Tiles with the
+/// same 2 r + t are therefore independent.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Grows the intensity tree from all returns, layer by layer. A node is split at the
-// feature and the value that reduce the entropy of the classes most:
-//   gain = sum n_c ln(n_c / n) of both children - the same sum of the node,   c: one of 24 quantiles of all intensities.
-// A node is not split if the gain could be chance.
+// feature and the value that reduce the entropy of the classes most. The classes c are 24
+// quantiles of all intensities:
+//   gain = sum n_c ln(n_c / n) of both children - the same sum of the node
+// A node is not split if the gain could be due to chance.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -34,15 +35,15 @@ constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// Features, class and intensity of a return.
+/// Features, class and intensity of a return of a ray.
 struct Return {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
     float value;
 };
 
-/// All returns. Those of a node are contiguous, so that counting reads the memory
-/// sequentially.
+/// All returns of the scans. The returns of a node are contiguous, so that counting reads
+/// the memory sequentially.
 struct Returns {
     std::vector<Return> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The measurement model of a beam, both directions side by side:
-//   range_measured = range + range_offset,   intensity_measured = clamp(gain * fall * intensity + offset, 0, 1)
+// Measurement model of a beam, in both directions:
+//   range_measured = range + range_offset
+//   intensity_measured = clamp(gain * fall * intensity + offset, 0, 1)
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A beam with the trigonometry that all of its rays share, computed once.
+// Precomputes the sines and cosines that all rays of a beam share.
 #pragma once
 
 #include <algorithm>
@@ -10,7 +10,8 @@
 
 namespace relidar {
 
-/// Computes many rays of one beam. beam_ray() and head_azimuth() are defined by it.
+/// Computes the rays of one beam for many azimuths of the head. beam_ray() and
+/// head_azimuth() use it.
 class BeamGeometry {
 public:
     explicit BeamGeometry(const Beam& beam)

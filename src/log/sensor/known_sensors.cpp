@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors by name. Beams are those of src/log/sensor/tables, calibrations that were
-// published for one unit of each model, or evenly spaced over the field of view of a data
-// sheet. Columns, ranges and beam divergence are the makers' data-sheet figures at 10 Hz;
-// a divergence of 0 is one that no source stated.
+// Built-in sensors by name. The beams have three sources: tables in
+// src/log/sensor/tables, published calibrations of one unit of a model, or even spacing
+// over the field of view in the data sheet. Columns, ranges and beam divergence are
+// data-sheet values at 10 Hz. A divergence of 0 means that no source states it.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -22,14 +22,14 @@
 
 namespace relidar {
 
-// of cmake/Assets.cmake
+// Defined in a file that cmake/Assets.cmake generates.
 std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();
 
 namespace {
 
 constexpr double kDegree = kPi / 180.0;
 
-/// A spinning sensor of a table.
+/// Data-sheet values of a spinning sensor whose beams are in a table.
 struct Tabled {
     const char* name;
     int columns;
@@ -77,8 +77,8 @@ SensorModel model(SpinningSensor sensor, const std::string& about) {
     return {sensor.name, about, sensor.range_limits(), std::move(sensor)};
 }
 
-/// The HDL-64E of the data sheet: 32 beams a third of a degree apart from +2, then 32
-/// half a degree apart to -24.33.
+/// Returns the HDL-64E as in its data sheet: 32 beams at steps of 1/3 degree from +2
+/// degrees, then 32 beams at steps of 1/2 degree down to -24.33 degrees.
 SensorModel hdl64e(int columns, double rate_hz) {
     SpinningSensor sensor = spinning("HDL-64E", columns ? columns : 2083, rate_hz);
     add_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
@@ -88,8 +88,8 @@ SensorModel hdl64e(int columns, double rate_hz) {
     return model(std::move(sensor), "evenly spaced beams of the data sheet");
 }
 
-/// One of Waymo's four short-range LiDARs: its calibration states limits of elevation
-/// alone.
+/// Returns one of Waymo's four short-range LiDARs. Their calibration contains only the
+/// limits of the elevation.
 SensorModel waymo_side(int columns, double rate_hz) {
     SpinningSensor sensor = spinning("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
@@ -99,7 +99,7 @@ SensorModel waymo_side(int columns, double rate_hz) {
                  "short-range LiDARs of the Waymo Open Dataset: 200 even beams from +30 to -90 degrees");
 }
 
-/// The rays of the KITTI-360 grid as a spinning sensor.
+/// Returns a spinning sensor with the rays of the KITTI-360 grid.
 SensorModel kitti360(int columns, double rate_hz) {
     const RangeGrid grid = kitti360_grid();
     SpinningSensor sensor = spinning(grid.name, columns ? columns : grid.columns, rate_hz);
@@ -111,8 +111,8 @@ SensorModel kitti360(int columns, double rate_hz) {
     return model(std::move(sensor), "the image of published results on KITTI-360, 66 x 1030");
 }
 
-/// The table of a sensor that has one. Its first line begins with # and says where the
-/// figures are from.
+/// Returns the text of a sensor's beam table. The first line begins with # and names the
+/// source of the values.
 std::string table_of(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table = std::find_if(tables.begin(), tables.end(),
@@ -121,7 +121,7 @@ std::string table_of(const std::string& name) {
     return std::string(table->second);
 }
 
-/// What a table says of itself.
+/// Returns the first line of a table, which describes its source.
 std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
 SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
@@ -134,8 +134,8 @@ SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
     return model(std::move(sensor), about(table));
 }
 
-/// Hesai's AT128: mirrors sweep 120 degrees from left to right in 0.1 s, each beam off
-/// the mirror's azimuth by its own angle.
+/// Returns Hesai's AT128. Its mirrors scan 120 degrees from left to right in 0.1 s. Each
+/// beam has an azimuth offset to the mirror.
 SensorModel at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
@@ -158,8 +158,8 @@ SensorModel at128() {
     return {"AT128", about(table), {0.5, 200.0}, std::move(rays)};
 }
 
-/// As Hesai's AT128 is specified: 128 rows in a window of 120 x 25.4 degrees, 0.1 degrees
-/// a column, mirrors that sweep it at 10 Hz.
+/// Returns a scanning window with the specification of Hesai's AT128: 128 rows, 120 x
+/// 25.4 degrees, 0.1 degrees per column, 10 Hz.
 SensorModel window_128() {
     return {"window-128",
             "a hybrid solid state as the AT128: mirrors sweep 120 x 25.4 degrees, 1200 columns of 128 rows",
@@ -173,8 +173,9 @@ SensorModel window_128() {
                            .bottom_rad = -12.5 * kDegree}};
 }
 
-/// As Livox' Mid-40 is specified: a cone of 38.4 degrees, 100 000 rays a second. Turning
-/// rates of the prisms as observed on that sensor.
+/// Returns a rosette with the specification of Livox' Mid-40: a cone of 38.4 degrees and
+/// 100 000 rays per second. The rotation rates of the prisms were measured on that
+/// sensor.
 SensorModel rosette() {
     return {"rosette",
             "non-repetitive, as the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays a second",

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The table of sensor patterns, with a row for each kind. Sensor files, rigs, logs and
-// runs hold a sensor as a JSON object with one member, {"<kind>": {...}}. The row of that
-// kind reads and writes the member.
+// Table of the kinds of sensor patterns, with one row per kind. Sensor files, rigs, logs
+// and runs store a sensor as a JSON object with one member, {"<kind>": {...}}. The row of
+// a kind has the functions that read and write this member.
 #pragma once
 
 #include <string>
@@ -18,20 +18,22 @@ namespace relidar {
 /// One kind of pattern. The functions take patterns of this kind only.
 struct PatternKind {
     const char* name;     ///< key of its JSON object
-    const char* members;  ///< of that object, for the help of the command line
+    const char* members;  ///< members of the JSON object, for the help of the command line
     bool (*holds)(const SensorPattern& pattern);
-    /// @param name  of the sensor if the object has none @throws DataError naming the
-    /// member that is wrong
+    /// Reads the JSON object.
+    /// @param name  name of the sensor if the object has none
+    /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
-    /// Members of the object, without its name and range limits. They read back to the
-    /// same bits.
+    /// Returns the members of the object without name and range limits. Reading them
+    /// restores the same values bit by bit.
     nlohmann::ordered_json (*write)(const SensorPattern& pattern);
     RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
     PatternSummary (*describe)(const SensorPattern& pattern);
 };
 
-/// A row. The functions are those of the struct of the kind.
-/// @tparam functions  has parse, write, make_rays and describe, all static
+/// Creates the row of a kind from the static functions of a struct.
+/// @tparam Functions  struct with the static functions parse, write, make_rays and
+/// describe
 template <class Functions>
 PatternKind pattern_kind(const char* name, const char* members) {
     using Pattern = typename Functions::Pattern;
@@ -44,48 +46,54 @@ PatternKind pattern_kind(const char* name, const char* members) {
             [](const SensorPattern& p) { return Functions::describe(std::get<Pattern>(p)); }};
 }
 
-/// All kinds.
+/// Returns the rows of all kinds.
 const std::vector<PatternKind>& pattern_kinds();
-/// Two kinds whose members some files hold without a name of the kind.
+/// Rows of two kinds whose members are stored without the name of the kind in some files.
 PatternKind spinning_kind();
 PatternKind rays_kind();
-/// The kind that an object names, or null if it has no member of such a name.
+/// Returns the row of the kind that an object names, or null if the object names no kind.
 const PatternKind* find_pattern_kind(const JsonField& field);
 
 namespace pattern_detail {
 
-/// An angle in radians: member NAME_rad, or NAME_deg in degrees.
-/// @throws DataError unless one of them is there, within +-most_deg
+/// Reads an angle from the member NAME_rad in radians or NAME_deg in degrees.
+/// @return radians
+/// @throws DataError if both members are missing, or the angle is outside +-most_deg
 double read_angle(const JsonField& field, const std::string& name, double most_deg);
-/// The same, with a value for an angle that is missing.
+/// Reads an angle like read_angle(), but returns `missing_rad` if the angle is missing.
 double angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg);
-/// Number of a member, with a value for one that is missing.
+/// Returns the number in a member, or `missing` if the object does not have the member.
 double number_or(const JsonField& field, const char* key, double missing, double low, double high);
-/// Members divergence_rad or divergence_mrad; 0 where both are missing.
+/// Reads a beam divergence from the member divergence_rad or divergence_mrad. Returns 0
+/// if both are missing.
 double read_divergence(const JsonField& field);
 
-/// What all kinds have: {name, period_s, divergence_rad or divergence_mrad, min_range_m,
-/// max_range_m}. The maximum range is infinite where it is missing.
+/// Members that all kinds have: {name, period_s, divergence_rad or divergence_mrad,
+/// min_range_m, max_range_m}. The maximum range is infinite if the member is missing.
 struct CommonMembers {
     std::string name;
     RangeLimits limits;
     double period_s, divergence_rad;
 };
-/// @param least_period_s  allowed
+/// Reads the members that all kinds have.
+/// @param least_period_s  smallest allowed period
 CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s = 1e-6);
-/// The members of read_common, then those of the kind. An angle stands for NAME_rad and
-/// NAME_deg. @throws DataError for a member that is none of these
+/// Checks that an object has only the members of read_common() and `members`. The name of
+/// an angle allows both NAME_rad and NAME_deg.
+/// @throws DataError for any other member
 void check_members(const JsonField& field, std::vector<std::string> members,
                    const std::vector<std::string>& angles);
 
-/// n-th of so many values that are evenly spaced from first to last.
+/// Returns value i of n values that are evenly spaced from `first` to `last`.
 double between(double first, double last, int i, int n);
-/// Appends a ray that starts in the sensor's origin.
+/// Appends a ray that starts at the sensor origin.
 void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int channel);
-/// @throws UsageError unless it is 1 to kMaxRays
+/// Checks the number of rays of a sensor.
+/// @throws UsageError if the number is not in the range 1 to kMaxRays
 void check_count(const std::string& sensor, double n_rays);
-/// @param sum  of all angles and rates @throws UsageError unless it is finite and the
-/// period positive
+/// Checks that the values of a pattern are finite and that its period is positive.
+/// @param sum  sum of all angles and rates of the pattern
+/// @throws UsageError if the sum is not finite or the period is not positive
 void check_finite(const std::string& sensor, double sum, double period_s);
 
 }  // namespace pattern_detail

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Projection of points into a linear image of elevation by azimuth (Eq. 6-7), bins
-// centred on the pixel rays:
-//   row = round((fov_up - elevation) / fov * rows),  column = round((1 - azimuth / pi) / 2 * columns) mod columns
+// Projects points into an image that is linear in elevation and azimuth (Eq. 6-7). The
+// bins are centred on the rays of the pixels.
+//   row = round((fov_up - elevation) / fov * rows)
+//   column = round((1 - azimuth / pi) / 2 * columns) mod columns
 #include <relidar/log/sensor.hpp>
 
 #include <cmath>

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ray tables of spinning LiDARs and of range grids. A clockwise head reaches azimuth
-// theta at -theta / (2 pi) * period. Image column j of a beam holds the firing whose ray,
-// not whose head, is nearest to column j's azimuth: a beam with an azimuth offset is
-// moved by a whole number of columns, so that columns of the image stay upright.
+// Generates the ray tables of spinning LiDARs and range grids. A clockwise head reaches
+// azimuth theta at time -theta / (2 pi) * period. Column j of the image contains, for
+// each beam, the firing whose ray is nearest to the azimuth of column j, so that each
+// column has one azimuth. For a beam with an azimuth offset, firings are therefore
+// shifted by an integer number of columns.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -63,7 +64,7 @@ void check(const SpinningSensor& sensor) {
     }
 }
 
-/// Azimuth in [-pi, pi]; both ends are kept.
+/// Wraps an azimuth to [-pi, pi]. Keeps both -pi and pi.
 double wrapped(double azimuth_rad) {
     return std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
 }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A sparse file is mapped once, larger than any disk, and grows as arrays come; room that
-// arrays leave goes back to the disk and is given to others.
+// Stores the arrays of scans in a memory-mapped file when memory is short. A sparse file
+// is mapped once, in an address range that is larger than any disk, and grows with each
+// array. Freed space is returned to the disk and reused for other arrays.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -29,8 +30,9 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kSmall = 16 << 10;  // bytes: such arrays are not worth pages of their own
-constexpr std::size_t kReserved = std::size_t(1) << 40;  // of addresses
+// Size in bytes below which an array is too small for pages of the file.
+constexpr std::size_t kSmall = 16 << 10;
+constexpr std::size_t kReserved = std::size_t(1) << 40;  // Bytes of reserved address space.
 
 std::size_t whole_pages(std::size_t bytes) {
     static const auto page = std::size_t(::sysconf(_SC_PAGESIZE));
@@ -44,7 +46,7 @@ std::size_t whole_pages(std::size_t bytes) {
         folder.string(), std::generic_category().message(error), bytes));
 }
 
-/// A file without a name, mapped.
+/// Unnamed memory-mapped file with an allocator.
 class MappedFile {
 public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
@@ -74,8 +76,8 @@ public:
         const auto room =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = room == free_.end() ? end_ : room->first;
-        // reserved on the disk now: a page that finds the disk full when it is written
-        // ends the process
+        // Reserves the disk space now. If the disk were full later, writing a page would
+        // end the process.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
             fail_to_make_room(folder_, size, error);
         if (room == free_.end()) end_ += size;
@@ -92,7 +94,7 @@ public:
     void free(void* array, std::size_t bytes) noexcept {
         const std::size_t size = whole_pages(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        // where the file system can
+        // Returns the pages to the disk if the file system supports it.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
@@ -114,8 +116,8 @@ private:
     fs::path folder_;
     int file_ = -1;
     std::byte* begin_ = nullptr;
-    std::size_t end_ = 0;                      ///< of the file
-    std::map<std::size_t, std::size_t> free_;  ///< size by offset
+    std::size_t end_ = 0;                      ///< end of the used part of the file, bytes
+    std::map<std::size_t, std::size_t> free_;  ///< sizes of free ranges by their offset, bytes
     std::atomic<std::uint64_t> used_ = 0;
     std::mutex mutex_;
 };
@@ -124,20 +126,22 @@ struct Memory {
     std::atomic<std::uint64_t> limit = ~0ull, used = 0;
     std::atomic<MappedFile*> file = nullptr;
     std::atomic<int> processes = 1;
-    std::mutex mutex;  ///< of what follows
+    std::mutex mutex;  ///< protects the members below
     fs::path folder;
 
     MappedFile& mapped() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // for as long as the process: arrays may outlive all else
+        // The file is never closed, because arrays may be freed at the very end of the
+        // process.
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
     }
 };
 
 Memory& memory() {
-    // never destroyed: arrays of static objects are freed after main
+    // The object is never destroyed, because arrays of static objects are freed after
+    // main().
     static Memory* const all = new Memory;
     return *all;
 }
@@ -145,13 +149,15 @@ Memory& memory() {
 std::uint64_t of_machine() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
-    // version 2, and 1
+    // Files of control groups, versions 2 and 1.
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
-        if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);  // "max": no number
+        // The text "max" is not a number; it means no limit.
+        if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);
     return bytes;
 }
 
-/// Takes room in memory. @return whether there is enough
+/// Reserves bytes of memory.
+/// @return false if the limit would be exceeded
 bool take(Memory& m, std::size_t bytes) {
     if (m.used.fetch_add(bytes) + bytes <= m.limit) return true;
     m.used -= bytes;

@@ -17,18 +17,18 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
-constexpr int kTableColumns = 1800;  // 0.2 degrees a step
+constexpr int kTableColumns = 1800;  // steps of 0.2 degrees
 constexpr double kTableRate_hz = 10.0;
 
-/// A sensor as named on the command line: "name[:columns[xHz]]".
+/// Name of a sensor on the command line: "name[:columns[xHz]]".
 struct SensorName {
     std::string name;
-    int columns = 0;       ///< 0: not given
-    double rate_hz = 0.0;  ///< 0: not given
+    int columns = 0;       ///< 0: not specified
+    double rate_hz = 0.0;  ///< 0: not specified
 };
 
-/// Splits the suffix off. @throws UsageError for zero columns or a rate that is not
-/// positive
+/// Splits a text into the name and the suffix.
+/// @throws UsageError for zero columns or a rate that is not positive
 SensorName parse_name(const std::string& text) {
     const std::size_t colon = text.rfind(':');
     if (colon == std::string::npos || colon == 0) return {text};
@@ -37,7 +37,7 @@ SensorName parse_name(const std::string& text) {
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz =
         x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
-    if (!columns || !rate_hz) return {text};  // a colon of the path itself
+    if (!columns || !rate_hz) return {text};  // the colon is part of the path
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
         throw UsageError(
@@ -48,7 +48,7 @@ SensorName parse_name(const std::string& text) {
     return {text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
 
-/// Whether the header of a CSV is that of rays, not of beams.
+/// Returns true if the header of a CSV file is that of a ray table, not of a beam table.
 bool is_ray_csv(const std::string& text) {
     const std::string header = text.substr(0, text.find('\n'));
     return header.find("azimuth_deg") != std::string::npos;

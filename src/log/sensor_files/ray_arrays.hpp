@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Ray tables as files hold them: columns of numbers under the names of a rendered scan.
+// Reads ray tables from files. Their columns of numbers have the names of the arrays of a
+// rendered scan.
 #pragma once
 
 #include <optional>
@@ -10,43 +11,47 @@
 
 namespace relidar::sensor_files {
 
-/// What a file says of its rays. Arrays that are empty were not given.
+/// Ray data of a file. An array is empty if the file does not contain it.
 struct RayColumns {
     int rows = 1, columns = 0;
-    std::vector<double> direction;            ///< [n,3]
-    std::vector<double> origin;               ///< [n,3] metres; or not given: 0
-    std::vector<double> time_s;               ///< [n]; or 0
-    std::vector<double> channel;              ///< [n]; or 0
-    std::vector<double> divergence_rad = {};  ///< [n], or one of all rays; or 0
+    std::vector<double> direction;            ///< [n,3] directions
+    std::vector<double> origin;               ///< [n,3] origins in metres; empty: 0
+    std::vector<double> time_s;               ///< [n] firing times; empty: 0
+    std::vector<double> channel;              ///< [n] beam numbers; empty: 0
+    std::vector<double> divergence_rad = {};  ///< [n] divergences, or one value for all rays; empty: 0
     RangeLimits limits = {};
-    /// Does not normalise directions that are floats of unit length, so that rays which
-    /// relidar wrote read back to the same bits.
+    /// If true, float directions of unit length are not normalised, so that rays that
+    /// relidar wrote are restored bit by bit.
     bool keeps_floats = false;
 };
 
-/// The sensor of such rays. @param where  what messages call it
-/// @throws DataError for arrays of other lengths, values that are not finite or beyond
-/// all reach, directions that are not of unit length
+/// Returns a sensor with these rays.
+/// @param where  name of the file in error messages
+/// @throws DataError if the arrays have different lengths, values are not finite or out
+/// of range, or directions do not have unit length
 SensorModel ray_sensor(const RayColumns& columns, const std::string& name, const std::string& where);
 
-/// What RayColumns holds of divergence. @param of_rays_rad [n] or nothing @throws
-/// DataError where both are given
+/// Returns RayColumns::divergence_rad from one of two sources.
+/// @param of_rays_rad  [n] divergence of each ray, or empty
+/// @throws DataError if the file contains both sources
 std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
                                   const std::string& where);
 
-/// From the text of a CSV ray table. @throws DataError naming the line and the value that
-/// is wrong
+/// Parses the text of a ray table in CSV format.
+/// @throws DataError naming the line and the value that is wrong
 SensorModel parse_ray_csv(const std::string& text, const std::string& name, const std::string& where);
-/// From an npz file. @throws DataError
+/// Reads a ray table from an npz file.
+/// @throws DataError if the file is invalid
 SensorModel read_ray_npz(const std::string& path, const std::string& name);
-/// From JSON: a ray table, or Ouster's metadata. @param columns @param rate_hz instead of
-/// those in the metadata, where above 0
+/// Parses a sensor in JSON format: a ray table, or the metadata of an Ouster sensor.
+/// @param columns  if above 0, replaces the number of columns in the metadata
+/// @param rate_hz  if above 0, replaces the rate in the metadata
 /// @throws DataError naming the key that is wrong
 SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& where,
                               int columns, double rate_hz);
 
-/// Sets the maximum range of a sensor that has none. @throws DataError unless it is above
-/// the minimum range
+/// Sets the maximum range of a sensor if it has none.
+/// @throws DataError if the maximum range is not above the minimum range
 void limit_range(SensorModel& sensor, double max_range_m, const std::string& where);
 
 }  // namespace relidar::sensor_files

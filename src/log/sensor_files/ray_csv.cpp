@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// CSV ray tables: a header line, then a line a ray in the order of firing. A column that
-// is not known is an error.
+// Reads ray tables in CSV format: a header line, then one line per ray in firing order.
+// An unknown column is an error.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -32,11 +32,11 @@ enum Field {
 const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
                                       "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
                                       "min_range_m", "max_range_m"};
-constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};  // the same in every line
+constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};  // must have the same value in every line
 
 using Values = std::array<double, kFieldCount>;
 
-/// Values of a line; limits that are not given are those of RayColumns.
+/// Returns the values of a line. Missing range limits get the defaults of RayColumns.
 Values parse_line(const std::string& line, const std::vector<int>& at, std::size_t n_cells,
                   const std::string& where) {
     const std::vector<std::string_view> cells = csv_cells(line);

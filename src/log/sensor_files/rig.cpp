@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rigs: several sensors, and how they are mounted.
+// Reads sensor rigs: several sensors and their mounting on the vehicle.
 #include <relidar/log/sensor_files.hpp>
 
 #include <algorithm>
@@ -23,7 +23,7 @@ using Json = nlohmann::json;
 constexpr std::size_t kMostSensors = 64;
 constexpr double kFarthest_m = 1000.0;
 
-/// Three numbers, 0 where the key is missing.
+/// Returns the three numbers of a key, or zeros if the key is missing.
 glm::dvec3 vector_of(const Json& sensor, const char* key, double largest, const std::string& where) {
     if (!sensor.contains(key)) return glm::dvec3(0.0);
     const Json& list = sensor.at(key);
@@ -54,8 +54,8 @@ int returns_of(const Json& sensor, const std::string& where) {
     return returns.get<int>();
 }
 
-/// A sensor's file as the rig's folder has it; a name, or a path from elsewhere, as it
-/// is.
+/// Returns the path of a sensor file in the rig's folder, if such a file exists.
+/// Otherwise returns the text unchanged, because it is a name or another path.
 std::string beside(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
@@ -64,7 +64,8 @@ std::string beside(const std::string& sensor, const std::string& rig) {
                : sensor;
 }
 
-/// Named, in a file, or as an object of the rig's file.
+/// Returns the sensor of an entry. The entry contains a name, a file name, or an object
+/// that describes the sensor.
 SensorModel model_of(const Json& sensor, const std::string& name, const std::string& rig,
                      const std::string& where) {
     if (!sensor.contains("sensor") || !sensor.at("sensor").is_object())
@@ -87,8 +88,8 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
         throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
 }
 
-/// Refuses other keys: a misspelt mounting would leave a sensor at the rig's origin
-/// without a message.
+/// Rejects unknown keys. Without this check, a misspelt key for the mounting would leave
+/// the sensor at the rig's origin without an error.
 void check_keys(const Json& object, const std::vector<std::string>& known, const std::string& where) {
     for (const auto& [key, value] : object.items())
         if (std::find(known.begin(), known.end(), key) == known.end())
@@ -104,7 +105,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     try {
         json = Json::parse(read_text(path));
     } catch (const std::exception&) {
-        return {};  // find_sensor() says what is wrong with it
+        return {};  // find_sensor() will report the error
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
     check_keys(json, {"sensors"}, path);

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors as JSON: a pattern (read_sensor_json()), a ray table, or the metadata that
-// Ouster's own tools write, in its old flat form or the newer nested one. Ouster's LiDAR
-// frame has x towards the connector, backwards; ours is that frame turned by 180 degrees
-// about z. With column m of W, beam azimuth a and origin offset n:
-//   head azimuth = pi - 2 pi m / W,   ray azimuth = head azimuth - a,
-//   origin = n along the head.
+// Reads sensors in JSON format: a pattern (read_sensor_json()), a ray table, or the
+// metadata of an Ouster sensor in its old flat or its newer nested form. The x axis of
+// Ouster's LiDAR frame points backward, to the connector. The sensor frame of relidar is
+// that frame rotated by 180 degrees about z. For column m of W, beam azimuth a and origin
+// offset n:
+//   head azimuth = pi - 2 pi m / W
+//   ray azimuth = head azimuth - a
+// The origin of a ray is at distance n along the head direction.
 #include <algorithm>
 #include <cmath>
 
@@ -26,7 +28,8 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// What a key holds, in the object or in one of its parts.
+/// Returns the value of a key in the object or in one of its parts, or null if there is
+/// none.
 const Json* find(const Json& json, const std::string& key, std::initializer_list<const char*> parts) {
     if (json.contains(key)) return &json.at(key);
     for (const char* part : parts)
@@ -35,7 +38,7 @@ const Json* find(const Json& json, const std::string& key, std::initializer_list
     return nullptr;
 }
 
-/// The numbers of a list; none if there is no list.
+/// Returns the numbers of a list, or an empty vector if the list is missing.
 std::vector<double> numbers_of(const Json* json, const std::string& where) {
     return json ? JsonField(*json, where, "").nested_numbers(1) : std::vector<double>{};
 }
@@ -56,7 +59,7 @@ RangeLimits ouster_limits(const Json& json) {
     return known->limits;
 }
 
-/// Columns and rate of a mode such as "1024x10".
+/// Returns the columns and the rate of an Ouster mode such as "1024x10".
 std::pair<int, double> ouster_mode(const Json& json, const std::string& where) {
     const Json* mode = find(json, "lidar_mode", {"config_params"});
     const std::string text = mode && mode->is_string() ? mode->get<std::string>() : "";
@@ -121,7 +124,8 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
             fmt::format("{}: no valid JSON ({}), expected a sensor", where, excerpt(error.what())));
     }
     const JsonField root(json, where, "");
-    if (root.has("directions")) return rays_kind().parse(root, name);  // the list of members alone
+    // The file has the members of the kind "rays" without its name.
+    if (root.has("directions")) return rays_kind().parse(root, name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);

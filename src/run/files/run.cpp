@@ -89,7 +89,7 @@ void save_config(const Run& run, const fs::path& folder) {
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
-    Scene scene = run.scene;  // has only the actors in memory
+    Scene scene = run.scene;  // run.scene has only the actors in memory
     scene.blocks = own_blocks(run, folder, keep_blocks);
     save_model(folder / kModelFile, scene);
 }

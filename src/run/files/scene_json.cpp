@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// scene.json, format version 3. Numbers are written in the shortest form that reads back
-// to the same double. A pose is seven numbers: the translation x y z, then the unit
-// quaternion w x y z; p_world = R(q) p + t in the recentred world.
+// Reads and writes scene.json, format version 3. Numbers are written in the shortest form
+// that reads back to the same double. A pose is seven numbers: the translation x y z,
+// then the unit quaternion w x y z; p_world = R(q) p + t in the recentred world.
 #include "run/files/scene_json.hpp"
 
 #include <algorithm>
@@ -22,9 +22,12 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 3;
-constexpr double kHuge = 1e12;       // of any length or time in a log: beyond it a value is damage
-constexpr double kFarthest_m = 1e6;  // of any place from the world's origin, the sensor in the middle frame
-constexpr double kFarthestWorld_m = 1e9;  // of that origin in the dataset's world
+// maximum of lengths and times in a log; larger values mean a damaged file
+constexpr double kHuge = 1e12;
+// maximum distance from the world origin, which is the sensor in the middle frame
+constexpr double kFarthest_m = 1e6;
+// maximum distance of the world origin from the origin of the dataset's world
+constexpr double kFarthestWorld_m = 1e9;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
 constexpr const char* kConventions =

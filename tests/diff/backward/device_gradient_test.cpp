@@ -202,7 +202,7 @@ TEST_F(DeviceGradient, SingleDropLogit) {
                      "one drop logit, SH along sensor -> mean");
 }
 
-/// The image and the likelihood (M12) together, short chunks and long lists.
+/// Tests the image and the likelihood (M12) together, with short chunks and long lists.
 TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
@@ -221,9 +221,9 @@ TEST_F(DeviceGradient, ImageAndLikelihood) {
         "image and likelihood, opaque with clamps");
 }
 
-/// The likelihood (M12) alone. In small rows the hits
-/// of many rays cancel, and show that a GPU's exp and division are off by up to 3 and 2.5
-/// units in the last place, where a processor's are off by half a unit.
+/// Tests the likelihood (M12) alone. In small rows the hits of many rays cancel, so that
+/// rounding errors of exp and division are visible. They are up to 3 and 2.5 units in the
+/// last place on a GPU, and half a unit on a CPU.
 TEST_F(DeviceGradient, Likelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 64;

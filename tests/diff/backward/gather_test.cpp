@@ -73,8 +73,8 @@ TEST_F(Gather, SameBitsInEveryRunAndTraversal) {
 }
 
 /// If the other rows do not need zeros, a CPU processes only the surfels that hits have
-/// marked. The test compares bits, which only gathered sums keep equal; atomics mark the
-/// same surfels.
+/// marked. The test compares bits, because gathered sums are equal in every run. Atomics
+/// use the same marks.
 TEST_F(Gather, SurfelsThatAreHitAreAllThatCount) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         reference::Settings settings;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The likelihood (M12) from end to end: the forward pass, the losses and the backward pass
-// on the device against central differences of the double forward pass, for every
-// parameter that they depend on, the rays, the poses of instances and that of the sensor;
-// alone and with the image losses.
+// Tests the likelihood (M12) from end to end. Compares the forward pass, the losses and
+// the backward pass on the device with central differences of the double forward pass.
+// Covers every parameter that the likelihood depends on, the rays, and the poses of
+// instances and of the sensor, without and with the image losses.
 #include <algorithm>
 #include <cmath>
 #include <numeric>
@@ -220,10 +220,10 @@ std::vector<std::vector<double>> actual_rows(const Gradients& g) {
 
 using Rows = std::vector<std::pair<std::string, std::vector<double>>>;
 
-/// The same problem with what Vulkan's exp and division may be off, each up or down:
-/// scales by the exp of their logarithm, alphas by the sigmoid of the opacity and by the
-/// exp of a hit one standard deviation from the mean, distances along a ray by their
-/// division.
+/// Returns the same problem with the largest errors that Vulkan allows for exp and
+/// division, each with a random sign. Applies them to the exp of scales, to the sigmoid
+/// of opacities and the exp of hits one standard deviation from the mean, and to the
+/// division for distances along a ray.
 WallProblem rounded(const WallProblem& p, std::uint64_t seed) {
     WallProblem moved = p;
     std::mt19937_64 random(seed);
@@ -261,8 +261,9 @@ std::pair<Rows, std::vector<double>> expected_and_moved(const WallProblem& p) {
 
 class LikelihoodGradient : public test::DeviceTest {
 protected:
-    /// Each row within 3 kKernelGradient and twice what it moved in some draws of what
-    /// Vulkan allows: small rows are differences of large shares.
+    /// Checks that the error of each row is at most 3 kKernelGradient plus twice the
+    /// largest change in the random draws. Small rows are differences of large terms, so
+    /// they change most.
     void expect_rows(const GradientTable& table, const Rows& expected, const std::vector<double>& moved,
                      const std::vector<std::vector<double>>& actual, const std::string& title) {
         for (std::size_t k = 0; k < actual.size(); ++k) {
@@ -314,8 +315,8 @@ LossWeights weights_of(float image, float likelihood) {
 TEST_F(LikelihoodGradient, Alone) { expect_agreement(weights_of(0.0f, 1.0f), "likelihood"); }
 TEST_F(LikelihoodGradient, WithTheImageLosses) { expect_agreement(weights_of(0.1f, 0.3f), "all terms"); }
 
-/// Two surfels, 30 cm apart, of a ray that measured the second: S = w_0 k + w_1, k = 1 /
-/// (1 + (0.3 / s)^2), at 80 m as at 3 m.
+/// Tests two surfels that are 30 cm apart, on a ray that measured the second one. In
+/// closed form S = w_0 k + w_1 with k = 1 / (1 + (0.3 / s)^2), both at 80 m and at 3 m.
 TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
     for (const double start : {3.0, 79.0}) {
         const double t[] = {double(float(start)), double(float(start + 0.3))}, opacity[] = {0.6, 0.5};
@@ -337,7 +338,8 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
         passes.run();
         const double scale = double(0.1f), d = (t[0] - t[1]) / scale, k = 1.0 / (1.0 + d * d), w0 = 0.6,
                      w1 = 0.4 * 0.5;
-        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;  // of a range, by a float
+        // rounding error of a range in float
+        const double slope = -2.0 * d / scale * k * k, resolved = 1.2e-7 * start;
         EXPECT_NEAR(passes.renderer.rendered().rendered->download()[0].likelihood, w0 * k + w1,
                     1e-6 + w0 * slope * resolved);
         const Surfels device_result = passes.gradients().surfels.download();
@@ -345,7 +347,7 @@ TEST_F(LikelihoodGradient, TwoSurfelsInClosedForm) {
             << "the nearer one is drawn to the range";
         EXPECT_NEAR(device_result.mean[1].x, 0.0, 1e-6 + 2.0 * w1 * resolved / (scale * scale))
             << "the other is there";
-        // S = s_0 k + (1 - s_0) s_1, with the opacities s
+        // S = s_0 k + (1 - s_0) s_1, where s are the opacities
         EXPECT_NEAR(device_result.opacity_logit[0], (k - 0.5) * 0.6 * 0.4, 1e-6 + slope * resolved);
         EXPECT_NEAR(device_result.opacity_logit[1], 0.4 * 0.5 * 0.5, 1e-6);
     }

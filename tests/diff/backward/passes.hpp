@@ -44,6 +44,7 @@ struct Passes {
     Array<shared::DeviceTarget> targets;
     glm::vec3 view_origin;
 
+    /// Creates the renderer and the passes.
     /// @param g [>= rays] upstream gradients of all rays, until a loss overwrites them
     Passes(Device& device, const ImageModel& model, const RandomScene& s,
            const std::vector<reference::PixelGradient>& g, const RendererOptions& options,
@@ -76,7 +77,7 @@ struct Passes {
         renderer.record_backward();
         renderer.stream().finish();
     }
-    /// sum over rays of upstream . rendered, in double
+    /// Returns the sum over rays of upstream . rendered, in double.
     double loss() {
         run_forward();
         renderer.stream().finish();
@@ -92,7 +93,7 @@ struct Passes {
     }
 };
 
-/// Hit records of the gather; zeros with atomics.
+/// Hit records of the gather method; zeros with atomics.
 struct GatheredHits {
     std::uint64_t most = 0;  ///< hits of the largest batch since the last readback
     std::uint64_t capacity = 0;

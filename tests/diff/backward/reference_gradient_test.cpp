@@ -183,7 +183,7 @@ TEST(ReferenceGradient, EveryParameterShAlongSurfel) {
                              "SH along sensor -> mean, 3 instances, chunk 4");
 }
 
-/// The likelihood alone (M12); all other tests have it beside the image.
+/// Tests the likelihood (M12) alone. All other tests include the image.
 TEST(ReferenceGradient, LikelihoodAlone) {
     test::RandomSceneOptions options;
     options.seed = 6;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A densification as a whole (diff/densify/classify, allot, move, spawn) against the
-// reference in double: who survives, is cloned or split, in which order; what
-// becomes of values, moments and statistics; models; and the ends of the range.
+// Compares a complete densification (diff/densify/classify, allot, move, spawn) with the
+// reference in double. Checks which surfels survive, are cloned or split, and their
+// order. Also checks values, moments, statistics, models, and the limits of the parameter
+// range.
 #include <algorithm>
 #include <cmath>
 #include <cstring>
@@ -103,7 +104,7 @@ bool survives(Fate fate) { return fate >= Fate::keep; }
 /// Origin of a row after densification.
 struct Row {
     std::uint32_t source;
-    Fate fate;     // of the source; keep where it got no copy
+    Fate fate;     // fate of the source surfel; `keep` if it was not copied
     bool is_copy;  // not the first row of its source
 };
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Single kernels of densification: allot through small arrays, reset_opacity.
+// Tests single kernels of densification: allot with small arrays, and reset_opacity.
 #include <algorithm>
 #include <cmath>
 #include <numeric>

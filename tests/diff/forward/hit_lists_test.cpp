@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass by lists (diff/forward/append, diff/forward/sort_hits,
-// diff/forward/blend) against that by chunks (diff/forward/trace), for every hit
-// provider, on the conformance cases of traversal: lists that are empty, long, full, of
-// equal depths, of hits reported twice. Against the double reference both stand in
-// render_test.cpp, on_demand_test.cpp and tests/diff/backward.
+// Compares the forward pass with lists (diff/forward/append, diff/forward/sort_hits,
+// diff/forward/blend) with the forward pass with chunks (diff/forward/trace), for every
+// hit provider. Uses the conformance cases of traversal: empty, long and full lists,
+// equal depths, and hits that are reported twice. render_test.cpp, on_demand_test.cpp and
+// tests/diff/backward compare both methods with the double reference.
 #include <algorithm>
 #include <cmath>
 #include <cstring>

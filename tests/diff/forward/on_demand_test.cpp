@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the forward pass renders on demand against the double reference: blended normals,
-// the likelihood (M12) and the heaviest surface (M13); random scenes with instances, chunk
-// sizes, lists, rays of many hits. The image is the same, bit for bit, whether they are
-// rendered or not.
+// Compares optional outputs of the forward pass with the double reference: blended
+// normals, the likelihood (M12) and the heaviest surface (M13). Uses random scenes with
+// instances, several chunk sizes, lists, and rays with many hits. The optional outputs
+// must not change any bit of the image.
 #include <algorithm>
 #include <utility>
 
@@ -22,11 +22,11 @@ constexpr std::optional<RangeKernel> kKernel = RangeKernel{0.3f};
 class OnDemand : public test::DeviceTest {
 protected:
     struct Found {
-        std::vector<float> image;       ///< [n] RenderedRay without its likelihood, number by number
+        std::vector<float> image;       ///< [n] all numbers of RenderedRay except its likelihood
         std::vector<float> likelihood;  ///< [n]
         std::vector<float> surfaces;    ///< [n,4] normal and mode, or empty
     };
-    /// Renders a scene's rays.
+    /// Renders the rays of a scene.
     Found trace(const test::RandomScene& random, const ImageModel& model, const TraceOptions& options) {
         const test::SceneAndPoses placed =
             test::to_scene(test::to_surfels(random.world.surfels), random.world.instances);
@@ -103,8 +103,8 @@ TEST_F(OnDemand, AgreesWithDoubleReference) {
     }
 }
 
-/// The heaviest surface (M13), of rays whose gaps and weights say clearly which one it
-/// is.
+/// Tests the heaviest surface (M13). Uses only rays whose gaps and weights determine this
+/// surface clearly.
 TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     constexpr float kGap = 0.3f;
     test::RandomSceneOptions options;
@@ -139,8 +139,8 @@ TEST_F(OnDemand, ModeAgreesWithDoubleReference) {
     EXPECT_GT(other_than_first, 10);
 }
 
-/// A batch finds what its rays measured by their places, and renders no likelihood where
-/// it brings no targets.
+/// Tests that the rays of a batch use the correct measured ranges. A batch without
+/// targets must not render a likelihood.
 TEST_F(OnDemand, LikelihoodOfEveryThirdRay) {
     test::RandomSceneOptions options;
     options.seed = 27, options.rays = 60;

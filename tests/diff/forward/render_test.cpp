@@ -186,7 +186,8 @@ TEST_F(Forward, ThinGaussiansApproachSurfels) {
     const std::vector<double> depth(flat.depth.begin(), flat.depth.end()),
         weight(flat.weight.begin(), flat.weight.end());
     std::vector<double> error;
-    for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {  // the last: 1.5e-6 m and more
+    // the smallest thickness corresponds to at least 1.5e-6 m
+    for (const double thickness : {1.0, 0.1, 1e-3, 1e-5}) {
         Scene thin = placed.scene;
         make_primitive(thin.surfels, Primitive::gaussian, thickness);
         const Rendering r = rendered(thin);

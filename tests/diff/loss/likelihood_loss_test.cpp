@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// diff/loss/likelihood_loss against the double reference: value and derivative, with
-// dropped and unknown rays, strided targets, and gradients to which it adds.
+// Compares value and derivative of diff/loss/likelihood_loss with the double reference.
+// Covers dropped and unknown rays, strided targets, and gradients to which the loss adds.
 #include <random>
 
 #include <relidar/diff/forward.hpp>
@@ -29,7 +29,7 @@ TEST_F(LikelihoodTerm, AgreesWithReference) {
         rays[i].likelihood = float(pixels[i].likelihood);
         const bool returned = unit(random) < 0.95;
         expected_targets[i] = {returned ? 5.0 : 0.0, 0.5};
-        // a ray that did not return is dropped, or unknown
+        // a ray without a return is either dropped or unknown
         measured[i * kStride] = returned ? DeviceTarget{5.0f, 0.5f, 1.0f}
                                 : i % 2  ? DeviceTarget{0.0f, 0.5f, 1.0f}
                                          : DeviceTarget{5.0f, 0.5f, 0.0f};

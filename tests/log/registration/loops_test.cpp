@@ -46,7 +46,7 @@ double gap_m(const PoseTrack& track, const PoseTrack& exact) {
 TEST(CloseLoops, ADriveAroundABlockMeetsItsBeginning) {
     const Sequence drive = test::drive_around_block(300);
     const PoseTrack& exact = drive.world_from_vehicle;
-    const PoseTrack drifted = bent(exact, 2e-4, 2e-4);  // 3.2 degrees on 283 m
+    const PoseTrack drifted = bent(exact, 2e-4, 2e-4);  // about 3.2 degrees over 283 m
     EXPECT_GT(gap_m(drifted, exact), 2.0) << "the start is far off";
     const ClosedLoops closed = close_loops(drifted, thin(drive), loop_options());
     EXPECT_GE(closed.places, 2u);

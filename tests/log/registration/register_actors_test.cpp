@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration of moving boxes on the synthetic street, whose tracks are known exactly.
-// The labels get a slow drift along the track, jitter, and errors of yaw.
+// Registers moving boxes on the synthetic street, whose exact tracks are known. The
+// labels have a slow drift along the track, jitter, and errors of the yaw.
 #include <cmath>
 #include <random>
 
@@ -14,8 +14,8 @@ namespace {
 
 constexpr double kDegree = 0.017453292519943295;
 
-/// Adds the errors of a labeller to all poses of a box: a drift of 10 cm along the track,
-/// jitter with a standard deviation of 2 cm, and yaw that drifts by 2 degrees.
+/// Adds typical errors of labels to all poses of a box: a drift of 10 cm along the track,
+/// jitter with a standard deviation of 2 cm, and a yaw that drifts by 2 degrees.
 BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     std::mt19937_64 random(seed);
     std::normal_distribution<double> jitter(0.0, 0.02);
@@ -30,7 +30,7 @@ BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
 }
 
 /// Errors of a track: the largest difference to the exact track, after the mean error in
-/// the frame of the box is removed. No point can show a constant offset of a box.
+/// the frame of the box is removed. Points do not determine a constant offset of a box.
 struct TrackError {
     double largest_m = 0.0, largest_rad = 0.0;
 };
@@ -81,7 +81,7 @@ TEST(RegisterActors, CorrectsDriftingLabels) {
     EXPECT_EQ(n_corrected, registration.n_registered);
 }
 
-/// Exact labels stay exact: a correction would only add noise.
+/// Exact labels must not change, because a correction would only add noise.
 TEST(RegisterActors, KeepsExactLabels) {
     SyntheticOptions options;
     options.n_frames = 12, options.rows = 32, options.columns = 512;
@@ -92,7 +92,8 @@ TEST(RegisterActors, KeepsExactLabels) {
         EXPECT_LT(error_of_track(street.boxes[i], exact.boxes[i]).largest_m, 0.01) << "box " << i;
 }
 
-/// A parked car whose label drifts by 2.5 m stands: all its poses are the same.
+/// A parked car whose label drifts by 2.5 m must be recognised as standing: all its poses
+/// become equal.
 TEST(RegisterActors, FindsParkedCarsWithDriftingLabels) {
     SyntheticOptions options;
     options.n_frames = 20, options.rows = 64, options.columns = 1024, options.moving_cars = false;

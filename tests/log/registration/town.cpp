@@ -14,7 +14,8 @@ namespace {
 using street::Material;
 using street::Shape;
 
-constexpr double kStraights_m[] = {70.0, 40.0, 70.0, 40.0}, kRadius_m = 10.0;  // left turns between them
+// lengths of the straights, which left turns connect
+constexpr double kStraights_m[] = {70.0, 40.0, 70.0, 40.0}, kRadius_m = 10.0;
 constexpr double kBeyond_m = 12.0, kStop_s = 2.0;
 
 double length_of_loop() { return 220.0 + 2.0 * kPi * kRadius_m; }

@@ -39,7 +39,7 @@ TEST(RangeGrid, BinsAreCentredOnTheRays) {
     EXPECT_EQ(project(grid, point(-0.51, 5)), std::nullopt);
     EXPECT_EQ(project(grid, point(65.51, 5)), std::nullopt);
     EXPECT_EQ(project(grid, glm::dvec3(0.0)), std::nullopt);
-    EXPECT_EQ(project(grid, 8.01 * point(3, 3)), std::nullopt);  // 80.1 m
+    EXPECT_EQ(project(grid, 8.01 * point(3, 3)), std::nullopt);  // a range of 80.1 m
 }
 
 TEST(RangeGrid, NearestPointWinsAPixel) {

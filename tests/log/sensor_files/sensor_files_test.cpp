@@ -290,12 +290,13 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
     EXPECT_EQ(std::pair(rig[0].returns, rig[1].returns), std::pair(1, 2));
     EXPECT_EQ(make_rays(rig[0].sensor).columns, 900);
     EXPECT_EQ(make_rays(rig[1].sensor).size(), 720u) << "a file beside the rig's";
-    // First rolled about x, then turned left: up becomes down, forward becomes left.
+    // The sensor is first rolled about x, then turned left. Its up axis becomes down, and
+    // its forward axis becomes left.
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(1, 0, 0) - glm::dvec3(1, 3, 3)), 1e-12);
     EXPECT_LT(glm::length(rig[1].rig_from_sensor * glm::dvec3(0, 0, 1) - glm::dvec3(1, 2, 2)), 1e-12);
 }
 
-/// The JSON object of a sensor, in a file, in a rig and as text, makes the same rays.
+/// The JSON object of a sensor must make the same rays in a file, in a rig and as text.
 TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
     RayTable cones = make_rays(*known_sensor("rosette"), 0.37);
     for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points that are made on the device (simulate/render/mark_returns,
-// simulate/render/gather_points) and requested ahead, against place_points() of scans that
-// are rendered one after the other: the same bits. place_points() against double precision.
+// Tests points that are made on the device and requested ahead
+// (simulate/render/mark_returns, simulate/render/gather_points). They must equal, bit by
+// bit, the result of place_points() for scans that are rendered one after the other. Also
+// compares place_points() with double precision.
 #include <cmath>
 #include <cstring>
 
@@ -34,7 +35,7 @@ protected:
         log.world_offset_m = {455000.0, 5428000.0, 113.0};
         scene = initialise_scene(log, split_frames(log, 5).train, {});
     }
-    /// A drive through the street in a bend, as the dataset has it.
+    /// Returns a drive through the street in a bend, in the dataset's world frame.
     PoseTrack bend() const {
         PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
         for (std::size_t k = 0; k < track.pose.size(); ++k)
@@ -69,8 +70,8 @@ protected:
         for (const Wish& wish : wishes)
             ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     }
-    /// A rig of three sensors, two of them alike, at two times, and among two sets of
-    /// actors.
+    /// Returns scans of a rig with several sensors, some of them equal, at two times,
+    /// with two sets of actors.
     std::vector<Wish> rig() const {
         std::vector<Wish> wishes;
         for (const char* name :
@@ -91,7 +92,7 @@ protected:
     std::optional<ScanRenderer> renderer;
 };
 
-/// The same to the bit.
+/// Checks that two results are equal bit by bit.
 void expect_equal(const RenderedPoints& found, const RenderedPoints& expected, const std::string& what) {
     const Points &p = found.points, &e = expected.points;
     ASSERT_EQ(p.size(), e.size()) << what;
@@ -108,8 +109,8 @@ void expect_equal(const RenderedPoints& found, const RenderedPoints& expected, c
     EXPECT_EQ(p.return_number, e.return_number) << what;
 }
 
-/// Rays whose columns share a firing time, whose rows do not, or that come in no order at
-/// all; of a sensor that moves, or stands.
+/// Tests rays whose columns share a firing time, rays whose rows have different times,
+/// and rays in any order, for a moving and for a standing sensor.
 TEST(FiringPoses, AreThoseOfEachRay) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -121,7 +122,7 @@ TEST(FiringPoses, AreThoseOfEachRay) {
     }
     const Pose target{rotation_of(-0.5, 0.2, 0.0), {1.0, -2.0, 0.5}};
     for (const PoseTrack& track : {bend, PoseTrack{{5.0}, {bend.pose[3]}}, PoseTrack{}})
-        for (const float late_s : {0.0f, 1e-3f}) {  // of each row behind the one above
+        for (const float late_s : {0.0f, 1e-3f}) {  // delay of each row relative to the row above
             scan.track = track;
             scan.image.rows = 4, scan.image.columns = 16;
             scan.time_offset_s.clear();
@@ -137,8 +138,9 @@ TEST(FiringPoses, AreThoseOfEachRay) {
         }
 }
 
-/// Rays of a sensor that turns by 6 rad/s and drives, against double precision. A rounding
-/// at 80 m is up to 4e-6 m, and place_point() has about seven. At 5428 km one is 0.25 m.
+/// Compares rays of a sensor that drives and turns by 6 rad/s with double precision. The
+/// rounding error at 80 m is up to 4e-6 m, and place_point() makes about seven roundings.
+/// At 5428 km the rounding error is 0.25 m.
 TEST(PlacePoints, LieWhereDoublePrecisionPutsThem) {
     RenderedScan scan;
     scan.time_s = 5.0;
@@ -205,8 +207,8 @@ TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     expect_equal(renderer->take_points(), empty, "no actor");
 }
 
-/// Two scans are in flight at any time, of other sensors and at other places, and scans
-/// are rendered between them.
+/// Keeps two scans pending at any time, from different sensors and positions, and renders
+/// other scans between them.
 TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     make_renderer();
     const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"),
@@ -224,9 +226,9 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     }
 }
 
-/// More scans than go side by side, as many, and fewer; two rigs in flight, and one that
-/// is never sent but taken. A launch of one strand stands between two of another, so
-/// whatever strands share is seen.
+/// Requests more scans than are rendered together, exactly as many, and fewer. Two rigs
+/// are pending, and one further batch is read before it was submitted. Launches of
+/// different lanes alternate, so that data that lanes share by mistake is detected.
 TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;
@@ -247,8 +249,8 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     }
 }
 
-/// Whatever needs the device alone sends those before it, and a scan that is refused
-/// takes nothing with it.
+/// Work that needs the device alone submits the scans before it. A rejected scan must not
+/// affect other scans.
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->side_by_side(3);
@@ -271,11 +273,11 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     EXPECT_THAT([&] { renderer->side_by_side(0); },
                 testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 of them")));
     ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
-    make_renderer();  // left behind, and never sent
+    make_renderer();  // the two scans are never submitted
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
 }
 
-/// Scans that a network corrects, of images of two shapes.
+/// Tests scans that a network corrects, with images of two shapes.
 TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     make_renderer();
     const std::vector<Wish> wishes = {{sensor("native"), {middle_s(), bend()}, middle_s()},
@@ -294,13 +296,13 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     ask(wishes[0]), ask(wishes[1]);
     for (const RenderedPoints& scan_expected : expected)
         expect_equal(renderer->take_points(), scan_expected, "refined");
-    // images of one shape share all that they can
+    // Images of one shape share as much memory as possible.
     std::vector<Wish> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
     std::vector<RenderedPoints> expected_beside;
     for (const Wish& wish : beside) expected_beside.push_back(alone(wish));
     renderer->side_by_side(3);
-    // in the first one each finds its memory, for which it waits for the others
+    // In the first round each scan allocates its memory and waits for the others.
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
         for (const RenderedPoints& scan_expected : expected_beside)
@@ -308,7 +310,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     }
     renderer->side_by_side(1);
     std::vector<std::uint64_t> buffers;
-    for (int round = 0; round < 3; ++round) {  // one network has images of two shapes by turns
+    for (int round = 0; round < 3; ++round) {  // one network processes images of two shapes alternately
         expect_equal(alone(beside[2]), expected_beside[2], "by turns");
         expect_equal(alone(beside[3]), expected_beside[3], "by turns");
         buffers.push_back(impl_of(device()).n_buffers);
@@ -316,7 +318,8 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
 }
 
-/// Of beams and of their parts, with a network that has learnt that all but one return.
+/// Tests beams and sub-rays with a network that has learnt that all rays except one
+/// return.
 TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -325,7 +328,7 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options),
                                  first_origin(log));
     image.dropped.assign(std::size_t(image.rows) * std::size_t(image.columns), 0.0f);
-    image.dropped[0] = 1.0f;  // else there is nothing to learn
+    image.dropped[0] = 1.0f;  // without a drop the network would have nothing to learn
     renderer->refine_drops(
         train_drop_network(device(), {image}, options, 3,
                            [](const RefineProgress&, const std::function<RefineState()>&) { return true; }));
@@ -362,7 +365,7 @@ TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
         EXPECT_NEAR(double(intensity) / step, std::round(double(intensity) / step), 1e-5);
 }
 
-/// Where the device alone does not do, the host does the rest.
+/// Requests that the device cannot complete are completed on the host.
 TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
@@ -388,7 +391,7 @@ TEST_F(PointsOfScans, MayBeLeftBehind) {
     make_renderer();
     const RenderedPoints expected = on_host(wish);
     ask(wish), ask(wish);
-    make_renderer();  // the validation layer tells of memory that is still in use
+    make_renderer();  // the validation layer reports memory that is still in use
     ask(wish);
     expect_equal(renderer->take_points(), expected, "of the next renderer");
 }

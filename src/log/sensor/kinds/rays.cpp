@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A table of rays, whatever made it.
+// Sensor kind "rays": a table of rays from any source.
 #include <algorithm>
 
 #include "log/sensor/pattern_kinds.hpp"
@@ -8,7 +8,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kNesting = 3;  // rows, columns, vectors
+constexpr int kNesting = 3;  // nested lists: rows, columns, vectors
 
 nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
     auto json = nlohmann::ordered_json::array();
@@ -16,8 +16,8 @@ nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
     return json;
 }
 
-/// Number of rows of a list of vectors: given, or the outer length if vectors are listed
-/// by rows.
+/// Returns the number of rows of a list of vectors: the member `rows`, or the length of
+/// the outer list if the vectors are nested by rows.
 std::size_t count_rows(const JsonField& field) {
     if (field.has("rows")) return std::size_t(field.at("rows").integer(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");

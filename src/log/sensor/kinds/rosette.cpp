@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A beam that two prisms bend.
+// Sensor kind "rosette": two rotating prisms deflect one beam.
 #include <cmath>
 
 #include <relidar/base/math.hpp>

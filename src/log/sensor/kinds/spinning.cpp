@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A head that spins, and its beams.
+// Sensor kind "spinning": a rotating head with beams.
 #include <relidar/base/math.hpp>
 
 #include <fmt/format.h>
@@ -9,8 +9,9 @@
 namespace relidar {
 namespace {
 
-constexpr double kFarthestBeam_m = 100.0;    // of where a beam starts
-constexpr double kLargestResponse = 1e3;     // gain and offset of intensities, metres of a range offset
+constexpr double kFarthestBeam_m = 100.0;  // maximum offset of a beam's origin
+// maximum gain and offset of intensities, and maximum range offset in metres
+constexpr double kLargestResponse = 1e3;
 constexpr double kLargestTurn_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
 
@@ -45,7 +46,7 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
                    fmt::format("expected at most {} rays", kMaxRays));
 }
 
-/// Leaves out what has its usual value.
+/// Returns the JSON object of a beam. Omits members with their default value.
 nlohmann::ordered_json beam_json(const Beam& beam) {
     nlohmann::ordered_json json = {{"elevation_rad", beam.elevation_rad}};
     const auto add = [&](const char* key, double value, double usual) {
@@ -64,7 +65,8 @@ nlohmann::ordered_json beam_json(const Beam& beam) {
 struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
-    /// Without beams: a LiDAR that is known by its scans alone.
+    /// Reads a spinning sensor. The beams are missing if only the scans of the LiDAR are
+    /// known.
     static SensorModel parse(const JsonField& field, const std::string& of) {
         pattern_detail::check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;

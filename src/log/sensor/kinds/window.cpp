@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A window that mirrors sweep.
+// Sensor kind "window": mirrors scan a rectangular window.
 #include <cmath>
 
 #include <fmt/format.h>

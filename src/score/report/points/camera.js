@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A camera for scenes with z up. It orbits a point, flies freely, or follows a moving object.
+// A camera for scenes with z up. It orbits a point, flies freely, or follows a moving
+// object.
 import { add, look, multiply, normalize, cross, perspective, scale } from './matrix.js';
 
 const ANGLE = (50 * Math.PI) / 180;
@@ -53,7 +54,11 @@ export class Camera {
     this.pitch = Math.max(-STEEPEST, Math.min(STEEPEST, this.pitch - dy * 0.005));
   }
 
-  /** Moves the camera parallel to the image plane. @param dx,dy pixels @param height height of the view in pixels */
+  /**
+   * Moves the camera parallel to the image plane.
+   * @param dx,dy pixels
+   * @param height height of the view in pixels
+   */
   pan(dx, dy, height) {
     const right = normalize(cross(this.direction, [0, 0, 1]));
     const metres = (2 * this.distance * Math.tan(ANGLE / 2)) / height;
@@ -81,7 +86,8 @@ export class Camera {
   }
 
   /**
-   * Returns where the ray through an image point hits the horizontal plane at a height, or null if it does not hit it.
+   * Returns where the ray through an image point hits the horizontal plane at a height.
+   * Returns null if the ray does not hit the plane.
    * @param x,y -1..1, up positive
    */
   onPlane(x, y, aspect, height) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the colours of points for a colour scheme. Colour stops are interpolated linearly. Each colour map also varies in lightness.
+// Computes the colours of points for a colour scheme. Colour stops are interpolated
+// linearly. Each colour map also varies in lightness.
 
 const TURBO = [[38, 24, 84], [62, 84, 204], [46, 156, 246], [30, 216, 184], [120, 246, 92], [210, 232, 50], [248, 162, 46], [216, 64, 16],
   [132, 12, 8]];
@@ -18,8 +19,9 @@ const table = (stops) => Array.from({ length: 256 }, (_, i) => {
 const TABLES = { turbo: table(TURBO), glow: table(GLOW), alarm: table(ALARM) };
 
 /**
- * Colour schemes: label, unit, limits, colour map, and the position of a value in the map (0..1). Ranges and intensities use the square
- * root, because most points of a scan are near and dark.
+ * Colour schemes: label, unit, limits, colour map, and the position of a value in the map
+ * (0..1). Ranges and intensities use the square root, because most points of a scan are
+ * near and dark.
  */
 export const COLOURINGS = {
   range: { label: 'range', unit: 'm', map: 'turbo', ends: (o) => [0, o.maxRange], share: (v, [, b]) => Math.sqrt(v / b) },
@@ -30,10 +32,15 @@ export const COLOURINGS = {
   instance: { label: 'instance', unit: '', map: null },
 };
 
-/** Returns the channel of a colour scheme "channel:NAME", if the scan has this channel. */
+/**
+ * Returns the channel of a colour scheme "channel:NAME", if the scan has this channel.
+ */
 const channelOf = (colouring, scan) => (colouring.startsWith('channel:') ? scan?.channels?.[colouring.slice('channel:'.length)] : undefined);
 
-/** Returns the colour scheme of a channel: numbers are scaled to their limits in the scan, vectors are RGB, integers are coloured like instances. */
+/**
+ * Returns the colour scheme of a channel. Numbers are scaled to their limits in the scan,
+ * vectors are RGB, and integers are coloured like instances.
+ */
 function channelColouring(colouring, scan) {
   const label = colouring.slice('channel:'.length);
   const channel = channelOf(colouring, scan);
@@ -68,7 +75,8 @@ export const instanceColour = (instance) => (instance === 0 || instance === 6553
 
 /**
  * Returns the RGBA bytes of the points of a scan.
- * @param options {maxRange, sensorHeight, error: Float32Array or null, shown: (point) => boolean}
+ * @param options {maxRange, sensorHeight, error, shown}; error is a Float32Array or null,
+ * shown is (point) => boolean
  */
 export function coloursOf(scan, colouring, options) {
   const n = scan.range.length;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// 4x4 matrices in column-major order, as in WebGL, and vectors with three components. z is up.
+// 4x4 matrices in column-major order, as in WebGL, and vectors with three components. z
+// is up.
 
 export const add = (a, b) => [a[0] + b[0], a[1] + b[1], a[2] + b[2]];
 export const scale = (a, s) => [a[0] * s, a[1] * s, a[2] * s];
@@ -18,13 +19,19 @@ export function multiply(a, b) {
 
 export const transform = (m, p) => [0, 1, 2].map((row) => m[row] * p[0] + m[4 + row] * p[1] + m[8 + row] * p[2] + m[12 + row]);
 
-/** Returns the projection matrix of a camera that looks along -z. @param angle vertical field of view in radians */
+/**
+ * Returns the projection matrix of a camera that looks along -z.
+ * @param angle vertical field of view in radians
+ */
 export function perspective(angle, aspect, near, far) {
   const f = 1 / Math.tan(angle / 2);
   return [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, (2 * far * near) / (near - far), 0];
 }
 
-/** Returns the matrix from world space to camera space. The direction must not be straight up or down. */
+/**
+ * Returns the matrix from world space to camera space. The direction must not be straight
+ * up or down.
+ */
 export function look(eye, direction) {
   const right = normalize(cross(direction, [0, 0, 1]));
   const up = cross(right, direction);

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Mouse control of a view: dragging rotates the camera, dragging with the right or middle button or Ctrl pans, the wheel zooms.
+// Mouse control of a view. Dragging rotates the camera, dragging with the right or middle
+// button or with Ctrl moves it sideways, and the wheel zooms.
 
 const LONGEST_CLICK = 4;   // maximum movement of a click in pixels
 
 /**
  * @param onChange called after each change of the camera
- * @param onGround (from, to) called for dragging with Shift, with points on the plane at planeHeight(); or null
+ * @param onGround (from, to) called for dragging with Shift, with points on the plane at
+ * planeHeight(); or null
  * @param onClick ([x, y]) called for a click without dragging; -1..1, up positive
  */
 export function steer(view, camera, { onChange, onGround = null, planeHeight = () => 0, onClick = () => {} }) {

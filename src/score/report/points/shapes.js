@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates lines for a scene: a grid on the ground, axes, boxes, a path. Each function returns {position, rgba} for CloudView.setLines().
+// Creates lines for a scene: a grid on the ground, axes, boxes, a path. Each function
+// returns {position, rgba} for CloudView.setLines().
 import { transform } from './matrix.js';
 
 /** A list of coloured lines. */
@@ -18,7 +19,10 @@ class Lines {
   get arrays() { return { position: new Float32Array(this.ends), rgba: new Uint8Array(this.colours) }; }
 }
 
-/** Returns a horizontal grid of 10 m around a point. The lines are short, because some drivers drop lines that start behind the camera. */
+/**
+ * Returns a horizontal grid of 10 m around a point. The lines are short, because some
+ * drivers drop lines that start behind the camera.
+ */
 export function grid([x, y, z], reach, colour) {
   const lines = new Lines();
   const [left, bottom] = [Math.round(x / 10) * 10, Math.round(y / 10) * 10];
@@ -41,7 +45,10 @@ export function axes(pose, length) {
   return lines.arrays;
 }
 
-/** Returns the edges of boxes, and a forward line from the centre of each roof. @param all [{pose, size, colour}] */
+/**
+ * Returns the edges of boxes, and a forward line from the centre of each roof.
+ * @param all [{pose, size, colour}]
+ */
 export function boxes(all) {
   const lines = new Lines();
   for (const { pose, size, colour } of all) {
@@ -60,7 +67,11 @@ export function path(places, colour) {
   return lines.arrays;
 }
 
-/** Returns a line for each pair of points. @param from,to Float32Array, three values for each point @param which indices of the pairs */
+/**
+ * Returns a line for each pair of points.
+ * @param from,to Float32Array, three values for each point
+ * @param which indices of the pairs
+ */
 export function pairs(from, to, which, colour) {
   const position = new Float32Array(6 * which.length);
   const rgba = new Uint8Array(8 * which.length);
