@@ -3,6 +3,12 @@
 # all structs that C++ and GLSL share, with their offsets on the host. It reads the text
 # of the headers, so that new members are included automatically.
 function(relidar_write_shared_layouts out)
+    # Blended values are members of structs through a macro.
+    set(table ${PROJECT_SOURCE_DIR}/include/relidar/diff/blended_values.h)
+    file(READ ${table} text)
+    string(REGEX MATCHALL "VALUE\\([a-z_]+, " blended "${text}")
+    string(REGEX REPLACE "VALUE\\(([a-z_]+), " "\\1" blended "${blended}")
+    list(REMOVE_ITEM blended name)
     set(includes "")
     set(rows "")
     foreach(header IN LISTS ARGN)
@@ -19,6 +25,10 @@ function(relidar_write_shared_layouts out)
                 set(struct ${CMAKE_MATCH_1})
             elseif(line MATCHES "^}")
                 set(struct "")
+            elseif(struct AND line MATCHES "^ +RELIDAR_BLENDED_VALUES\\(RELIDAR_FIELD\\)")
+                foreach(member IN LISTS blended)
+                    string(APPEND rows "    {\"${struct}\", \"${member}\", offsetof(relidar::shared::${struct}, ${member})},\n")
+                endforeach()
             elseif(struct AND line MATCHES "^ +[A-Za-z0-9_]+ +([A-Za-z0-9_]+)(\\[[^]]*\\])?! *$")
                 string(APPEND rows "    {\"${struct}\", \"${CMAKE_MATCH_1}\", offsetof(relidar::shared::${struct}, ${CMAKE_MATCH_1})},\n")
             elseif(struct AND line MATCHES "^ +[A-Za-z0-9_]+ ")

@@ -495,8 +495,8 @@ XOSC
     says "^ *1 +Car .* 13\.50,-1\.00,"
     good edit run --out van_too --scenario cut_in.xosc@Van=run#0
     says "0-insert-1 follows Van of cut_in.xosc"
-    bad 2 'expected Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=- too' edit run --out x --scenario cut_in.xosc
-    bad 2 'expected entities of the file, which Bus is not' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
+    bad 2 'expected also Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
+    bad 2 'expected entities of the file; Bus is not in the file' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
     bad 2 'an entity that follows a trajectory; Ego follows none' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
     bad 2 'expected Van=TRACK of the run, RUN#TRACK or ASSET' edit run --out x --scenario cut_in.xosc@Van=7
     bad 2 'scenario with at least one entity that follows' edit run --out x --scenario cut_in.xosc@Van=-

@@ -30,7 +30,7 @@ struct MountedSensor;
 /// frame at the ray's firing time.
 struct RenderedScan {
     /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
-    /// computed from the two drop logits (method.md, M6). It is 1 if the ray hit nothing
+    /// computed from the two drop logits, as their softmax. It is 1 if the ray hit nothing
     /// within the sensor's range limits.
     RangeImage image;
     /// [n] Range of the dominant surface along the ray, in metres: the distance at which

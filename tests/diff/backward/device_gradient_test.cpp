@@ -203,15 +203,20 @@ TEST_F(DeviceGradient, SingleDropLogit) {
 }
 
 /// Tests the image and the likelihood (M12) together, with short chunks and long lists.
+/// The tolerance is that of the likelihood alone, see DeviceGradient.Likelihood.
 TEST_F(DeviceGradient, ImageAndLikelihood) {
     test::RandomSceneOptions options;
     options.rays = 60, options.seed = 72;
     expect_agreement({.sh_direction = ShDirection::ray}, options,
-                     {.proxy = Proxy::triangles, .every_way = true, .outputs = Outputs::all},
+                     {.proxy = Proxy::triangles,
+                      .every_way = true,
+                      .tolerance = 2.0 * test::kKernelGradient,
+                      .outputs = Outputs::all},
                      "image and likelihood, SH along the ray");
     options.seed = 73, options.rays = 40, options.background_surfels = 80, options.actor_instances = 0,
     options.actor_surfels = 0, options.opacity_low = 0.02, options.opacity_high = 0.2;
-    expect_agreement({.sh_direction = ShDirection::surfel}, options, {.outputs = Outputs::all},
+    expect_agreement({.sh_direction = ShDirection::surfel}, options,
+                     {.tolerance = 2.0 * test::kKernelGradient, .outputs = Outputs::all},
                      "image and likelihood, transparent, long lists");
     options.seed = 37, options.background_surfels = 40, options.opacity_low = 0.5,
     options.opacity_high = 0.98, options.wide_surfels = 2;

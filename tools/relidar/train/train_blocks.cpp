@@ -148,7 +148,8 @@ private:
         if (fs::is_regular_file(folder / "scene.json", failed)) {
             const Run trained = load_run(folder);
             check_frames(trained, log);
-            // An earlier process may have been killed before it removed these checkpoints.
+            // An earlier process may have been killed before it removed these
+            // checkpoints.
             remove_checkpoints(checkpoint_folder(folder));
             return false;
         }
