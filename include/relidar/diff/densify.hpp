@@ -33,7 +33,7 @@ struct TouchedSurfels;
 struct SurfelStatistics {
     /// Gradient norm of the surfel's mean, summed over batches, [n].
     Array<float, shared::GradientSums> gradient_sum;
-    /// Number of batches in which the surfel is visible, [n].
+    /// Number of batches that come from a frame in which the surfel is visible, [n].
     Array<std::uint32_t, shared::SeenBatches> n_seen;
     /// Bit mask of training frames, [n, n_words]. Bit f is set if the surfel has had a
     /// gradient in frame f. A copied surfel inherits the bits of its original.
