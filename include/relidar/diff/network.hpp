@@ -156,7 +156,8 @@ public:
 
     const DropNetwork& network() const;
     /// Returns the drop probability of each pixel, [rows, columns].
-    /// @throws DataError if the image is too small or has values that are not finite
+    /// @throws DataError if the image is too small, or has the wrong number of values or
+    /// values that are not finite
     std::vector<float> refine(const DropImage& image);
     /// Returns the total time of each kernel so far, in milliseconds, by kernel name.
     /// Empty if the device has no timestamps.
