@@ -114,7 +114,8 @@ public:
     ~BackwardPass();
     /// Records GPU commands that trace the rays again and compute the gradients of all
     /// parameters. Overwrites all arrays in `gradients`.
-    /// @param view_origin_m origin with which the scene was activated
+    /// @param view_origin_m view origin of the last DeviceScene::activate(), [3] world
+    /// frame
     void run(Stream& stream, DeviceScene& scene, const Accel& accel, const RenderedBatch& batch,
              const glm::vec3& view_origin_m, Gradients& gradients);
     void set_sh_degree(int degree);

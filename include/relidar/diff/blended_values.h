@@ -5,16 +5,17 @@
 #ifndef RELIDAR_INCLUDED_DIFF_BLENDED_VALUES_H
 #define RELIDAR_INCLUDED_DIFF_BLENDED_VALUES_H
 
-/// VALUE(name, built, value of a hit, input, slope, meaning) describes one float, the sum
-/// of w * c over all hits, where w is the weight of a hit (docs/method.md M4, M5). A
-/// vector has one line per component.
-///   built           condition on specialisation constants; if it is false, the value stays 0
+/// VALUE(name, built, value of a hit, input, slope, meaning) describes one float that a
+/// ray blends from its hits. It is the sum of w * c over all hits, where w is the weight
+/// of a hit (docs/method.md M4, M5). A vector has one line per component.
+///
+///   built           condition on specialisation constants. If it is false, the value stays 0.
 ///   value of a hit  GLSL expression for c. It uses `hit` and its `channels` (intensity,
 ///                   hit logit, drop logit).
-///   input           quantity that c depends on. The backward pass adds
-///                   w * gradient * slope to it: d_t, d_channel.x, .y or .z;
-///                   `nowhere` if c is constant
+///   input           quantity that c depends on: d_t, d_channel.x, .y or .z. The backward
+///                   pass adds w * gradient * slope to it. `nowhere` if c is constant.
 ///   slope           GLSL expression for dc / d(input)
+///
 /// The background adds 1 to drop_logit and 0 to all other values.
 
 // Values of every ray except the range. The backward pass sums these values first and

@@ -34,16 +34,17 @@ struct DensifyOptions {
     /// Size threshold between cloning and splitting, relative to the extent of the model.
     /// Smaller surfels are cloned. Larger surfels are split.
     double clone_extent_share = 2e-4;
-    /// Minimum opacity. Surfels with a lower opacity are removed. The value must be at
-    /// least ImageModel::alpha_min, which is the minimum opacity in ray tracing.
+    /// Minimum opacity. Surfels with a lower opacity are removed. If
+    /// ImageModel::alpha_min, the limit in ray tracing, is larger, it is used instead.
     double min_opacity = 0.003;
     /// Maximum scale of a surfel, relative to the extent of the model. Larger surfels are
     /// removed after step `large_from`.
     double max_extent_share = 0.01;
     int large_from = 3000;  ///< Step after which surfels that are too large are removed.
-    /// Number of steps between opacity resets, up to step `until`; 0 = never.
+    /// Number of steps between opacity resets, up to step `until`. 0 = never.
     int opacity_reset_every = 3000;
-    /// Opacity after a reset. It must be at least 2.5 times ImageModel::alpha_min.
+    /// Opacity after a reset. Values below 2.5 times ImageModel::alpha_min are raised to
+    /// that limit.
     double reset_opacity = 0.01;
     /// Maximum number of surfels that densification may reach. A scene that is larger at
     /// the start is not reduced.

@@ -29,9 +29,9 @@ struct Rendering {
     std::vector<float> median_depth;
     std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
     /// Index into Scene::instances of the object that the ray hits, or -1 without hits.
-    /// It is the instance of the surfel at which the transmittance crosses 0.5, so that a
+    /// It belongs to the surfel at which the transmittance crosses 0.5. Therefore, a
     /// faint surfel in front does not hide the object. If the transmittance stays above
-    /// 0.5, it is the instance of the nearest blended surfel.
+    /// 0.5, the index belongs to the nearest blended surfel.
     std::vector<std::int32_t> instance;
     /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
     /// normal that faces the sensor. Empty unless TraceOptions::normals is set.
@@ -47,8 +47,9 @@ class ForwardPass {
 public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
     ~ForwardPass();
-    /// Records GPU commands that trace and render a batch. The scene must be activated
-    /// and the acceleration structure updated before, in the same stream.
+    /// Records GPU commands that trace and render a batch. Before this call,
+    /// DeviceScene::activate() must compute the surfel records, and the acceleration
+    /// structure must be updated, both in the same stream.
     /// @param rendered  output, [>= n_rays]
     /// @param kept      output: hits for the backward pass of the same batch. Null = the
     /// backward pass traces the rays again

@@ -34,7 +34,7 @@ struct RefineOptions {
     /// Additional input channels about each ray: "none", "direction" (the elevation) or
     /// "origin,direction".
     std::string rays = "direction";
-    int frames = 64;  ///< Maximum number of training frames, spread evenly over the log; 0 = all.
+    int frames = 64;  ///< Maximum number of training frames, spread evenly over the log. 0 = all frames.
     int epochs = 4;   ///< Number of times that each training frame is used.
     int batch = 0;    ///< Number of images per training step. 0 = default of the architecture.
     /// Initial learning rate of Adam. It decreases to a hundredth of this value during

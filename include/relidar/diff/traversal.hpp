@@ -114,9 +114,9 @@ struct KeptHits {
 };
 
 /// Returns the number of hits to keep per ray, after `n_overfull` rays had more than
-/// `per_ray` hits. The number is doubled while such rays exist, because on a GPU the
-/// second search of a few rays takes as long as the search of all others. The result is
-/// at most 256 (4 kB per ray), or `per_ray` if that is larger.
+/// `per_ray` hits. The number is doubled while such rays exist. On a GPU, searching the
+/// remaining hits of a few rays takes as long as searching them for all rays. The result
+/// is at most 256 (4 kB per ray), or `per_ray` if that is larger.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
 /// Rendered batch with the arrays that losses and the backward pass need.

@@ -79,8 +79,8 @@ struct PipelineStatistics {
 };
 
 struct DeviceOptions {
-    /// Index in list_devices(). -1 selects the first GPU with ray queries, or the first
-    /// GPU if none has them. Without a GPU, -1 selects a CPU device.
+    /// Index in list_devices(). -1 selects a suitable device. It prefers GPUs to CPU
+    /// devices, and devices with ray queries to others.
     int index = -1;
     Traversal traversal = Traversal::automatic;
     bool validation = false;  ///< Enables the Khronos validation layer.

@@ -66,8 +66,8 @@ public:
     std::size_t size() const { return n_; }
     /// Returns the device address of entry `first`, to be passed to a kernel. Arrays
     /// start at multiples of 16 bytes, so that kernels can load a record in 16-byte
-    /// pieces. If the address of `first` is not a multiple of 16 bytes, kernels may use
-    /// it only with atomics or with indices computed at run time.
+    /// pieces. Other addresses may be used only with atomics or with indices computed at
+    /// run time.
     Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
     /// Returns the device address of entry `first` for a kernel that reads the memory as
     /// another type or with another meaning. `first` counts entries of T.

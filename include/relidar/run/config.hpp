@@ -93,8 +93,7 @@ struct TrainConfig {
     int rays_per_iteration = 0;     ///< Number of rays per iteration. 0 = all rays of one frame (paper).
     int sh_degree_start = 0;        ///< Degree of the spherical harmonics (SH) at the first iteration.
     int sh_degree_interval = 1000;  ///< Number of iterations after which the SH degree increases by one.
-    /// Initial learning rate of the surfel means. It is multiplied by the extent of the
-    /// scene.
+    /// Initial learning rate of the surfel means, relative to the extent of the model.
     double mean_rate = 1.6e-4;
     double mean_rate_final = 1.6e-6;
     double rotation_rate = 1e-3;
@@ -105,11 +104,11 @@ struct TrainConfig {
     double opacity_rate = 0.05;
     double sh_rate = 2.5e-3;
     /// Learning rate of the intensity coefficients, relative to the rate of the drop
-    /// logits. 1 = paper.
+    /// logits. 1 = equal rates (paper).
     double intensity_factor = 1.0;
     /// Final value of the learning rates relative to their initial value, after
     /// exponential decay. It applies to all rates except the rate of the means. 1 =
-    /// paper.
+    /// constant rates (paper).
     double rate_decay = 1.0;
     bool only_touched = false;   ///< If true, Adam skips surfels without a gradient in the current batch.
     bool deterministic = false;  ///< If true, two runs on one device give bit-equal parameters.
@@ -170,8 +169,8 @@ struct RenderConfig {
     /// Comma-separated names of optional channels that a scan gets in addition to the
     /// basic channels.
     std::string channels;
-    /// Range of the points in point clouds. "median": range at which half of the light is
-    /// absorbed. "range": same quantity as in range images.
+    /// Range of the points in point clouds. "median": range at which the transmittance of
+    /// the ray falls to 0.5. "range": the quantity that range images use.
     std::string points = "median";
     /// Device memory for caching background blocks, MiB. Blocks that the current scan
     /// needs are not counted.

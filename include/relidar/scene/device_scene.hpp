@@ -212,8 +212,8 @@ public:
     /// Indices of the marked rows, [count], in no particular order.
     Address<std::uint32_t, shared::TouchedRows> rows() const;
     Address<std::uint32_t, shared::TouchedCount> count() const;  ///< Number of marked rows, [1].
-    /// Returns the number of threads to start for a kernel that processes the list. The
-    /// host does not know the length of the list.
+    /// Returns the number of threads for a kernel that processes the list. It does not
+    /// depend on the length of the list, because only the device knows this length.
     /// @param most number of threads for the longest possible list
     std::size_t threads(std::size_t most) const;
 
@@ -230,13 +230,14 @@ private:
 InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from_box,
                            const glm::dvec3& half_size_m, const SweepMoment& sweep);
 
-/// Inputs and outputs of activate_vjp(), which computes parameter gradients from record
-/// gradients.
+/// Inputs and outputs of activate_vjp(), which computes gradients of the parameters from
+/// gradients of the surfel records.
 struct ActivationGradients {
-    /// Input: gradients with respect to the records, [gradient_rows,16].
+    /// Input: gradients with respect to the surfel records, [gradient_rows,16].
     const Array<float, shared::RecordGradients>* d_records = nullptr;
     SurfelArrays* d_surfels = nullptr;  ///< Output: gradients with respect to the surfel parameters.
-    /// Output: flags, [n]. 1 for each surfel whose record gradient is not zero.
+    /// Output: flags, [n]. 1 for each surfel whose record has a gradient that is not
+    /// zero.
     Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
     /// Output with ShDirection::surfel: dL/d(view origin) through each surfel, [n,3],
     /// model frame. Null if not needed.
@@ -286,9 +287,10 @@ public:
     /// This works only on CPU devices, which do not copy SH coefficients through shared
     /// memory.
     bool lists_touched() const;
-    /// Records the GPU kernel that computes parameter gradients from record gradients by
-    /// the chain rule. It writes SH gradients only with ShDirection::surfel. With
-    /// ShDirection::ray, the backward pass has already computed the SH gradients.
+    /// Records the GPU kernel that computes gradients of the parameters from gradients of
+    /// the surfel records by the chain rule. It writes SH gradients only with
+    /// ShDirection::surfel. With ShDirection::ray, the backward pass has already computed
+    /// the SH gradients.
     void activate_vjp(Stream& stream, const ImageModel& model, const glm::vec3& view_origin_m,
                       const ActivationGradients& gradients);
 
@@ -304,8 +306,8 @@ public:
     SurfelArrays& parameters();
     const SurfelArrays& parameters() const;
     const Array<shared::SurfelRecord>& records() const;  ///< Surfel records, [n].
-    /// Minimum opacity (alpha_min) of the last activation. It determines up to which
-    /// distance from its centre a surfel can be hit.
+    /// Minimum opacity (alpha_min) with which activate() last computed the surfel
+    /// records. It determines up to which distance from its centre a surfel can be hit.
     float alpha_min() const;
     /// Table of models, [models], in the order of their surfel ranges.
     const Array<shared::ModelEntry>& models() const;
@@ -313,10 +315,11 @@ public:
     const Array<shared::InstanceEntry>& instances() const;
     std::uint32_t size() const;  ///< Number of surfels.
     Primitive primitive() const;
-    /// Returns the first row of an instance in the array of record gradients.
+    /// Returns the first row of an instance in the gradient array of the surfel records.
     std::uint32_t first_gradient_row(std::size_t instance) const;
-    /// Number of rows in the array of record gradients. Each surfel has one row for the
-    /// first instance of its model, and one more row for each further instance.
+    /// Number of rows in the gradient array of the surfel records. Each surfel has one
+    /// row for the first instance of its model, and one more row for each further
+    /// instance.
     std::uint32_t gradient_rows() const;
 
 private:

@@ -145,7 +145,7 @@ struct Model {
 /// pose.
 struct Instance {
     std::uint32_t model = 0;
-    std::string track;  ///< Id of the track that moves the instance; empty for the background.
+    std::string track;  ///< Id of the track that moves the instance. Empty for the background.
 };
 
 /// Part of a background that is trained on one section of a road. It stays in its file
@@ -254,7 +254,7 @@ struct InitialiseOptions {
     /// averaged.
     double voxel_m = 0.15;
     /// Increase of the voxel edge per metre of distance to the nearest sensor position. 0
-    /// = paper.
+    /// = constant edge length (paper).
     double voxel_growth = 0.0;
     /// If true, surfel normals are estimated from the nearest neighbours. If false,
     /// orientations are random (ablation).

@@ -47,15 +47,16 @@ struct InstanceEntry {
     vec4 row2;
     uint first_surfel;  // First surfel of the model in the surfel arrays of the scene.
     uint n_surfels;
-    // First row of the instance in the array of record gradients. The first instance of a
-    // model uses the rows of its surfels. The rows of further instances follow after all
-    // surfels.
+    // First row of the instance in the gradient array of the surfel records. The first
+    // instance of a model uses the rows of its surfels. The rows of further instances
+    // follow after all surfels.
     uint first_row;
     uint moves;  // 1 if the instance moves during the sweep, otherwise 0.
     // Motion of the model during the sweep, in the axes of the model (docs/method.md
-    // section 4). A ray fired at time t hits the model after it has moved for the time
-    // clamp(t - middle_s, -half_span_s, half_span_s) from the pose model_from_world. The
-    // struct has 96 bytes, because kernels load it in 16-byte pieces.
+    // section 4). model_from_world is the pose in the middle of the motion. A ray fired
+    // at time t hits the model after a motion of clamp(t - middle_s, -half_span_s,
+    // half_span_s) seconds. The struct has 96 bytes, because kernels load it in 16-byte
+    // pieces.
     vec3 velocity;   // Velocity, m/s.
     float middle_s;  // Middle of the motion interval, in seconds after the reference time of the sweep.
     vec3 turn_rate;  // Rotation vector per second, rad/s.
