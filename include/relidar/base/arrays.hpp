@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Named arrays, and functions that read and write them as npz, npy and safetensors files.
+// Reads and writes named arrays as npz, npy and safetensors files.
 #pragma once
 
 #include <cstddef>

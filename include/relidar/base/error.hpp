@@ -47,8 +47,8 @@ struct DeviceLost : DeviceError {
     using DeviceError::DeviceError;
 };
 
-/// Returns the known name that is most similar to a mistyped name, for "did you mean"
-/// messages. Uses the smallest edit distance and ignores case.
+/// Returns the known name that is most similar to the query, for "did you mean" messages.
+/// The most similar name has the smallest edit distance, ignoring upper and lower case.
 /// @return empty string if there are no known names
 std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names);
 /// Returns the text ", did you mean 'NAME'?" with the known name that is most similar to

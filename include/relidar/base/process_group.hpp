@@ -37,7 +37,8 @@ struct ProcessGroup {
         return {first_of(rank), first_of(rank + 1)};
     }
 
-    /// Returns the values of all processes, concatenated in rank order.
+    /// Collects the values of all processes and returns them in rank order. Every process
+    /// gets the same result.
     template <class T>
     std::vector<T> all_gathered(std::vector<T> values) const {
         static_assert(std::is_trivially_copyable_v<T>);
@@ -48,7 +49,7 @@ struct ProcessGroup {
         if (!values.empty()) std::memcpy(values.data(), all.data(), values.size() * sizeof(T));
         return values;
     }
-    /// Returns the values of the first process on every process.
+    /// Sends the values of the first process to all processes and returns them.
     template <class T>
     std::vector<T> broadcast(std::vector<T> values) const {
         if (!is_first()) values.clear();

@@ -28,7 +28,8 @@ struct WantedGradients {
     bool poses = false;  ///< If true, computes the pose gradients of all instances and of the sensor.
 };
 
-/// Gradients of the loss with respect to all inputs of the rendered image.
+/// Gradients of the loss with respect to surfel parameters, rays, poses of instances and
+/// pose of the sensor.
 struct Gradients {
     SurfelArrays surfels;  ///< dL/d(parameter) of every surfel, in the layout of Surfels.
     /// dL/d(record), where a record holds the 16 floats that kernels read for a placed
@@ -73,7 +74,7 @@ struct Gradients {
     /// exact.
     Array<float, shared::SensorPoseGradient> sensor;
 
-    /// Allocates the gradient arrays.
+    /// Allocates the gradient arrays on the device.
     /// @param n_rays number of rays of the largest batch
     Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted = {},
               std::uint32_t n_rays = 0);

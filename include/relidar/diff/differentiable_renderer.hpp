@@ -64,9 +64,9 @@ public:
                            const RendererOptions& options = {}, const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
-    /// Computes the gradients of a loss over the rays that forward() rendered last.
-    /// Blocks. Poses, view and parameters must not have changed since then.
-    /// @param d_rendered arrays with one entry per ray, or empty arrays
+    /// Computes the gradients of a loss over the rays that forward() rendered last. Waits
+    /// for the GPU. Poses, view and parameters must not have changed since forward().
+    /// @param d_rendered dL/d(rendered), arrays with one entry per ray, or empty arrays
     /// @throws UsageError if forward() was not called before
     /// @throws DataError if an array has the wrong number of entries
     HostGradients backward(const RenderedGradients& d_rendered);

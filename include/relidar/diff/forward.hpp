@@ -79,7 +79,7 @@ private:
 Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
                        const std::vector<shared::RenderedSurface>& surfaces = {});
 
-/// Options of a renderer, in addition to the scene and its image model.
+/// Options of a renderer for its acceleration structure, ray tracing, memory and stream.
 struct RendererOptions {
     AccelOptions accel{};
     TraceOptions trace{};

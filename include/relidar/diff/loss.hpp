@@ -33,7 +33,8 @@ struct ImageShape {
     bool is_image() const { return rows > 0; }
 };
 
-/// Measured targets of a batch of rays. The target of ray k is entry first + k * stride.
+/// Measured targets of a batch of rays. The target of ray k is targets[first + k *
+/// stride].
 struct TargetBatch {
     const Array<DeviceTarget>* targets = nullptr;
     std::uint32_t first = 0;

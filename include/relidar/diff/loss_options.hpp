@@ -16,7 +16,9 @@ struct LossWeights {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) float setting = standard;
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
-    bool normalised_depth = false;  ///< If true, the range term compares D / W instead of D (paper).
+    /// If true, the range term uses the normalised range D / W. If false, it uses D
+    /// (paper).
+    bool normalised_depth = false;
     /// Error up to which the Huber loss of intensities is quadratic. Beyond this error,
     /// it is linear. 0 = L1 loss (paper).
     float intensity_delta = 0.0f;

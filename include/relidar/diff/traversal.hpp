@@ -26,7 +26,7 @@ struct WorldRays {
 
 using shared::DeviceRay;
 
-/// Batch of rays on the device. Ray k of the batch is entry first + k * stride.
+/// Batch of rays on the device. Ray k of the batch is rays[first + k * stride].
 struct RayBatch {
     const Array<DeviceRay>* rays = nullptr;
     std::uint32_t first = 0;
@@ -119,7 +119,7 @@ struct KeptHits {
 /// is at most 256 (4 kB per ray), or `per_ray` if that is larger.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
-/// Rendered batch with the arrays that losses and the backward pass need.
+/// Rendered batch with the arrays that the losses and the backward pass read and write.
 struct RenderedBatch {
     RayBatch rays;
     /// Rendered values of all rays, [n_rays].

@@ -23,8 +23,7 @@ enum class Traversal { automatic, ray_query, software };
 /// @throws UsageError for any other name
 Traversal find_traversal(const std::string& name);
 
-/// Properties of a Vulkan device of this machine, and the relidar features that it
-/// supports.
+/// Properties of a Vulkan device, and the relidar features that the device supports.
 struct DeviceInfo {
     int index = 0;
     std::string name;

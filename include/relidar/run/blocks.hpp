@@ -18,7 +18,8 @@ namespace relidar {
 
 /// Section of the sensor's trajectory that is trained separately.
 struct Block {
-    /// Begin and end of the section, in metres driven since the start of the log.
+    /// Begin and end of the section, measured along the trajectory from the start of the
+    /// log, metres.
     double begin_m = 0.0, end_m = 0.0;
     /// Indices in Sequence::frames of the sweeps recorded in this section, including
     /// held-out sweeps.

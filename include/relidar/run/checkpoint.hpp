@@ -140,7 +140,7 @@ private:
 /// @throws DataError naming the array and row of the first number that is not finite
 void check_finite(const Checkpoint& checkpoint);
 
-/// Writes a checkpoint file atomically.
+/// Writes a checkpoint file. The file appears only when it is complete.
 /// @throws DataError if the file cannot be written
 void write_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
 /// Reads a checkpoint file. Checks its format, version, sizes and checksum, and that all

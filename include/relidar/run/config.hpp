@@ -139,7 +139,7 @@ struct TrainConfig {
     double checkpoint_minutes = 10.0;
     std::uint64_t seed = 1;
 
-    /// Returns true if `refine_poses` includes the given poses.
+    /// Returns true if training optimises the given poses (`refine_poses`).
     /// @param poses "sensor" or "actors"
     bool refines(const char* poses) const { return refine_poses.find(poses) != std::string::npos; }
     bool operator==(const TrainConfig&) const = default;

@@ -64,7 +64,7 @@ struct SurfelArrays {
     /// arrays
     void upload(const Surfels& surfels);
     Surfels download() const;
-    /// Returns the number of surfels that fit in the arrays of every group.
+    /// Returns the number of surfels for which all arrays have memory.
     std::uint32_t capacity() const;
     /// Enlarges the arrays to at least `capacity` surfels. Existing values are kept, and
     /// new values are undefined. No submitted GPU work may use the arrays during the
@@ -124,8 +124,8 @@ struct ParameterGroup {
     std::vector<std::size_t> shape(std::size_t n) const;
 };
 
-/// Describes the parameter group that is stored in member kHost of Surfels and member
-/// kDevice of SurfelArrays.
+/// Returns the description of a parameter group. kHost is its member of Surfels, and
+/// kDevice is its member of SurfelArrays.
 template <auto kHost, auto kDevice>
 constexpr ParameterGroup describe_group(const char* name, std::array<std::uint32_t, 2> row,
                                         double LearningRates::*rate, bool harmonics = false,

@@ -98,8 +98,8 @@ struct Surfels {
     /// SH coefficients, [n,3,16], channel by channel. The value of a channel is 0.5 +
     /// basis(direction) . coefficients.
     std::vector<float> sh;
-    /// Standard deviations along the third axis, [n] ln metres. Empty for primitives
-    /// without a third scale.
+    /// Standard deviations along the third axis, [n] ln metres. Empty for surfels, which
+    /// have only two axes.
     std::vector<float> log_scale_w;
     std::vector<Gait> gait;  ///< Walking motions, [n] if `bends` is true, otherwise empty.
     Primitive primitive = Primitive::surfel;
@@ -180,7 +180,8 @@ struct Scene {
     std::vector<SceneBlock> blocks = {};
 };
 
-/// Returns the number of surfels of a scene, including the surfels of its blocks.
+/// Returns the number of surfels of a scene, including background blocks that are still
+/// in files.
 std::size_t count_surfels(const Scene& scene);
 
 /// Scene together with the log that contains the track of each instance. An instance has
@@ -190,7 +191,7 @@ struct DrivingScene {
     Sequence sequence;
 };
 
-/// Returns a scene with one model, the background, and one instance.
+/// Returns a scene that has only a background model and its instance.
 Scene make_background_scene(Surfels surfels);
 /// Returns a copy of the scene in which another background replaces the old one and all
 /// blocks. The new background is sorted in kd-tree order.
@@ -228,7 +229,8 @@ struct ImageModel {
     bool operator==(const ImageModel&) const = default;
 };
 
-/// Kind of a labelled object, independent of the class names of its dataset.
+/// Kind of a labelled object. Kinds are the same for all datasets, although datasets have
+/// different class names.
 enum class ObjectKind {
     vehicle,  ///< Vehicle on more than two wheels or on rails, or a trailer.
     cyclist,  ///< Two-wheeler with or without a rider, or a rider.

@@ -45,7 +45,7 @@ struct InstanceEntry {
     vec4 row0;  // First row of the matrix model_from_world (3 rows, 4 columns).
     vec4 row1;
     vec4 row2;
-    uint first_surfel;  // First surfel of the model in the surfel arrays of the scene.
+    uint first_surfel;  // Index of the model's first surfel in the surfel arrays of the scene.
     uint n_surfels;
     // First row of the instance in the gradient array of the surfel records. The first
     // instance of a model uses the rows of its surfels. The rows of further instances
