@@ -18,8 +18,8 @@
 ///
 /// The background adds 1 to drop_logit and 0 to all other values.
 
-// Values of every ray except the range. The backward pass sums these values first and
-// adds the range last, because the range is the largest.
+// Values of every ray except the range D. The backward pass sums these values first and
+// adds the range last, because the range is larger than the other values.
 #define RELIDAR_CHANNEL_VALUES(VALUE)                                                \
     VALUE(weight, true, 1.0, nowhere, 0.0, "sum of w")                               \
     VALUE(intensity, true, channels.x, d_channel.x, 1.0, "sum of w times intensity") \
