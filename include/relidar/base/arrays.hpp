@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Named arrays, and functions that read and write them as npz, npy and safetensors files.
+// Reads and writes named arrays as npz, npy and safetensors files.
 #pragma once
 
 #include <cstddef>
@@ -23,18 +23,19 @@ struct NamedArray {
     std::vector<std::byte> bytes;
 
     std::size_t count() const;
-    /// Returns the values converted to float; b1 becomes 0 or 1.
+    /// Returns the values converted to float. Booleans (b1) become 0 or 1.
     /// @throws DataError if the array holds text, or if the number of bytes does not
     /// match the shape
     std::vector<float> as_float() const;
-    /// Returns the values as double; use it for times and large coordinates.
+    /// Returns the values converted to double. Use it for times and large coordinates,
+    /// because float is not precise enough.
     std::vector<double> as_double() const;
 };
 
-/// Returns the array with this name, or nullptr if no array has it.
+/// Returns a pointer to the array with this name, or nullptr if the name does not exist.
 const NamedArray* find_array(const std::vector<NamedArray>& arrays, std::string_view name);
 
-/// Makes an array of float, double, int32 or uint16 values.
+/// Creates a named array from float, double, int32 or uint16 values.
 /// @throws DataError if n is not the product of the shape
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const float* values, std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const double* values, std::size_t n);
@@ -42,32 +43,32 @@ NamedArray make_array(std::string name, std::vector<std::size_t> shape, const st
                       std::size_t n);
 NamedArray make_array(std::string name, std::vector<std::size_t> shape, const std::uint16_t* values,
                       std::size_t n);
-/// Makes an array of numpy's fixed-length strings (UTF-32, padded with zeros).
+/// Creates an array of fixed-length strings in numpy's format (UTF-32, padded with
+/// zeros).
 /// @param texts UTF-8
 /// @return array of shape [texts]
 NamedArray make_text_array(std::string name, const std::vector<std::string>& texts);
-/// Makes an array of shape [] that holds one text.
+/// Creates a zero-dimensional array (shape []) that holds one text.
 NamedArray make_text(std::string name, const std::string& text);
 
 /// Writes an npz file in the format of numpy.savez_compressed. Equal arrays give
 /// identical files.
-/// @throws DataError if an array exceeds 4 GiB, or for the reasons listed at
-/// write_atomically()
+/// @throws DataError if an array exceeds 4 GiB or the file cannot be written
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays);
-/// Reads all arrays of an npz file. The arrays may be stored or deflated, and must be
-/// row-major and little-endian.
+/// Reads all arrays of an npz file. The arrays may be uncompressed or compressed with
+/// deflate. They must be row-major and little-endian.
 /// @throws DataError if the file is damaged or has another layout
 std::vector<NamedArray> read_npz(const std::filesystem::path& path);
-/// Reads the array of a .npy file. The array gets the file's name.
-/// @throws DataError as read_npz()
+/// Reads the array of a .npy file. The file name becomes the name of the array.
+/// @throws DataError if the file is damaged or has another layout
 NamedArray read_npy(const std::filesystem::path& path);
 /// Writes a safetensors file. The arrays keep their order.
-/// @throws DataError if two arrays have the same name or a name is not UTF-8, or for the
-/// reasons listed at write_atomically()
+/// @throws DataError if two arrays have the same name, a name is not UTF-8, or the file
+/// cannot be written
 void write_safetensors(const std::filesystem::path& path, const std::vector<NamedArray>& arrays,
                        const std::map<std::string, std::string>& metadata);
-/// Reads a safetensors file and returns the arrays in the order of their data. Does not
-/// check that values are finite.
+/// Reads a safetensors file. Returns the arrays in the order of their data in the file.
+/// Does not check that values are finite.
 /// @throws DataError if the file is damaged
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
                                          std::map<std::string, std::string>* metadata = nullptr);

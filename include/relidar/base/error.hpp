@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exceptions that relidar throws. Each message is one line that states the operation, the
-// value found and the value expected.
+// Exceptions that relidar throws. Each message is one line that states the failed
+// operation, the value found and the value expected.
 #pragma once
 
 #include <optional>
@@ -41,23 +41,24 @@ struct DeviceError : Error {
     explicit DeviceError(const std::string& message) : Error(ExitCode::device, message) {}
 };
 
-/// Error for a device that hung, was removed, or whose driver was restarted. This process
-/// cannot use the device again.
+/// Error for a device that hung, was removed, or restarted its driver. The current
+/// process cannot use the device again.
 struct DeviceLost : DeviceError {
     using DeviceError::DeviceError;
 };
 
-/// Returns the known name that is most similar to a mistyped name, for "did you mean"
-/// messages. Uses the smallest edit distance and ignores case.
+/// Returns the known name that is most similar to the query, for "did you mean" messages.
+/// The most similar name has the smallest edit distance, ignoring upper and lower case.
 /// @return empty string if there are no known names
 std::string nearest_name(std::string_view query, const std::vector<std::string>& known_names);
-/// Returns the text ", did you mean 'NAME'?" with the most similar known name.
+/// Returns the text ", did you mean 'NAME'?" with the known name that is most similar to
+/// the query.
 /// @param quote quotation mark around the name: "'", "\"" or empty
 /// @return `otherwise` if no known name is similar
 std::string did_you_mean(std::string_view query, const std::vector<std::string>& known_names,
                          std::string_view quote = "", std::string_view otherwise = "");
-/// Returns the known name that equals the given name if case is ignored. Returns nullopt
-/// if there is none.
+/// Returns the known name that equals the query, ignoring upper and lower case. Returns
+/// nullopt if no known name is equal.
 std::optional<std::string> known_name(std::string_view query, const std::vector<std::string>& known_names);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images, and functions that read and write them as OpenEXR and PNG files.
+// Reads and writes images as OpenEXR and PNG files.
 #pragma once
 
 #include <cstdint>
@@ -25,10 +25,11 @@ struct ExrImage {
     std::map<std::string, std::vector<float>> channels;
     std::map<std::string, std::string> notes;  ///< String attributes of the file.
 };
-/// Reads every channel of an OpenEXR scan-line image, with any compression and any number
-/// type. Checks sizes against the file size before it allocates memory.
+/// Reads all channels of an OpenEXR scan-line image, with any compression and any number
+/// type. Compares the image size with the file size before it allocates memory, so that a
+/// damaged file cannot exhaust the memory.
 /// @throws DataError if the file has tiles, deep data, several images, subsampled
-/// channels or absurd sizes, or is damaged
+/// channels or unreasonable sizes, or is damaged
 ExrImage read_exr(const std::filesystem::path& path);
 
 /// 8-bit RGB image.
@@ -37,22 +38,22 @@ struct Image {
     int columns = 0;
     std::vector<std::uint8_t> rgb;  ///< Pixel values, [rows*columns*3].
 };
-/// Converts a scalar image to colours with the map "turbo" (range), "gray" (intensity,
-/// drop) or "heat" (error). Values outside [low, high] are clamped. NaN values and pixels
-/// with mask 0 become dark gray.
+/// Converts an image of scalar values to colours. The colour map is "turbo" (range),
+/// "gray" (intensity, drop) or "heat" (error). Values outside [low, high] are clamped.
+/// NaN values and pixels with mask 0 become dark gray.
 /// @param mask [rows*columns] or empty
-/// @throws UsageError for an unknown map
+/// @throws UsageError for an unknown colour map
 /// @throws DataError for wrong counts or limits that are not finite
 Image colour_map(const std::vector<float>& values, int rows, int columns, float low, float high,
                  const std::string& map, const std::vector<float>& mask = {});
-/// Stacks images of equal width, separated by a thin line.
+/// Stacks images of equal width vertically, separated by a thin line.
 /// @param stretch vertical magnification of each image, because a LiDAR row covers a
 /// larger angle than a column
 /// @throws UsageError if stretch is below 1
 /// @throws DataError if the widths differ
 Image stack(const std::vector<Image>& images, int stretch = 1);
-/// Writes a PNG file, or returns its bytes.
-/// @param notes stored as international text (iTXt); a name has 1 to 79 Latin letters
+/// Writes an image as a PNG file. encode_png() returns the bytes of the file instead.
+/// @param notes stored as international text (iTXt). A name has 1 to 79 Latin letters.
 /// @throws DataError if rgb is empty or is not rows*columns*3 bytes
 void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes = {});
 std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes = {});

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines the pointer and vector types that C++ and GLSL share. All other shared headers
-// are struct definitions, and a few functions, that both languages read unchanged.
-// Structs use the scalar block layout. A pointer is a buffer reference in GLSL and an
-// 8-byte address in C++.
+// Defines the pointer and vector types that C++ and GLSL share. C++ and GLSL include the
+// same headers, which contain struct definitions and a few functions. Structs use the
+// scalar block layout. A pointer is a buffer reference in GLSL and an 8-byte address in
+// C++.
 #ifndef RELIDAR_INCLUDED_BASE_LANG_H
 #define RELIDAR_INCLUDED_BASE_LANG_H
 #ifdef __cplusplus
@@ -10,9 +10,9 @@
 #include <glm/glm.hpp>
 #define RELIDAR_SHARED_BEGIN namespace relidar::shared {
 #define RELIDAR_SHARED_END }
-// Begins a function of both languages, and declares a variable that both compute by the
-// same operations. Files that call it are compiled without fused multiplications and
-// additions.
+// Marks a function that both C++ and GLSL compile. RELIDAR_EXACT marks a variable that
+// both languages must compute with exactly the same operations. C++ files that call such
+// functions are compiled without fused multiply-add.
 #define RELIDAR_FUNCTION inline
 #define RELIDAR_EXACT
 #define RELIDAR_POINTER(name, type) using name = Address<type>
@@ -20,15 +20,16 @@
     struct name {                \
         std::uint64_t value = 0; \
     }
-// Names what a pointer refers to, for structs with two pointers of the same type:
-// RELIDAR_OF(Floats, LossTerms) terms. In GLSL the type is simply Floats.
+// Adds the meaning of the data to a pointer type, for example RELIDAR_OF(Floats,
+// LossTerms) terms. It distinguishes pointers with the same element type. In GLSL the
+// type is simply Floats.
 #define RELIDAR_OF(pointer, meaning) pointer::Of<struct meaning>
 namespace relidar {
 template <class T, class Meaning = void>
 class Array;
 class Stream;
 
-/// Device address of an array of T: 8 bytes. Only an Array<T, Meaning> can create an
+/// Device address of an array of T, 8 bytes. Only an Array<T, Meaning> can create an
 /// address that is not null. Two addresses convert to each other only if both their
 /// element type and their meaning match. This prevents passing the wrong array to a
 /// kernel.
@@ -40,8 +41,8 @@ public:
 
     Address() = default;
     friend bool operator==(const Address&, const Address&) = default;
-    /// Returns the same address with another meaning. This is the only conversion between
-    /// meanings.
+    /// Returns the same device address with another meaning. No other function converts
+    /// between meanings.
     template <class Other>
     Of<Other> as() const {
         return Of<Other>(value_);
@@ -52,8 +53,7 @@ private:
     friend class Address;
     template <class, class>
     friend class Array;
-    // Stream makes addresses of its kernel parameters, which are valid for one
-    // submission.
+    // Stream creates addresses of kernel parameters, which are valid for one submission.
     friend class Stream;
     explicit Address(std::uint64_t value) : value_(value) {}
     std::uint64_t value_ = 0;
@@ -77,12 +77,12 @@ using uint = std::uint32_t;
 #define RELIDAR_EXACT precise
 #define RELIDAR_POINTER(name, type) \
     layout(buffer_reference, scalar, buffer_reference_align = 16) buffer name { type at[]; }
-// Declares a pointer type that only the driver dereferences.
+// Declares a pointer type that only the driver dereferences, never relidar's kernels.
 #define RELIDAR_HANDLE(name) RELIDAR_POINTER(name, uint)
 #define RELIDAR_OF(pointer, meaning) pointer
-// Shaders never treat an address as a 64-bit integer, because some devices lack 64-bit
-// integers. A pointer is cast to another pointer type through uvec2, because some
-// compilers (SwiftShader) cannot cast pointers.
+// Shaders never convert an address to a 64-bit integer, because some devices lack 64-bit
+// integers. They convert between pointer types through uvec2, because some compilers
+// (SwiftShader) cannot cast pointers directly.
 #endif
 
 RELIDAR_SHARED_BEGIN

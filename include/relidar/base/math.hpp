@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rigid poses and small motions in double precision, because a log may be kilometres from
-// its origin. Transforms read right to left: `world_from_sensor * point_sensor`.
+// Rigid poses and small motions. They use double precision, because a log may be
+// kilometres from its origin. A transform name is read from right to left:
+// `world_from_sensor * point_sensor` is a point in the world frame.
 #pragma once
 
 #include <array>
@@ -12,15 +13,15 @@ namespace relidar {
 
 /// Rigid transform `a_from_b`: p_a = rotation * p_b + translation.
 struct Pose {
-    glm::dquat rotation{1.0, 0.0, 0.0, 0.0};  ///< unit quaternion (w, x, y, z)
-    glm::dvec3 translation{0.0};              ///< metres
+    glm::dquat rotation{1.0, 0.0, 0.0, 0.0};  ///< Unit quaternion (w, x, y, z).
+    glm::dvec3 translation{0.0};              ///< Translation, metres.
 
-    /// Applies the transform to a point.
+    /// Transforms a point from frame b to frame a.
     /// @param point [3] metres, frame b
     /// @return [3] metres, frame a
     glm::dvec3 operator*(const glm::dvec3& point) const { return rotation * point + translation; }
 
-    /// Composes two transforms: (a_from_b * b_from_c) = a_from_c.
+    /// Composes two transforms: a_from_b * b_from_c = a_from_c.
     Pose operator*(const Pose& other) const {
         return {glm::normalize(rotation * other.rotation), rotation * other.translation + translation};
     }
@@ -32,8 +33,10 @@ inline Pose inverse(const Pose& pose) {
     return {r, -(r * pose.translation)};
 }
 
-/// Interpolates between two poses: slerp of the rotation, lerp of the translation.
-/// @param s 0 gives a, 1 gives b; values outside [0, 1] extrapolate at constant velocity
+/// Interpolates between two poses. Rotations use slerp and translations use linear
+/// interpolation.
+/// @param s 0 gives a and 1 gives b. Values outside [0, 1] extrapolate at constant
+/// velocity.
 inline Pose interpolate(const Pose& a, const Pose& b, double s) {
     return {glm::normalize(glm::slerp(a.rotation, b.rotation, s)),
             a.translation + s * (b.translation - a.translation)};
@@ -46,12 +49,13 @@ inline glm::dquat rotation_of(double yaw_rad, double pitch_rad, double roll_rad)
            glm::angleAxis(roll_rad, glm::dvec3(1, 0, 0));
 }
 
-/// Small motion of a pose: translation v (metres, world frame), then rotation vector w
-/// (radians, world axes, about the pose's origin). Also used for the derivative with
-/// respect to this motion.
+/// Small motion of a pose: a translation v (metres, world frame), then a rotation vector
+/// w (radians, world axes, about the pose's origin). The type is also used for
+/// derivatives with respect to v and w.
 using Twist = std::array<double, 6>;
 
-/// Returns the pose after a small motion: (exp([w]x) R, T + v).
+/// Returns the pose after a small motion (v, w): rotation exp([w]x) R and translation T +
+/// v.
 inline Pose moved(const Pose& pose, const Twist& twist) {
     const glm::dvec3 v(twist[0], twist[1], twist[2]), w(twist[3], twist[4], twist[5]);
     const double angle = glm::length(w);
@@ -59,7 +63,7 @@ inline Pose moved(const Pose& pose, const Twist& twist) {
     return {glm::normalize(glm::angleAxis(angle, w / angle) * pose.rotation), pose.translation + v};
 }
 
-/// Returns the small motion that takes one pose to another. Its rotation angle is at most
+/// Returns the small motion that moves one pose to another. Its rotation angle is at most
 /// pi.
 inline Twist twist_between(const Pose& from, const Pose& to) {
     glm::dquat q = to.rotation * glm::conjugate(from.rotation);
@@ -70,12 +74,13 @@ inline Twist twist_between(const Pose& from, const Pose& to) {
     return {v.x, v.y, v.z, w.x, w.y, w.z};
 }
 
-/// Motion of an object during a sweep: constant velocity and turn rate within a time
-/// span. The object rests before and after the span. If all fields are zero, it does not
-/// move.
+/// Motion of an object during a sweep, with constant velocity and turn rate within a time
+/// span. The object is at rest before and after the span. If all fields are zero, the
+/// object does not move.
 struct PoseMotion {
     glm::dvec3 velocity_mps{0.0};  ///< Velocity in the world frame, metres per second.
-    glm::dvec3 turn_radps{0.0};    ///< Rotation vector per second, in world axes about the object's origin.
+    /// Rotation vector per second, rad/s, in world axes about the object's origin.
+    glm::dvec3 turn_radps{0.0};
     /// Middle of the time span, in seconds after the reference time of the sweep.
     double middle_s = 0.0;
     double half_span_s = 0.0;
@@ -83,9 +88,9 @@ struct PoseMotion {
     bool is_none() const {
         return !(half_span_s > 0.0) || (velocity_mps == glm::dvec3(0.0) && turn_radps == glm::dvec3(0.0));
     }
-    /// Returns the pose of the object for a ray fired `after_s` seconds after the
-    /// reference time.
-    /// @param pose pose in the middle of the span
+    /// Returns the pose of the object at the time `after_s`, in seconds after the
+    /// reference time of the sweep.
+    /// @param pose pose of the object in the middle of the time span
     Pose at(const Pose& pose, double after_s) const {
         const double since_s = glm::clamp(after_s - middle_s, -half_span_s, half_span_s);
         const glm::dvec3 v = since_s * velocity_mps, w = since_s * turn_radps;

@@ -11,14 +11,15 @@
 
 namespace relidar {
 
-/// Group of processes that execute the same steps in the same order. An expensive step is
-/// split into parts that do not depend on the number of processes. Each process computes
-/// its share of the parts, then all processes receive all results. A single process
-/// computes everything.
+/// Group of processes that execute the same steps in the same order. A slow step is split
+/// into parts, and the split does not depend on the number of processes. Each process
+/// computes some of the parts, and then all processes receive all results. A single
+/// process computes all parts.
 struct ProcessGroup {
     int rank = 0, size = 1;
-    /// Concatenates the bytes of all processes in rank order and returns the result to
-    /// each process. Blocks until all processes have called it. Not called if size is 1.
+    /// Function that concatenates the bytes of all processes in rank order and returns
+    /// the result to each process. It waits until all processes have called it. It is not
+    /// called if size is 1.
     std::function<std::string(const std::string& bytes)> all_gather = {};
 
     bool is_first() const { return rank == 0; }
@@ -26,9 +27,9 @@ struct ProcessGroup {
     struct Share {
         std::size_t begin, end;
     };
-    /// Returns the contiguous range of the n parts that this process computes. The shares
-    /// of two processes differ by at most one part. The first process has at least one
-    /// part if n > 0.
+    /// Returns the contiguous range of parts, out of n, that this process computes. The
+    /// numbers of parts of two processes differ by at most one. The first process has at
+    /// least one part if n > 0.
     Share share(std::size_t n) const {
         const auto first_of = [&](int of) {
             return (n * std::size_t(of) + std::size_t(size - 1)) / std::size_t(size);
@@ -36,7 +37,8 @@ struct ProcessGroup {
         return {first_of(rank), first_of(rank + 1)};
     }
 
-    /// Returns the values of all processes, concatenated in rank order.
+    /// Collects the values of all processes and returns them in rank order. Every process
+    /// gets the same result.
     template <class T>
     std::vector<T> all_gathered(std::vector<T> values) const {
         static_assert(std::is_trivially_copyable_v<T>);
@@ -47,7 +49,7 @@ struct ProcessGroup {
         if (!values.empty()) std::memcpy(values.data(), all.data(), values.size() * sizeof(T));
         return values;
     }
-    /// Returns the values of the first process on every process.
+    /// Sends the values of the first process to all processes and returns them.
     template <class T>
     std::vector<T> broadcast(std::vector<T> values) const {
         if (!is_first()) values.clear();

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Progress reports and stage times of long-running work.
+// Reports the progress of slow work and measures the time of its stages.
 #pragma once
 
 #include <algorithm>
@@ -11,22 +11,22 @@
 
 namespace relidar {
 
-/// Callback that long-running work calls from time to time, on the thread that started
-/// the work. If it is empty, no progress is reported.
+/// Function that slow work calls from time to time, on the thread that started the work.
+/// If it is empty, no progress is reported.
 /// @param what short description of the current work
-/// @param done completed share of the work, 0..1
+/// @param done completed fraction of the work, 0..1
 using Progress = std::function<void(std::string_view what, double done)>;
 
-/// Time spent in each stage of long-running work. Stages run one after the other and are
-/// listed in the order of their first start.
+/// Measures the time spent in each stage of slow work. Only one stage runs at a time.
+/// Stages are listed in the order of their first start.
 class StageTimes {
 public:
     struct Stage {
         std::string name;
         double seconds = 0.0;
     };
-    /// Ends the running stage and starts this one. If the stage has run before, its time
-    /// accumulates.
+    /// Ends the running stage and starts the named stage. If a stage runs several times,
+    /// its times are added.
     void begin(std::string_view name) {
         end();
         const auto known = std::ranges::find(stages_, name, &Stage::name);
@@ -40,7 +40,8 @@ public:
                 std::chrono::duration<double>(std::chrono::steady_clock::now() - since_).count();
         running_ = kNone;
     }
-    /// Returns all stages. The time of the running stage excludes its current run.
+    /// Returns all stages with their times. The time of a stage that is still running is
+    /// not yet added.
     const std::vector<Stage>& stages() const { return stages_; }
 
 private:
@@ -50,7 +51,7 @@ private:
     std::chrono::steady_clock::time_point since_{};
 };
 
-/// Starts a stage if `times` is not null.
+/// Starts the named stage if `times` is not null.
 inline void begin_stage(StageTimes* times, std::string_view name) {
     if (times) times->begin(name);
 }

@@ -1,37 +1,37 @@
 // SPDX-License-Identifier: Apache-2.0
-// List of all values that a ray blends from its hits, one per line, read by C++ and GLSL.
-// It defines the fields of RenderedRay, RayGradient, Rendering and RenderedGradients, and
-// the sums of the forward and backward kernels. docs/architecture.md section 3 explains
-// how to add a value.
+// List of all values that a ray blends from its hits, one per line. C++ and GLSL generate
+// struct fields and the sums of the forward and backward kernels from this list.
+// docs/architecture.md section 3 explains how to add a value.
 #ifndef RELIDAR_INCLUDED_DIFF_BLENDED_VALUES_H
 #define RELIDAR_INCLUDED_DIFF_BLENDED_VALUES_H
 
-/// VALUE(name, built, value of a hit, input, slope, meaning) describes one float, the sum
-/// of w * c over all hits, where w is the weight of a hit (docs/method.md M4, M5). A
-/// vector has one line per component.
-///   built           condition on specialisation constants; if it is false, the value stays 0
+/// VALUE(name, built, value of a hit, input, slope, meaning) describes one float that a
+/// ray blends from its hits. It is the sum of w * c over all hits, where w is the weight
+/// of a hit (docs/method.md M4, M5). A vector has one line per component.
+///
+///   built           condition on specialisation constants. If it is false, the value stays 0.
 ///   value of a hit  GLSL expression for c. It uses `hit` and its `channels` (intensity,
 ///                   hit logit, drop logit).
-///   input           quantity that c depends on. The backward pass adds
-///                   w * gradient * slope to it: d_t, d_channel.x, .y or .z;
-///                   `nowhere` if c is constant
+///   input           quantity that c depends on: d_t, d_channel.x, .y or .z. The backward
+///                   pass adds w * gradient * slope to it. `nowhere` if c is constant.
 ///   slope           GLSL expression for dc / d(input)
+///
 /// The background adds 1 to drop_logit and 0 to all other values.
 
-// Values of every ray except the range D. The backward pass sums them before it adds D,
-// which is larger.
+// Values of every ray except the range D. The backward pass sums these values first and
+// adds the range last, because the range is larger than the other values.
 #define RELIDAR_CHANNEL_VALUES(VALUE)                                                \
     VALUE(weight, true, 1.0, nowhere, 0.0, "sum of w")                               \
     VALUE(intensity, true, channels.x, d_channel.x, 1.0, "sum of w times intensity") \
     VALUE(hit_logit, true, channels.y, d_channel.y, 1.0, "sum of w times hit logit") \
     VALUE(drop_logit, true, channels.z, d_channel.z, 1.0, "sum of w times drop logit, + transmittance")
 
-// Values of every ray. The host can read them and set their gradients.
+// Values of every ray that the host can read. The host can also set their gradients.
 #define RELIDAR_IMAGE_VALUES(VALUE)                                                        \
     VALUE(depth, true, hit.t, d_t, 1.0, "sum of w times distance, not normalised, metres") \
     RELIDAR_CHANNEL_VALUES(VALUE)
 
-// Values that only some losses need. They stay on the device.
+// Values that only some losses need. They are never copied to the host.
 #define RELIDAR_LOSS_VALUES(VALUE)                                                          \
     VALUE(likelihood, LIKELIHOOD != 0u, range_kernel(hit.t), d_t, range_kernel_by_t(hit.t), \
           "sum of w times the kernel about the measured range (M12), 0 without one")

@@ -10,28 +10,30 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_BVH_WIDTH 8
-#define RELIDAR_BVH_LEAF_SIZE 4u  // Maximum number of primitives in one leaf slot.
+#define RELIDAR_BVH_LEAF_SIZE 4u  // Maximum number of surfels or instances in one leaf.
 #define RELIDAR_BVH_NO_NODE 0xffffffffu
 
-/// Node with at most 8 children: 80 bytes. The box of a child along an axis is origin + q
-/// 2^(e - 127), q = 0..255, rounded outward. A slot is inner (its bit in inner_mask is
-/// set), a leaf (its count is above 0), or empty (neither; its box is inverted: low 255,
-/// high 0).
+/// Tree node with at most 8 child slots, 80 bytes. A child's box has the bounds origin +
+/// q 2^(e - 127) along each axis, with q = 0..255 rounded outward. A slot is an inner
+/// node if its bit in inner_mask is set. It is a leaf if its count is above 0. Otherwise
+/// it is empty and has an inverted box (low 255, high 0).
 struct BvhNode {
     vec3 origin;  // Lower corner of the node's box, metres.
-    // Biased exponents e: x in bits 0-7, y in bits 8-15, z in bits 16-23. Bits 24-31 are
-    // inner_mask.
+    // Exponents e of the box scale with bias 127: x in bits 0-7, y in bits 8-15, z in
+    // bits 16-23. Bits 24-31 contain inner_mask, one bit per slot.
     uint exponents;
-    // Node index of the first inner slot; the node of an inner slot is first_child + the
-    // number of inner slots before it.
+    // Index of the child node in the first inner slot. The nodes of the other inner slots
+    // follow in slot order.
     uint first_child;
-    // Index in `order` of the node's leaves; a leaf slot starts at first_leaf + its
-    // offset.
+    // Index in `order` at which the leaves of this node start. The entries of a leaf slot
+    // start at first_leaf plus the offset of the slot.
     uint first_leaf;
-    // One byte per slot: offset in bits 0-4, count in bits 5-7; 0 for inner and empty
-    // slots.
+    // One byte per slot: the leaf's offset in bits 0-4 and its number of entries in bits
+    // 5-7. The byte is 0 for inner and empty slots.
     uint leaves[2];
-    uint low_x[2];  // Quantised bounds, one byte per slot.
+    // Lower bounds of the child boxes along x, quantised to one byte per slot. The next
+    // fields hold the other bounds.
+    uint low_x[2];
     uint low_y[2];
     uint low_z[2];
     uint high_x[2];
@@ -40,32 +42,33 @@ struct BvhNode {
 };
 RELIDAR_POINTER(BvhNodes, BvhNode);
 
-RELIDAR_HANDLE(TlasHandle);  // Top-level structure of the driver.
+RELIDAR_HANDLE(TlasHandle);  // Handle of the driver's top-level acceleration structure.
 
-// Cull mask of instances in the driver's structure: bit of models at rest. Moving models
-// use the following bits.
+// Cull mask bit of instances that do not move during the sweep. Moving instances use the
+// next bits.
 #define RELIDAR_STANDING_MASK 1u
 #define RELIDAR_MOVING_MASKS 7u  // Number of cull mask bits for moving models.
 
-/// Model that moves during a sweep, for ray queries. A separate query searches only this
-/// model, with the ray transformed to the pose that the driver's structure has for it.
+/// Instance that moves during a sweep. A separate ray query searches only this instance.
+/// For that query, the ray is transformed so that the instance can stay at its pose in
+/// the driver's structure.
 struct MovingInstance {
     uint instance;
     uint model;
-    uint mask;  // Cull mask bit of the model, which other models may share.
+    uint mask;  // Cull mask bit of the instance. Several moving instances may share a bit.
 };
 RELIDAR_POINTER(MovingInstances, MovingInstance);
 
-/// Two-level tree as traversal kernels read it.
+/// Addresses of the two-level software tree that traversal kernels read.
 struct BvhPointers {
-    BvhNodes nodes;  // Nodes of all models.
-    // Surfels in leaf order, as indices relative to the first surfel of their model.
+    BvhNodes nodes;  // Tree nodes of all models.
+    // Surfel of each leaf entry, as an index relative to the first surfel of its model.
     RELIDAR_OF(Uints, LeafOrder) order;
-    // Index in `nodes` of the root of each instance's model, [n_instances];
+    // Index in `nodes` of the root node for each instance, [n_instances]. The value is
     // RELIDAR_BVH_NO_NODE if the model has no surfels or the instance is absent.
     RELIDAR_OF(Uints, InstanceRoots) roots;
-    BvhNodes top_nodes;  // Nodes of the top-level tree over the instances; node 0 is the root.
-    RELIDAR_OF(Uints, TopOrder) top_order;  // Instances in leaf order.
+    BvhNodes top_nodes;  // Nodes of the top-level tree over the instances. Node 0 is the root.
+    RELIDAR_OF(Uints, TopOrder) top_order;  // Instance of each leaf entry in the top-level tree.
 };
 
 RELIDAR_SHARED_END

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Densification on the device, for the background and all actors together. Adds surfels
-// in places where the image needs more of them, and removes useless surfels
-// (docs/method.md section 6). Keeps parameters, optimiser moments and statistics in the
+// Densification on the device, for the background and all actors together. It adds
+// surfels where the rendered image lacks detail and removes useless surfels
+// (docs/method.md section 6). It keeps parameters, Adam moments and statistics in the
 // same order.
 #pragma once
 
@@ -19,8 +19,8 @@ class DeviceScene;
 struct Scene;
 struct SurfelArrays;
 
-// Content types of device arrays. Kernels use them to distinguish arrays of the same
-// element type.
+// Tag types for the content of device arrays. They prevent passing the wrong array to a
+// kernel when the element types are equal.
 namespace shared {
 struct GradientSums;
 struct SeenBatches;
@@ -28,26 +28,26 @@ struct SeenFrames;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Statistics of each surfel since the last densification. The arrays may be larger than
-/// n. Checkpoints contain them.
+/// Statistics of each surfel since the last densification. Checkpoints contain them. The
+/// arrays may have more than n entries.
 struct SurfelStatistics {
-    /// Norm of the gradient of the mean, summed over batches, [n].
+    /// Gradient norm of the surfel's mean, summed over batches, [n].
     Array<float, shared::GradientSums> gradient_sum;
-    /// Number of batches whose frame shows the surfel, [n].
+    /// Number of batches that come from a frame in which the surfel is visible, [n].
     Array<std::uint32_t, shared::SeenBatches> n_seen;
-    /// Bit f is set if the surfel, or the surfel it was copied from, has had a gradient
-    /// in training frame f, [n, n_words].
+    /// Bit mask of training frames, [n, n_words]. Bit f is set if the surfel has had a
+    /// gradient in frame f. A copied surfel inherits the bits of its original.
     Array<std::uint32_t, shared::SeenFrames> frames;
     std::uint32_t n_words = 1;
 };
 
-/// Batch whose gradients have been computed.
+/// Training batch whose gradients have been computed.
 struct ObservedBatch {
     const SurfelArrays* gradients = nullptr;
-    /// 1 for each surfel whose gradient is defined and not zero, [n].
+    /// Flags, [n]: 1 for each surfel whose gradient is defined and not zero.
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
-    std::uint32_t frame = 0;  ///< Index among the training frames.
-    /// True if the batch has all rays of the frame; false if it has every s-th ray.
+    std::uint32_t frame = 0;  ///< Index of the batch's frame in the list of training frames.
+    /// True if the batch has all rays of the frame. False if it has only every s-th ray.
     bool whole_frame = true;
 };
 
@@ -55,34 +55,35 @@ class Densifier {
 public:
     /// Allocates the statistics for a scene.
     /// @param initial scene at the start of training, with its surfels
-    /// @param alpha_min value of the image model
+    /// @param alpha_min alpha_min of the image model
     /// @param n_frames number of training frames
-    /// @param seed seed of the random numbers, which depend only on the seed, the step
-    /// and the surfel
+    /// @param seed seed of the random numbers. The numbers depend only on the seed, the
+    /// step and the surfel.
     Densifier(Device& device, const Scene& initial, const DensifyOptions& options, float alpha_min,
               std::uint32_t n_frames, std::uint64_t seed);
     ~Densifier();
 
-    /// Returns false with DensifyStrategy::none. Then the densifier does nothing and has
-    /// no statistics.
+    /// Returns true unless the strategy is DensifyStrategy::none. An inactive densifier
+    /// does nothing and has no statistics.
     bool is_active() const;
-    /// Records an update of the statistics with a batch.
+    /// Records GPU commands that add the gradients of a batch to the statistics.
     void observe(Stream& stream, const DeviceScene& scene, const ObservedBatch& batch);
-    /// Returns true if surfels are to be added or removed after this step.
+    /// Returns true if run() should add and remove surfels after this step.
     bool due(int step) const;
-    /// Adds and removes surfels. Surfels keep their order, each model stays a contiguous
-    /// range, and copies are stored next to their original. Surviving surfels keep their
-    /// moments. New surfels, and surfels whose opacity or scale was changed, start with
-    /// zero moments. Statistics are reset. Blocks for one readback of the surfel counts
-    /// of each model, which determine sizes and layout. Data that other objects hold for
-    /// the surfels (Gradients, Accel) is then out of date.
+    /// Adds and removes surfels. Each model stays a contiguous range in which surfels
+    /// keep their order. Copies are stored next to their original. Surviving surfels keep
+    /// their Adam moments. New surfels, and surfels with a changed opacity or scale,
+    /// start with zero moments. All statistics are reset. The function waits for the GPU
+    /// once, to read the new number of surfels of each model. Afterwards, Gradients and
+    /// Accel must be created again, because they still have the old number of surfels.
     ///
-    /// Insufficient memory is not an error: growth ends, and the report contains one note
-    /// about it.
+    /// Insufficient memory is not an error. In that case, no more surfels are added, and
+    /// the report contains one note about it.
     /// @param others_bytes bytes per surfel that other objects will allocate again for
-    /// the new size; growth leaves this memory free
+    /// the new number of surfels. Densification leaves this memory free.
     DensifyReport run(Stream& stream, DeviceScene& scene, Adam& adam, int step, double others_bytes = 0.0);
-    /// Records the reset of opacities if it is due after this step.
+    /// Records GPU commands that reset the opacities if a reset is scheduled after this
+    /// step.
     void after_step(Stream& stream, DeviceScene& scene, Adam& adam, int step);
     SurfelStatistics& statistics();
     std::vector<double>& extents_m();              ///< Extent of each model, metres.

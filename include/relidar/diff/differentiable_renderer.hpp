@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Differentiable renderer: computes rendered rays from the parameters of a scene, and
-// gradients of the parameters from gradients of the rendered rays. Training steps use it.
+// Differentiable renderer. It renders rays from the parameters of a scene, and it
+// computes gradients of the parameters from gradients of the rendered rays. Training
+// steps use it in one of two ways:
 //
 //   on the device  place(), record_forward(), losses write batch().upstream,
-//                  record_backward(), Adam::step with gradients(); nothing blocks
-//   on the host    place(), forward(rays), backward(d_rendered): host arrays in and out,
-//                  for custom losses in any language
+//                  record_backward(), Adam::step with gradients(). No call blocks.
+//   on the host    place(), forward(rays), backward(d_rendered). Inputs and outputs are
+//                  host arrays, for custom losses in any language.
 #pragma once
 
 #include <functional>
@@ -17,41 +18,43 @@
 
 namespace relidar {
 
-/// Selects gradients and the method of summing them.
+/// Selects the gradients to compute and the method for summing them.
 struct GradientOptions {
     BackwardOptions sums{};
     WantedGradients wanted{};
-    bool zero_untouched = true;  ///< If false, gradients of surfels without a gradient are undefined.
+    /// If true, surfels without a gradient get gradients of zero. If false, these values
+    /// are undefined.
+    bool zero_untouched = true;
 };
 
 /// dL/d(rendered) of every ray, one array for each differentiable array of Rendering. An
-/// empty array means zeros.
+/// empty array means that all its gradients are zero.
 struct RenderedGradients {
-    /// [n] gradients with respect to depth (1/m), weight, intensity, hit_logit and
-    /// drop_logit, as in Rendering.
+    /// Gradients with respect to depth (1/m), weight, intensity, hit_logit and drop_logit
+    /// of each ray, [n].
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name{};
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
 };
 
-/// Gradients as host arrays; struct Gradients explains their meaning. Arrays that were
-/// not selected are empty.
+/// Gradients as host arrays, with the same meaning as the device arrays in `Gradients`.
+/// Arrays that were not selected are empty.
 struct HostGradients {
-    /// dL/d(parameter), [n], stored in the field of each parameter; 0 if no ray has hit
-    /// the surfel.
+    /// dL/d(parameter), [n], in the field of each parameter. It is 0 for a surfel that no
+    /// ray has hit.
     Surfels surfels;
-    std::vector<std::uint32_t> touched;  ///< 1 for each surfel with a gradient, [n].
+    std::vector<std::uint32_t> touched;  ///< Flags, [n]: 1 for each surfel with a gradient.
     /// Pose gradients of the instances, [instances, 6]: dL/d(v, w), metres and radians,
     /// world axes.
     std::vector<float> poses;
-    /// Pose gradient of the sensor, [6]: dL/d(v, w); all rays move as one rigid body.
+    /// Pose gradient of the sensor, [6]: dL/d(v, w), metres and radians, world axes. All
+    /// rays move as one rigid body.
     std::vector<float> sensor;
     /// dL/d(origin) and dL/d(direction) of every ray, [n_rays, 6], world frame.
     std::vector<float> rays;
 };
 
-/// Renderer whose image is differentiable. The gradients refer to the last rendered
-/// batch.
+/// Renderer that also computes gradients. The gradients refer to the last rendered batch.
 class DifferentiableRenderer : public Renderer {
 public:
     /// Creates the renderer and its gradient arrays.
@@ -61,25 +64,25 @@ public:
                            const RendererOptions& options = {}, const GradientOptions& gradients = {});
     ~DifferentiableRenderer();
 
-    /// Computes the gradients of a loss over the rays that forward() rendered last.
-    /// Blocks. Poses, view and parameters must not have changed since then.
-    /// @param d_rendered arrays with one entry per ray, or empty arrays
+    /// Computes the gradients of a loss over the rays that forward() rendered last. Waits
+    /// for the GPU. Poses, view and parameters must not have changed since forward().
+    /// @param d_rendered dL/d(rendered), arrays with one entry per ray, or empty arrays
     /// @throws UsageError if forward() was not called before
     /// @throws DataError if an array has the wrong number of entries
     HostGradients backward(const RenderedGradients& d_rendered);
 
-    /// Returns the last batch with the arrays for its gradients. Losses write these
-    /// between record_forward() and record_backward().
+    /// Returns the last rendered batch with the arrays for its gradients. Losses write
+    /// dL/d(rendered) to these arrays between record_forward() and record_backward().
     RenderedBatch batch();
-    /// Records the backward pass of the last batch. gradients() contains the results when
-    /// the stream is done.
+    /// Records the GPU commands of the backward pass for the last batch. gradients()
+    /// contains the results when the stream has finished.
     void record_backward();
     Gradients& gradients();
     BackwardPass& backward_pass();
 
-    /// Adds or removes surfels. Releases all memory that depends on the number of surfels
-    /// before it calls `change`, and allocates it for the new number afterwards. Call
-    /// place() next. Waits for the stream.
+    /// Calls `change`, which adds or removes surfels. Memory that depends on the number
+    /// of surfels is released before the call and allocated again after it. Waits until
+    /// the stream is idle. The caller must call place() next.
     /// @param change receives the number of bytes per surfel that will be allocated again
     void change_surfels(const std::function<void(double others_bytes)>& change);
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: renders range, intensity and ray-drop logits of rays (Eq. 2-4).
+// Forward pass of the renderer. It renders range, intensity and ray-drop logits of rays
+// (Eq. 2-4).
 #pragma once
 
 #include <cstdint>
@@ -17,51 +18,54 @@ namespace relidar {
 
 /// Rendered values, one entry per ray.
 struct Rendering {
-    /// Depth, weight, intensity, hit_logit and drop_logit.
-    /// <relidar/diff/blended_values.h> explains each of them.
+    /// Depth, weight, intensity, hit logit and drop logit of each ray, [n].
+    /// <relidar/diff/blended_values.h> explains each value.
 #define RELIDAR_VALUES(name, built, value, input, slope, meaning) std::vector<float> name;
     RELIDAR_IMAGE_VALUES(RELIDAR_VALUES)
 #undef RELIDAR_VALUES
     std::vector<float> transmittance;  ///< Transmittance T after the last blended surfel.
-    /// Distance t at which T crosses 0.5, metres; 0 if T stays above 0.5.
+    /// Distance t at which the transmittance T crosses 0.5, metres. 0 if T stays above
+    /// 0.5.
     std::vector<float> median_depth;
     std::vector<std::uint32_t> hits;  ///< Number of blended surfels.
-    /// Index into Scene::instances of the surface that the ray hits. It is the instance
-    /// of the surfel at which T crosses 0.5, so that a faint surfel in front does not
-    /// hide it. If T stays above 0.5, it is the instance of the nearest blended surfel.
-    /// -1 without hits.
+    /// Index into Scene::instances of the object that the ray hits, or -1 without hits.
+    /// It belongs to the surfel at which the transmittance crosses 0.5. Therefore, a
+    /// faint surfel in front does not hide the object. If the transmittance stays above
+    /// 0.5, the index belongs to the nearest blended surfel.
     std::vector<std::int32_t> instance;
-    /// Sum of w n, where n is a unit normal that faces the sensor, world frame. Empty
-    /// without TraceOptions::normals.
+    /// Sum of w n over the hits, world frame. w is the weight of a hit, and n is the unit
+    /// normal that faces the sensor. Empty unless TraceOptions::normals is set.
     std::vector<glm::vec3> normal;
-    /// Mean t of the heaviest surface, metres; 0 without hits. Empty without
-    /// TraceOptions::mode_gap_m.
+    /// Mean distance of the surface with the largest total weight along the ray, metres.
+    /// 0 without hits. Empty unless TraceOptions::mode_gap_m is set.
     std::vector<float> mode_depth;
     std::size_t size() const { return depth.size(); }
 };
 
-/// Forward kernel and its settings. The rendered rays stay on the device.
+/// Runs the forward kernel with fixed settings. The rendered rays stay on the device.
 class ForwardPass {
 public:
     ForwardPass(Device& device, const ImageModel& model, Proxy proxy, const TraceOptions& options);
     ~ForwardPass();
-    /// Records the trace of a batch. The scene must be activated and accel updated
-    /// before, in the same stream.
-    /// @param rendered  [>= n_rays] output
-    /// @param kept      output, for the backward pass of the same batch; null = the
+    /// Records GPU commands that trace and render a batch. Before this call,
+    /// DeviceScene::activate() must compute the surfel records, and the acceleration
+    /// structure must be updated, both in the same stream.
+    /// @param rendered  output, [>= n_rays]
+    /// @param kept      output: hits for the backward pass of the same batch. Null = the
     /// backward pass traces the rays again
-    /// @param surfaces  [>= n_rays] output, needed with TraceOptions::has_surfaces()
+    /// @param surfaces  output, [>= n_rays], required if TraceOptions::has_surfaces()
     void run(Stream& stream, const DeviceScene& scene, const Accel& accel, const RayBatch& batch,
              Array<shared::RenderedRay>& rendered, KeptHits* kept = nullptr,
              const Array<shared::RenderedSurface>* surfaces = nullptr);
     /// Returns the number of rays that reached the maximum number of passes since the
-    /// last call. Such rays end too early, which is an error. Blocks.
+    /// last call. Such rays end too early, so the image is wrong. Waits for the GPU.
     std::uint32_t take_pass_cap_count();
-    /// Number of rays that reached the maximum number of passes, [1] on the device. It
-    /// grows until it is set to 0. Can be read back without waiting.
+    /// Number of rays that reached the maximum number of passes, [1] on the device. The
+    /// value grows until the caller sets it to 0. It can be read without waiting for the
+    /// stream.
     const Array<std::uint32_t>& pass_cap_count() const;
-    /// Number of rays with more hits than were kept, [1] on the device. It grows until it
-    /// is set to 0.
+    /// Number of rays with more hits than the buffer keeps for the backward pass, [1] on
+    /// the device. The value grows until the caller sets it to 0.
     const Array<std::uint32_t>& overfull_count() const;
     void set_sh_degree(int degree);
 
@@ -70,97 +74,100 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Returns rendered rays as host arrays.
+/// Converts rendered rays to host arrays, one per value.
 /// @param surfaces one entry per ray, or empty
 Rendering to_rendering(const std::vector<shared::RenderedRay>& rays,
                        const std::vector<shared::RenderedSurface>& surfaces = {});
 
-/// Options of a renderer, in addition to the scene and its image model.
+/// Options of a renderer for its acceleration structure, ray tracing, memory and stream.
 struct RendererOptions {
     AccelOptions accel{};
     TraceOptions trace{};
-    /// Initial capacity in rays. If a batch is larger, the renderer waits once and
-    /// allocates more memory.
+    /// Number of rays for which memory is allocated at the start. A larger batch makes
+    /// the renderer wait once and allocate more memory.
     std::uint32_t n_rays = 0;
-    /// Number of hits per ray that are kept for a backward pass, 16 bytes each. 0 = the
-    /// backward pass traces every ray again.
+    /// Number of hits per ray that are kept for a backward pass, 16 bytes each. With 0,
+    /// the backward pass traces every ray again.
     std::uint32_t keep_hits = 0;
-    /// Stream to use, which may be shared with other renderers and must outlive this one.
-    /// Null = create a stream.
+    /// Stream to use. It must outlive the renderer, and several renderers may share it.
+    /// Null = the renderer creates its own stream.
     Stream* stream = nullptr;
 };
 
-/// Renderer of one scene on one device. It has the parameters, the acceleration
-/// structure, the forward pass and the rendered rays. It uses a private stream or
-/// RendererOptions::stream. Call place() first, then forward() or record_forward() any
-/// number of times. The device must outlive the renderer. One thread at a time may use
-/// it. Several renderers on one device are independent.
+/// Renders one scene on one device. Contains the parameters, the acceleration structure
+/// and the rendered rays. Call place() first, then forward() or record_forward() any
+/// number of times. The device must outlive the renderer. Only one thread at a time may
+/// use a renderer. Several renderers on one device are independent.
 class Renderer {
 public:
     /// Creates a renderer.
-    /// @param scene copied to the device; scene().parameters() and upload() change only
-    /// the copy
+    /// @param scene is copied to the device. Later changes of parameters affect only the
+    /// copy.
     /// @throws DataError if models or instances of the scene are out of range
     Renderer(Device& device, const Scene& scene, const ImageModel& model,
              const RendererOptions& options = {});
     ~Renderer();
 
-    /// Sets the poses of all instances, activates the parameters for this view, and
-    /// updates the acceleration structure. Call it again after poses, view or parameters
-    /// have changed. Only records commands, which affect later recorded commands.
-    /// @param placed [instances] world_from_model of each, in the order of
-    /// Scene::instances; instance 0 is the background
+    /// Records GPU commands that set the poses of all instances, compute view-dependent
+    /// values, and update the acceleration structure. Call this function again after
+    /// poses, view or parameters have changed. It affects only commands that are recorded
+    /// later.
+    /// @param placed [instances] world_from_model of each instance, in the order of
+    /// Scene::instances. Instance 0 is the background.
     /// @param view_origin_m [3] sensor position in the world frame, the origin of SH
     /// directions with ShDirection::surfel
     /// @throws DataError if the number of poses is wrong
     /// @throws UsageError if the image model and the scene have different primitives
     void place(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
-    /// Updates parameters and view, and keeps the poses of all instances. Before poses
-    /// are set, all instances are at the origin. Only records commands.
+    /// Records GPU commands that update parameters and view. All instances keep their
+    /// poses. Instances without a pose are at the origin.
     void place(const glm::vec3& view_origin_m) { place(scene().poses(), view_origin_m); }
-    /// Sets the poses of all instances like place(), but does not refit the trees of
-    /// rigid models. Use it if no parameter has changed since the last place() or move().
-    /// The first call does the same as place(). Only records commands.
+    /// Records GPU commands that set the poses of all instances, but does not refit the
+    /// trees of rigid models. Use this function if no parameter has changed since the
+    /// last place() or move(). The first call does the same as place().
     void move(const std::vector<InstancePose>& placed, const glm::vec3& view_origin_m);
 
-    /// Renders rays. Blocks.
+    /// Renders rays and waits for the result.
     /// @param rays [n] world frame, directions of length 1
     /// @throws UsageError if place() was not called before
     /// @throws DeviceError if a ray reaches the maximum number of passes
     Rendering forward(const WorldRays& rays);
-    /// Records the rendering of rays on the device, which must stay valid until the
-    /// stream is done. rendered() is then complete.
+    /// Records GPU commands that render rays on the device. The ray array must stay valid
+    /// until the stream has finished. rendered() then contains the results.
     void record_forward(const RayBatch& rays);
-    /// Returns the last batch. Its upstream is null. Before the first batch, its rays are
-    /// null too.
+    /// Returns the last rendered batch. Its gradient array `upstream` is null. Before the
+    /// first batch, its ray array is null too.
     const RenderedBatch& rendered() const;
-    /// Returns the rendered values of the last batch on the host. Blocks.
-    /// @throws DeviceError as check_passes()
+    /// Waits for the GPU and returns the rendered values of the last batch as host
+    /// arrays.
+    /// @throws DeviceError if a ray reached the maximum number of passes
     Rendering download_rendering();
-    /// Checks that no ray has reached the maximum number of passes since the last call.
-    /// Blocks.
-    /// @throws DeviceError if a ray has reached it and therefore ended too early
+    /// Waits for the GPU and checks that no ray has reached the maximum number of passes
+    /// since the last call.
+    /// @throws DeviceError if a ray reached the maximum and therefore ended too early
     void check_passes();
 
-    /// Number of hits that are kept for each ray.
+    /// Returns the number of hits per ray that are kept for the backward pass.
     std::uint32_t kept_hits() const;
-    /// Sets the number of hits that are kept for each ray, from the next record_forward()
-    /// on. Waits for the stream.
-    /// @return false if the device has not enough memory; the number is then unchanged
+    /// Sets the number of hits per ray that are kept for the backward pass. The number
+    /// applies from the next record_forward(). Waits until the stream is idle.
+    /// @return false if the device does not have enough memory. The number is then
+    /// unchanged.
     bool keep_hits(std::uint32_t per_ray);
 
-    /// Sets the active SH degree, limited by the degree of the image model. Call place()
-    /// next.
+    /// Sets the degree of the spherical harmonics (SH), limited by the degree of the
+    /// image model. The caller must call place() next.
     void set_sh_degree(int degree);
     const ImageModel& model() const;  ///< Image model with the active SH degree.
-    /// Replaces the values of all parameters. Blocks.
+    /// Copies new values of all parameters to the device. Waits until the copy is
+    /// complete.
     /// @throws DataError if the number of surfels or the primitive differs
     void upload(const Surfels& surfels);
-    /// Returns the scene with its current parameters. Blocks.
+    /// Waits for the GPU and returns the scene with its current parameters.
     Scene download();
 
-    /// Returns the stream of the renderer. Commands recorded in it are executed in order
-    /// with those of the renderer.
+    /// Returns the renderer's stream. The GPU executes all commands of the stream in the
+    /// order in which they are recorded.
     Stream& stream();
     DeviceScene& scene();
     const DeviceScene& scene() const;
@@ -169,8 +176,8 @@ public:
     const glm::vec3& view_origin_m() const;  ///< View origin of the last place() or move().
 
 protected:
-    /// Releases the acceleration structure before surfels are added or removed, and
-    /// creates a new one afterwards.
+    /// Releases the acceleration structure before surfels are added or removed.
+    /// make_accel() creates a new one afterwards.
     void release_accel();
     void make_accel();
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Losses and their derivatives with respect to the rendered values of rays (Eq. 10-11).
-// The weights are settings. A term of weight 0 is not computed. Terms are means over
-// their pixels, points or surfels, so that the weights do not depend on the batch size.
+// Training losses and their derivatives with respect to the rendered values of rays (Eq.
+// 10-11). Terms with weight 0 are not computed. Each term is a mean over its pixels,
+// points or surfels, so that the weights do not depend on the batch size.
 #pragma once
 
 #include <array>
@@ -23,39 +23,40 @@ class DeviceScene;
 
 using shared::DeviceTarget;
 
-/// Image layout of the rays of a batch, row by row. rows = 0: the rays do not form an
-/// image.
+/// Image layout of the rays of a batch, stored row by row. rows = 0 means that the rays
+/// do not form an image.
 struct ImageShape {
     std::uint32_t rows = 0;
     std::uint32_t columns = 0;
-    bool circular = false;  ///< True for a full sweep, in which the first column follows the last one.
+    bool circular = false;  ///< True for a full sweep. The first column is then next to the last one.
 
     bool is_image() const { return rows > 0; }
 };
 
-/// Measured targets of a batch of rays. The target of ray k is entry first + k * stride.
+/// Measured targets of a batch of rays. The target of ray k is targets[first + k *
+/// stride].
 struct TargetBatch {
     const Array<DeviceTarget>* targets = nullptr;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
-    /// Number of known rays of the batch that returned; depth and intensity terms are
-    /// averaged over them.
+    /// Number of rays with a known measurement that returned. Depth and intensity terms
+    /// are averaged over these rays.
     double n_returned = 0.0;
-    /// Number of known rays of the batch; the ray-drop term is averaged over them.
+    /// Number of rays with a known measurement, returned or dropped. The ray-drop term is
+    /// averaged over these rays.
     double n_known = 0.0;
     ImageShape image{};  ///< Image layout of the rays, if the batch is an image.
 };
 
-// Content types of device arrays. Kernels use them to distinguish arrays of the same
-// element type.
+// Tag types for the content of device arrays. They prevent passing the wrong array to a
+// kernel when the element types are equal.
 namespace shared {
 struct LossTerms;
 struct TouchedSurfels;
 }  // namespace shared
 
-/// Row of an array in which the loss terms of a batch are summed. The array may have
-/// rows for several batches.
+/// Selects the row of a device array in which the loss terms of a batch are summed.
 struct TermRow {
     const Array<float>& terms;  ///< Weighted loss terms, [rows, kLossTerms].
     std::uint32_t row = 0;
@@ -68,26 +69,26 @@ struct TermRow {
 
 /// Gradients of a scene's parameters after the backward pass.
 struct SurfelGradients {
-    SurfelArrays* d_surfels = nullptr;  ///< Gradients of the surfels, to which losses add.
-    /// 1 for each row that has a gradient; null = all rows have one.
+    SurfelArrays* d_surfels = nullptr;  ///< Gradients of the surfels. Losses add to these arrays.
+    /// Flags, 1 for each surfel that has a gradient. Null = all surfels have one.
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
 };
 
-/// Base class of a loss that computes one or several terms. A custom loss overrides one
-/// of the two functions and is added to the list of losses.
+/// Base class of a loss that computes one or several terms. A custom loss overrides
+/// compare() or regularise() and is added to the list of losses.
 class Loss {
 public:
     virtual ~Loss() = default;
-    /// Records loss terms that compare rendered and measured rays. Called between the
-    /// forward and the backward pass.
-    /// @param rendered rays to compare. The loss adds to `upstream`; only ImageLoss,
-    /// which is recorded first, overwrites it.
+    /// Records GPU commands for terms that compare rendered and measured rays. Called
+    /// between the forward and the backward pass.
+    /// @param rendered rays to compare. The loss adds its gradients to `upstream`. Only
+    /// ImageLoss overwrites `upstream`, because it is recorded first.
     /// @param terms row to which the loss adds its terms
     virtual void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                          const TermRow& terms);
-    /// Records terms that depend directly on the parameters. Called after the backward
-    /// pass.
-    /// @param terms accumulated
+    /// Records GPU commands for terms that depend directly on the parameters. Called
+    /// after the backward pass.
+    /// @param terms row to which the loss adds its terms
     virtual void regularise(Stream& stream, const DeviceScene& scene, const SurfelGradients& gradients,
                             const TermRow& terms);
 };
@@ -98,15 +99,13 @@ public:
 std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights& weights,
                                                std::uint32_t n_rays);
 
-/// Depth, intensity and ray-drop losses per pixel, and structural similarity (SSIM) of
-/// the intensity. The batch must be an image if intensity_ssim > 0. An SSIM window uses
-/// only its known, returned pixels; intensities at dropped or unknown pixels have no
-/// effect.
+/// Computes depth, intensity and ray-drop losses per pixel, and the structural similarity
+/// (SSIM) of the intensity. The batch must be an image if intensity_ssim > 0. SSIM
+/// ignores intensities of pixels that are dropped or unknown.
 class ImageLoss final : public Loss {
 public:
     /// Creates the image loss.
-    /// @param n_rays number of rays of the largest batch; used only by structural
-    /// similarity
+    /// @param n_rays number of rays of the largest batch, used only for SSIM
     ImageLoss(Device& device, const LossWeights& weights, std::uint32_t n_rays = 0);
     ~ImageLoss() override;
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
@@ -117,19 +116,19 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Exact Chamfer distance between the simulated points A and the measured points B of a
-/// batch (docs/method.md section 5):
+/// Computes the exact Chamfer distance between the simulated points A and the measured
+/// points B of a batch (docs/method.md section 5):
 ///
 ///   chamfer = (sum_A min_B |a - b|^2 + sum_B min_A |a - b|^2) / min(|A|, |B|);
 ///             0 if a cloud is empty
 ///
-/// A: origin + range * direction of known rays with ray-drop below 0.5 and W > 0.1; the
-/// range is D / W, or D (normalised_depth). B: the measured points of known rays that
-/// returned. The gradient is with respect to the range of each point a, both as query and
-/// as nearest point. The pairs, the selection of A and the rays are constant. Nearest
-/// points are searched in boxes over tiles of neighbouring rays, and over groups of
-/// tiles. Tiles follow the image if the batch is an image, otherwise the list order. The
-/// order affects only the speed.
+/// A contains origin + range * direction of each known ray with a ray-drop probability
+/// below 0.5 and weight W > 0.1. The range is D / W, or D with normalised_depth. B
+/// contains the measured points of known rays that returned. The gradient is with respect
+/// to the range of each point in A. The matched pairs, the selection of A and the rays
+/// are treated as constant. The search for nearest points uses the bounding boxes of
+/// tiles of neighbouring rays. Tiles are image blocks if the batch is an image, otherwise
+/// parts of the ray list. The order of the rays affects only the speed.
 class ChamferLoss final : public Loss {
 public:
     /// Creates the Chamfer loss.
@@ -139,7 +138,8 @@ public:
     void compare(Stream& stream, const RenderedBatch& rendered, const TargetBatch& targets,
                  const TermRow& terms) override;
     /// Returns the nearest measured point of each simulated point of the last batch, and
-    /// the reverse, as ray indices; ~0 if there is none. Blocks.
+    /// the nearest simulated point of each measured point. Points are ray indices, and ~0
+    /// means no point. Waits for the GPU.
     std::array<std::vector<std::uint32_t>, 2> nearest() const;
 
 private:
@@ -147,10 +147,11 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Likelihood of the measured ranges (docs/method.md M12), a mean over returned rays:
+/// Computes the negative log-likelihood of the measured ranges (docs/method.md M12), a
+/// mean over returned rays:
 ///   likelihood = -ln(f + (1 - f) S),  S = sum_i w_i k(t_i)
-/// Here k is the RangeKernel about the measured range, and f is the likelihood_floor. The
-/// batch must be rendered with TraceOptions::likelihood and with the same targets.
+/// Here k is the RangeKernel centred at the measured range, and f is likelihood_floor.
+/// The batch must be rendered with TraceOptions::likelihood and with the same targets.
 class LikelihoodLoss final : public Loss {
 public:
     LikelihoodLoss(Device& device, const LossWeights& weights);
@@ -163,8 +164,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Loss term of the parameters. mu is the mean in the box frame, h is Model::half_size_m,
-/// and s is a standard deviation:
+/// Penalises surfels that extend beyond the box of their actor. mu is the mean in the box
+/// frame, h is Model::half_size_m, and s is a standard deviation:
 ///
 ///   box  mean over actors' surfels of
 ///        sum_xyz max(0, |mu| / h - 1) + sum_uv max(0, s / (box_scale_share |h|) - 1)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Terms of the training loss (Eq. 10-11) and their weights. relidar/diff/loss.hpp
-// computes them.
+// Weights and options of the training loss (Eq. 10-11). relidar/diff/loss.hpp computes
+// the loss.
 #pragma once
 
 #include <array>
@@ -16,15 +16,18 @@ struct LossWeights {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) float setting = standard;
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
-    bool normalised_depth = false;  ///< If true, the range term compares D / W instead of D (paper).
-    /// Threshold of the Huber loss of intensities: quadratic up to this error, linear
-    /// beyond; 0 = L1 (paper).
+    /// If true, the range term uses the normalised range D / W. If false, it uses D
+    /// (paper).
+    bool normalised_depth = false;
+    /// Error up to which the Huber loss of intensities is quadratic. Beyond this error,
+    /// it is linear. 0 = L1 loss (paper).
     float intensity_delta = 0.0f;
-    /// Largest standard deviation of an actor's surfel, relative to half the diagonal of
-    /// its box.
+    /// Largest allowed standard deviation of an actor's surfel, as a fraction of half the
+    /// box diagonal.
     float box_scale_share = 0.2f;
-    float likelihood_scale_m = 0.05f;  ///< Spread of measured ranges around the true surface, metres.
-    float likelihood_floor = 0.01f;    ///< Share of returns that may have any range.
+    /// Scale of the spread of measured ranges around the true surface, metres.
+    float likelihood_scale_m = 0.05f;
+    float likelihood_floor = 0.01f;  ///< Fraction of returns that are outliers, which may have any range.
 
     bool operator==(const LossWeights&) const = default;
 };
@@ -35,11 +38,11 @@ inline constexpr std::array kLossTermNames{RELIDAR_LOSS_TERMS(RELIDAR_TERM)};
 #undef RELIDAR_TERM
 inline constexpr int kLossTerms = kLossTermNames.size();
 
-/// Index of each term in a row of terms: loss_term::depth, ...
+/// Index of each term in a row of loss terms, for example loss_term::depth.
 namespace loss_term {
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) \
     inline constexpr std::size_t name = index;
-RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // One constant per term.
+RELIDAR_LOSS_TERMS(RELIDAR_TERM)  // Defines one constant per term.
 #undef RELIDAR_TERM
 }  // namespace loss_term
 

@@ -1,14 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// List of all loss terms, one per line, read by C++ and GLSL. It defines the weights
-// (LossWeights), the settings `loss.*`, the names in logs and reports (kLossTermNames),
-// the index of a term in a row of terms for kernels and tests, and the losses of a
-// training.
+// List of all loss terms, one per line. C++ and GLSL generate the loss weights, the
+// settings `loss.*`, the names in logs and the indices of the terms from this list.
 #ifndef RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 #define RELIDAR_INCLUDED_DIFF_LOSS_TERMS_H
 
-/// TERM(index in a row of terms, name, setting of its weight, loss that computes it,
-/// default, accepted values, meaning). A loss computes one or more terms. make_losses()
-/// creates it if the weight of at least one of its terms is above 0.
+/// TERM(index, name, setting of its weight, loss that computes it, default weight,
+/// accepted values, meaning) describes one term. A loss computes one or more terms. It is
+/// created only if the weight of at least one of its terms is above 0.
 #define RELIDAR_LOSS_TERMS(TERM)                                                                         \
     TERM(0u, depth, depth, image, 0.1f, at_least(0), "weight of the range term, L1 on returned rays")    \
     TERM(1u, intensity, intensity, image, 0.1f, at_least(0),                                             \

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluation of a ray-drop network for images that are already on the device.
+// Applies a ray-drop network to images that are already on the device.
 #pragma once
 
 #include <memory>
@@ -15,24 +15,23 @@ struct DropSamples;
 struct DropProbabilities;
 }  // namespace shared
 
-/// Compiles all pipelines that training and evaluation of the network use, but runs none
-/// of them.
+/// Compiles all pipelines for training and evaluation of the network. Does not run them.
 void compile_drop_network(Device& device, const RefineOptions& options);
 
-/// Ray-drop network in evaluation mode, like DropRefiner, that records into the caller's
-/// stream.
+/// Ray-drop network in evaluation mode. Records its GPU commands in a stream of the
+/// caller.
 class DropPass {
 public:
-    /// Uploads the network.
+    /// Uploads the network to the device.
     /// @throws errors of the DropRefiner constructor
     DropPass(Device& device, const DropNetwork& network);
     ~DropPass();
 
     const DropNetwork& network() const;
-    /// Records the evaluation of an image.
+    /// Records GPU commands that evaluate the network for one image.
     /// @param channels [network().inputs, rows, columns] as DropImage::channels
-    /// @return drop probabilities, [rows, columns], valid until an image of a third shape
-    /// is evaluated
+    /// @return drop probabilities, [rows, columns]. Buffers for two image shapes are
+    /// kept, so the result is valid until an image of a third shape is evaluated.
     /// @throws DataError if the image is smaller than network().smallest_side()
     const Array<float, shared::DropProbabilities>& run(Stream& stream, int rows, int columns,
                                                        const Array<float, shared::DropSamples>& channels);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam optimiser for the parameter groups of all surfels, with one learning rate per
-// group.
+// Adam optimiser for the parameters of all surfels. Each parameter group has a learning
+// rate.
 #pragma once
 
 #include <cstdint>
@@ -16,36 +16,39 @@ struct AdamOptions {
     double beta1 = 0.9;
     double beta2 = 0.999;
     double epsilon = 1e-15;
-    /// If true, surfels without a gradient in the batch keep their values and moments. If
-    /// false, their moments decay and still change the values.
+    /// If true, surfels without a gradient in the batch keep their values and Adam
+    /// moments. If false, their moments decay and still change the values.
     bool only_touched = false;
-    /// Number of surfels at the start of the arrays that are never changed and have no
-    /// moments.
+    /// Number of fixed surfels at the start of the arrays. They never change and have no
+    /// Adam moments.
     std::uint32_t n_fixed = 0;
 };
 
-/// Interpolates exponentially from `start` at step 0 to `end` at step n_steps.
+/// Returns a value that changes exponentially from `start` at step 0 to `end` at step
+/// n_steps.
 double exponential_schedule(double start, double end, int step, int n_steps);
 
 class Adam {
 public:
     Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, ParameterSet of = {});
     ~Adam();
-    /// Records an optimiser step.
-    /// @param touched [n] 1 for each surfel with a gradient; gradients of other surfels
-    /// are treated as zero. Null = all surfels have a gradient
+    /// Records GPU commands for one optimiser step.
+    /// @param touched [n] 1 for each surfel with a gradient. The gradients of other
+    /// surfels are treated as zero. Null = all surfels have a gradient
     /// @param step number of the step, counted from 1
-    /// @param sh_degree active SH degree; higher coefficients are not changed
+    /// @param sh_degree active degree of the spherical harmonics. Coefficients of higher
+    /// degrees are not changed
     void step(Stream& stream, SurfelArrays& parameters, const SurfelArrays& gradients,
               const Array<std::uint32_t, shared::TouchedSurfels>* touched, const LearningRates& rates,
               int step, int sh_degree);
     SurfelArrays& moment1();
     SurfelArrays& moment2();
-    /// Sets upper bounds of the standard deviations for all later steps. The number of
-    /// surfels must then stay constant.
-    /// @param max_log_scale [n] log m, for every surfel
+    /// Sets an upper bound on the standard deviations of each surfel for all later steps.
+    /// The number of surfels must not change after this call.
+    /// @param max_log_scale [n] natural logarithm of the bound in metres
     void bound_scales(Device& device, const std::vector<float>& max_log_scale);
-    /// Upper bounds of the standard deviations, [n] log m; empty without bounds.
+    /// Upper bounds on the standard deviations, [n], natural logarithm of metres. Empty
+    /// without bounds.
     Array<float>& max_log_scale();
 
 private:
@@ -53,15 +56,15 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Adam optimiser for one array with one learning rate, such as the parameters of a
+/// Adam optimiser for one array with one learning rate, for example the parameters of a
 /// network.
 class ArrayAdam {
 public:
-    /// Allocates the moments.
+    /// Allocates the Adam moments.
     /// @param options only_touched is ignored, because it applies only to surfels
     ArrayAdam(Device& device, std::size_t n, const AdamOptions& options);
     ~ArrayAdam();
-    /// Records an optimiser step.
+    /// Records GPU commands for one optimiser step.
     /// @param values [n] changed in place
     /// @param gradients [n] gradients of the values
     /// @param step number of the step, counted from 1

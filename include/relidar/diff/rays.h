@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Data of rays on a device, one entry per ray: the ray, its measurement, its rendered
-// values and the gradients from the losses. C++ and kernels share these structs.
+// Structs for rays on a device, with one array entry per ray. They hold the ray, its
+// measurement, its rendered values and its gradients. C++ and kernels share these
+// structs.
 #ifndef RELIDAR_INCLUDED_DIFF_RAYS_H
 #define RELIDAR_INCLUDED_DIFF_RAYS_H
 #include "relidar/base/lang.h"
@@ -9,7 +10,8 @@
 RELIDAR_SHARED_BEGIN
 
 #define RELIDAR_NO_INSTANCE 0xffffffffu
-// Firing time of a ray that meets every instance at the pose in the instance table.
+// Firing time for rays without a time. Such a ray sees every instance at the pose in the
+// instance table.
 #define RELIDAR_NO_TIME 3.0e38f
 
 struct DeviceRay {
@@ -19,24 +21,28 @@ struct DeviceRay {
 };
 RELIDAR_POINTER(Rays, DeviceRay);
 
-/// Measurement of a ray.
+/// Measured values of a ray, to which losses compare the rendered values.
 struct DeviceTarget {
-    float range_m;    // Measured range, metres; 0 = dropped.
+    float range_m;    // Measured range, metres. 0 = no return.
     float intensity;  // Measured intensity, 0..1.
-    float weight;     // Weight in the losses; 0 = unknown (masked), the ray has no effect on any loss.
+    // Weight of the ray in the losses. 0 = the measurement is unknown (masked), so the
+    // ray has no effect.
+    float weight;
 };
 RELIDAR_POINTER(Targets, DeviceTarget);
 
 #define RELIDAR_FIELD(name, built, value, input, slope, meaning) float name;
 
-/// Output of the forward pass for a ray (M5): the blended values and data about the hits.
+/// Result of the forward pass for one ray (M5): the blended values and information about
+/// the hits.
 struct RenderedRay {
     RELIDAR_BLENDED_VALUES(RELIDAR_FIELD)
     float transmittance;  // Transmittance T after the last blended surfel.
-    float median_depth;   // Distance t at which T crosses 0.5; 0 if T stays above 0.5.
+    float median_depth;   // Distance t at which T crosses 0.5, metres. 0 if T stays above 0.5.
     uint n_hits;
-    // Instance of the surfel at which T crosses 0.5; otherwise of the nearest blended
-    // surfel; RELIDAR_NO_INSTANCE without hits.
+    // Instance of the surfel at which the transmittance crosses 0.5. If it stays above
+    // 0.5, the instance of the nearest blended surfel. RELIDAR_NO_INSTANCE if the ray has
+    // no hits.
     uint instance;
 };
 RELIDAR_POINTER(RenderedRays, RenderedRay);
@@ -48,22 +54,26 @@ struct RayGradient {
 RELIDAR_POINTER(RayGradients, RayGradient);
 #undef RELIDAR_FIELD
 
-/// Surface that a ray hits, rendered without gradients.
+/// Normal and distance of the surface that a ray hits. They have no gradients.
 struct RenderedSurface {
-    vec3 normal;  // Sum of w n, where n is a surfel's unit normal that faces the sensor, world frame.
-    float mode;   // Mean of t over the heaviest surface of the ray (M13), metres; 0 without hits.
+    // Sum of w n over the hits, world frame. w is the weight of a hit, and n is the
+    // surfel's unit normal that faces the sensor.
+    vec3 normal;
+    // Mean distance of the surface with the largest total weight along the ray (M13),
+    // metres. 0 if the ray has no hits.
+    float mode;
 };
 RELIDAR_POINTER(RenderedSurfaces, RenderedSurface);
 
-/// Hit of a ray: in the buffer of the ray, in its list, or kept for the backward pass.
+/// Intersection of a ray with a surfel.
 struct Hit {
     float t;      // Distance along the ray, metres.
-    float alpha;  // Opacity times Gaussian weight, sigma G, not clamped.
+    float alpha;  // Opacity times the Gaussian's value at the hit (sigma G), not clamped.
     uint instance;
     uint surfel;
 };
 RELIDAR_POINTER(Hits, Hit);
-// Number of rays whose hit lists, or kept hits, are interleaved in memory.
+// Number of rays whose hits are interleaved in memory.
 #define RELIDAR_SIDE_BY_SIDE 2u
 
 RELIDAR_SHARED_END

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batches of rays, options for ray tracing, and the data that the forward pass hands to
-// the backward pass.
+// Ray batches, ray tracing options, and data that the forward pass stores for the
+// backward pass.
 #pragma once
 
 #include <cstdint>
@@ -18,7 +18,7 @@ namespace relidar {
 struct WorldRays {
     std::vector<glm::vec3> origin;     ///< Origins, [n] metres.
     std::vector<glm::vec3> direction;  ///< Unit directions, [n].
-    /// Firing times, [n] seconds after the reference time of the sweep. Empty: all
+    /// Firing times, [n] seconds after the reference time of the sweep. If empty, all
     /// instances stay at the poses that were set.
     std::vector<float> time_s = {};
     std::size_t size() const { return direction.size(); }
@@ -26,23 +26,24 @@ struct WorldRays {
 
 using shared::DeviceRay;
 
-/// Batch of rays on the device. Ray k of the batch is entry first + k * stride.
+/// Batch of rays on the device. Ray k of the batch is rays[first + k * stride].
 struct RayBatch {
     const Array<DeviceRay>* rays = nullptr;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_rays = 0;
-    /// Number of columns if the batch is an image in row order; n_rays is a multiple of
-    /// it. Threads that run together then trace tiles of 16 x 2 neighbouring rays, which
-    /// visit the same nodes. 0 = trace rays in list order.
+    /// Number of columns if the batch is an image in row order, otherwise 0. n_rays must
+    /// be a multiple of this number. Threads of an image trace tiles of 16 x 2
+    /// neighbouring rays together, because neighbouring rays visit the same tree nodes.
+    /// Without an image, threads trace rays in list order.
     std::uint32_t columns = 0;
     /// Measured targets of the rays, with the same indices as `rays`. Used only with
     /// TraceOptions::likelihood. Null = no targets.
     const Array<shared::DeviceTarget>* targets = nullptr;
 };
 
-/// Traversal of the software tree: each ray separately (lane), or all rays of a subgroup
-/// together.
+/// Method for traversing the software tree. `lane`: each ray is traversed separately.
+/// `subgroup`: all rays of a GPU subgroup are traversed together.
 enum class Walk { automatic, lane, subgroup };
 
 /// Method for sorting the hits of a ray. `chunks`: hits are sorted in a per-ray buffer
@@ -50,81 +51,89 @@ enum class Walk { automatic, lane, subgroup };
 /// afterwards.
 enum class HitOrder { automatic, chunks, lists };
 
-/// Kernel of the likelihood of a measured range z (docs/method.md M12): k(t) = 1 / (1 +
-/// ((t - z) / scale_m)^2).
+/// Function k(t) for the likelihood of a measured range z (docs/method.md M12): k(t) = 1
+/// / (1 + ((t - z) / scale_m)^2).
 struct RangeKernel {
     float scale_m = 0.05f;
 };
 
 /// Options for ray tracing. They do not change the rendered image.
 struct TraceOptions {
-    int chunk = 16;  ///< Number of hits sorted at a time, 1..64.
-    /// Traversal of the software tree; automatic = the faster method for this type of
-    /// device.
+    int chunk = 16;  ///< Number of hits that are sorted at a time, 1..64.
+    /// Traversal method of the software tree. automatic = the faster method for this type
+    /// of device.
     Walk walk = Walk::automatic;
-    /// Sorting method of the forward pass; automatic = lists on a GPU, chunks on a CPU.
+    /// Method for sorting hits in the forward pass. automatic = lists on a GPU, chunks on
+    /// a CPU.
     HitOrder order = HitOrder::automatic;
-    /// Initial capacity of a hit list, 1..512. It is doubled while any ray has more hits.
-    /// Rays with too many hits are traced in chunks.
+    /// Initial number of hits that a ray's hit list can store, 1..512. It is doubled
+    /// while any ray has more hits. Rays with too many hits for the list are traced in
+    /// chunks.
     int list_room = 64;
-    /// Blends the normals of surfels, for RenderedSurface. They have no gradient.
+    /// If true, computes a blended surface normal for each ray. Normals have no gradient.
     bool normals = false;
-    /// Blends the likelihood of each ray that has a measured range.
+    /// If set, computes the likelihood of the measured range of each ray.
     std::optional<RangeKernel> likelihood{};
-    /// If set, also renders the heaviest surface of each ray (docs/method.md M13).
-    /// Consecutive hits at most this far apart belong to one surface, metres.
+    /// If set, finds the surface with the largest total weight along each ray
+    /// (docs/method.md M13). Consecutive hits belong to one surface if their distance is
+    /// at most this value, metres.
     std::optional<float> mode_gap_m{};
 
-    /// Returns whether a forward pass writes a RenderedSurface for each ray.
+    /// Returns true if the forward pass writes a normal and a surface distance for each
+    /// ray.
     bool has_surfaces() const { return normals || mode_gap_m; }
 };
 
-/// Returns the number of threads that trace a batch. For an image these are full tiles of
-/// 16 x 2 rays, so that some threads have no ray. Otherwise it is one thread per ray.
+/// Returns the number of threads that trace a batch. An image is traced in full tiles of
+/// 16 x 2 rays, so some threads may have no ray. Otherwise there is one thread per ray.
 std::size_t trace_threads(const RayBatch& batch);
 
-/// First hits of each ray of a batch, as blended by the forward pass. The backward pass
-/// uses them instead of searching the hits again.
+/// First hits of each ray of a batch, stored by the forward pass. The backward pass reads
+/// these hits and does not need to search for them again.
 struct KeptHits {
-    Array<shared::Hit> hits;  ///< Hits, [ceil(n_threads / 2), per_ray, 2].
-    /// Number of hits stored per ray. The backward pass searches further hits again.
+    /// Stored hits. The hits of two threads are interleaved, [ceil(n_threads / 2),
+    /// per_ray, 2].
+    Array<shared::Hit> hits;
+    /// Number of hits stored per ray. If a ray has more hits, the backward pass searches
+    /// for the others again.
     std::uint32_t per_ray = 0;
 
     /// Allocates memory for the hits.
     /// @param n_threads number of threads that trace the largest batch
     KeptHits(Device& device, std::size_t n_threads, std::uint32_t hits_per_ray)
         : hits(device, side_by_side(n_threads) * hits_per_ray, "kept hits"), per_ray(hits_per_ray) {}
-    /// Rounds a number of threads up to full groups, whose hits are interleaved in
-    /// memory.
+    /// Rounds a number of threads up to a multiple of RELIDAR_SIDE_BY_SIDE, because the
+    /// hits of that many threads are interleaved in memory.
     static std::size_t side_by_side(std::size_t n_threads) {
         return (n_threads + RELIDAR_SIDE_BY_SIDE - 1) / RELIDAR_SIDE_BY_SIDE * RELIDAR_SIDE_BY_SIDE;
     }
-    /// Returns true if the hits of a batch fit.
+    /// Returns true if the buffer can store the hits of a batch.
     bool hold(const RayBatch& batch) const {
         return side_by_side(trace_threads(batch)) * per_ray <= hits.size();
     }
 };
 
-/// Returns the number of hits per ray that should be kept if `n_overfull` rays had more
-/// than `per_ray` hits. It is doubled while there are such rays, because on a GPU the
-/// second search of a few rays takes as long as all others. The result is at most 256 (4
-/// kB per ray), or `per_ray` if that is larger.
+/// Returns the number of hits to keep per ray, after `n_overfull` rays had more than
+/// `per_ray` hits. The number is doubled while such rays exist. On a GPU, searching the
+/// remaining hits of a few rays takes as long as searching them for all rays. The result
+/// is at most 256 (4 kB per ray), or `per_ray` if that is larger.
 std::uint32_t kept_hits_wanted(std::uint32_t per_ray, std::uint64_t n_overfull);
 
-/// Rendered batch with the arrays that losses and the backward pass need.
+/// Rendered batch with the arrays that the losses and the backward pass read and write.
 struct RenderedBatch {
     RayBatch rays;
-    /// Rendered values of ForwardPass::run, [n_rays].
+    /// Rendered values of all rays, [n_rays].
     const Array<shared::RenderedRay>* rendered = nullptr;
-    /// dL/d(rendered), [n_rays]: written by losses, read by the backward pass.
+    /// dL/d(rendered) of all rays, [n_rays]. Losses write these gradients, and the
+    /// backward pass reads them.
     Array<shared::RayGradient>* upstream = nullptr;
-    const KeptHits* kept = nullptr;  ///< Kept hits of the same ForwardPass::run, or null.
-    /// Surfaces of the same ForwardPass::run, [n_rays], or null without
+    const KeptHits* kept = nullptr;  ///< Hits that the forward pass has stored for this batch, or null.
+    /// Surface normals and distances of this batch, [n_rays]. Null without
     /// TraceOptions::has_surfaces().
     const Array<shared::RenderedSurface>* surfaces = nullptr;
 };
 
-/// Converts rays to the struct that kernels read.
+/// Converts rays from host arrays to the struct that kernels read.
 std::vector<DeviceRay> to_device_rays(const WorldRays& rays);
 
 }  // namespace relidar

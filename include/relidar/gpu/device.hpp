@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan devices of this machine, and an open device. relidar/gpu/stream.hpp has the
-// memory and kernel launches of a device.
+// Lists the Vulkan devices of this machine and opens one of them. relidar/gpu/stream.hpp
+// allocates memory and runs kernels on a device.
 #pragma once
 
 #include <cstddef>
@@ -14,17 +14,16 @@
 namespace relidar {
 
 /// Method that finds the surfels along a ray. `ray_query` uses the driver's acceleration
-/// structures. `software` uses relidar's own tree, which the tracing kernels walk.
-/// `automatic` selects ray query on a GPU that supports it, otherwise software. On a CPU
-/// it selects software, which is faster there.
+/// structures. `software` uses relidar's own tree, which kernels traverse. `automatic`
+/// selects ray_query on a GPU with ray queries, otherwise software. On a CPU it selects
+/// software, because that is faster there.
 enum class Traversal { automatic, ray_query, software };
 
 /// Returns the traversal method named "auto", "ray_query" or "software", in any case.
 /// @throws UsageError for any other name
 Traversal find_traversal(const std::string& name);
 
-/// Properties of a Vulkan device of this machine, and the relidar features that it
-/// supports.
+/// Properties of a Vulkan device, and the relidar features that the device supports.
 struct DeviceInfo {
     int index = 0;
     std::string name;
@@ -36,20 +35,21 @@ struct DeviceInfo {
     /// or in the driver.
     bool ray_query = false;
     /// True if the device supports atomic float addition on buffers. Otherwise kernels
-    /// use compare-and-swap.
+    /// use a slower compare-and-swap loop.
     bool float_atomics = false;
     int subgroup_size = 1;  ///< Number of invocations in a subgroup.
-    /// True if kernels can be forced to run in full subgroups of subgroup_size.
+    /// True if kernels can be forced to run in full subgroups of exactly subgroup_size.
     bool known_subgroups = false;
     bool timestamps = false;  ///< True if compute queues support timestamps.
-    /// Names of the features and extensions that ray queries lack. Empty if ray_query is
-    /// true.
+    /// Names of the missing features and extensions that ray queries require. Empty if
+    /// ray_query is true.
     std::string why_not_ray_query;
-    bool software = false;  ///< True if the device can build and walk relidar's own tree.
-    /// Names of the subgroup operations that software traversal lacks. Empty if software
-    /// is true.
+    bool software = false;  ///< True if the device can build and traverse relidar's own tree.
+    /// Names of the missing subgroup operations that software traversal requires. Empty
+    /// if software is true.
     std::string why_not_software;
-    /// Names of the missing base features. Empty if relidar runs on the device.
+    /// Names of the missing features that relidar always requires. Empty if relidar runs
+    /// on the device.
     std::string why_not_usable;
 };
 
@@ -57,57 +57,60 @@ struct DeviceInfo {
 /// if no method works.
 Traversal best_traversal(const DeviceInfo& info);
 
-/// Lists every Vulkan device in the order of the Vulkan loader.
+/// Lists every Vulkan device, in the order of the Vulkan loader.
 /// @throws DeviceError if no Vulkan loader or driver is installed
 std::vector<DeviceInfo> list_devices();
 
-/// Statistics that the driver reports for a kernel that was compiled with one set of
-/// specialisation constants.
+/// Statistics from the driver for one compiled kernel with one set of specialisation
+/// constants.
 struct PipelineStatistics {
-    std::string kernel;  ///< Kernel name as in the build: "stage/stem" or "stage/stem@variant".
-    /// Specialisation constants in the order of their ids, for example "CHUNK=64
+    std::string kernel;  ///< Kernel name: "stage/stem" or "stage/stem@variant".
+    /// Values of the specialisation constants, sorted by their ids, for example "CHUNK=64
     /// TOGETHER=0".
     std::string constants;
-    int workgroup_size = 0;  ///< Threads per workgroup.
-    int subgroup_size = 0;   ///< Subgroup size that the driver compiled for; 0 if unknown.
-    std::string failure;     ///< Error of the driver if it could not create the pipeline; otherwise empty.
-    /// Statistics by the names that the driver gives them. Empty if the driver lacks
+    int workgroup_size = 0;  ///< Number of threads per workgroup.
+    int subgroup_size = 0;   ///< Subgroup size for which the driver compiled the kernel. 0 if unknown.
+    /// Error message of the driver if it could not create the pipeline, otherwise empty.
+    std::string failure;
+    /// Map from the driver's name of a statistic to its value. Empty if the driver lacks
     /// VK_KHR_pipeline_executable_properties.
     std::map<std::string, double> values;
 };
 
 struct DeviceOptions {
-    /// Index in list_devices(). -1 selects the first GPU and prefers GPUs with ray
-    /// queries. Without a GPU, it selects a CPU device.
+    /// Index in list_devices(). -1 selects a suitable device. It prefers GPUs to CPU
+    /// devices, and devices with ray queries to others.
     int index = -1;
     Traversal traversal = Traversal::automatic;
     bool validation = false;  ///< Enables the Khronos validation layer.
-    /// Maximum device-local memory that relidar may allocate, bytes; 0 = no limit.
+    /// Maximum device-local memory that relidar may allocate, bytes. 0 = no limit.
     std::uint64_t memory_limit_bytes = 0;
-    /// Compiles each distinct pipeline once, keeps the driver's statistics
-    /// (Device::pipelines) and runs no kernel. Use it to inspect pipelines; a driver
-    /// without hardware is sufficient.
+    /// If true, pipelines are compiled but no kernel runs. Each distinct pipeline is
+    /// compiled once, and the driver's statistics are kept (Device::pipelines). Use this
+    /// option to inspect pipelines. It works with a driver that has no hardware.
     bool compile_only = false;
-    /// Folder that keeps compiled pipelines between processes. If empty, each process
-    /// compiles all pipelines.
+    /// Folder in which compiled pipelines are cached between processes. If empty, each
+    /// process compiles all pipelines.
     std::filesystem::path pipeline_cache = {};
 };
 
-/// Returns the options after applying the user's environment variables. For programs on a
-/// user's machine; nothing else in the library reads environment variables.
+/// Changes the options according to the user's environment variables and returns them.
+/// Use it in programs on a user's machine. No other function of the library reads
+/// environment variables.
 /// - RELIDAR_VALIDATION=1 enables the validation layer.
 /// - RELIDAR_MEMORY_LIMIT_MIB=n applies if the options have no memory limit.
-/// - RELIDAR_PIPELINE_CACHE=FOLDER applies if the options have no folder; 0 = no cache.
+/// - RELIDAR_PIPELINE_CACHE=FOLDER applies if the options have no folder. 0 = no cache.
 ///   Default: $XDG_CACHE_HOME/relidar or $HOME/.cache/relidar.
 /// @throws UsageError if the limit is not a number
 DeviceOptions from_environment(DeviceOptions options = {});
 
-/// Open Vulkan device. Destroy all objects created from it before the device.
+/// Open Vulkan device. All objects created with a device must be destroyed before the
+/// device.
 class Device {
 public:
     /// Opens a device.
-    /// @throws DeviceError if the device does not exist or lacks features; the message
-    /// names all missing features
+    /// @throws DeviceError if the device does not exist or lacks features. The message
+    /// names all missing features.
     explicit Device(const DeviceOptions& options = {});
     ~Device();
     Device(const Device&) = delete;
@@ -117,34 +120,34 @@ public:
     /// Returns the traversal method of this device: ray_query or software, never
     /// automatic.
     Traversal traversal() const;
-    /// Returns the device memory that arrays occupy, in bytes: now, or the peak since the
-    /// device was opened.
+    /// Returns the device memory that arrays use now, bytes. peak_bytes() returns the
+    /// maximum since the device was opened.
     std::uint64_t allocated_bytes() const;
     std::uint64_t peak_bytes() const;
-    /// Returns statistics of all pipelines compiled so far, in order, if the device was
-    /// opened with compile_only.
+    /// Returns statistics of all pipelines compiled so far, in the order of compilation.
+    /// Empty unless the device was opened with compile_only.
     const std::vector<PipelineStatistics>& pipelines() const;
 
     struct Impl;
 
 private:
-    /// Returns the internal implementation; used only inside the library.
+    /// Returns the internal implementation. Only the library uses this function.
     friend Impl& impl_of(const Device& device);
     std::unique_ptr<Impl> impl_;
 };
 
-/// Run times of kernels, in milliseconds, over the measured submissions.
+/// Run times of kernels, milliseconds. Only submissions with enabled timing are measured.
 struct KernelTimes {
     static constexpr std::ptrdiff_t kLast = 4096;
     struct Total {
         double launches = 0.0, ms = 0.0;
     };
-    /// Map from kernel name to one run time per launch, for the last kLast launches.
+    /// Map from kernel name to the run time of each launch, for the last kLast launches.
     std::map<std::string, std::vector<double>> milliseconds;
-    /// Number of launches and total run time by kernel name, over all launches.
+    /// Map from kernel name to the number of launches and their total run time.
     std::map<std::string, Total> totals;
 
-    void add(const std::string& kernel, double ms);  ///< Adds the run time of a launch.
+    void add(const std::string& kernel, double ms);  ///< Adds the run time of one launch.
     void add(const KernelTimes& later);              ///< Adds the run times of later launches.
 };
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Device memory and kernel submission without Vulkan types, so that other parts of
-// relidar can allocate arrays and run kernels.
+// Device memory and kernel launches. The interface has no Vulkan types, so that other
+// parts of relidar do not depend on Vulkan.
 #pragma once
 
 #include <cstddef>
@@ -15,14 +15,14 @@
 
 namespace relidar {
 
-/// Block of device memory. Move-only.
+/// Block of device memory. It can be moved but not copied.
 class Buffer {
 public:
     Buffer();
     /// Allocates n_bytes of device memory.
     /// @param what name of the buffer in messages
-    /// @throws DeviceError if device memory is exhausted; the message names the buffer
-    /// and its size
+    /// @throws DeviceError if device memory is exhausted. The message names the buffer
+    /// and its size.
     Buffer(Device& device, std::size_t n_bytes, const std::string& what);
     ~Buffer();
     Buffer(Buffer&&) noexcept;
@@ -30,19 +30,19 @@ public:
 
     std::size_t size_bytes() const;
     explicit operator bool() const { return impl_ != nullptr; }
-    /// Copies between host and device through staging memory, and blocks until the copy
-    /// is done.
+    /// Copies data from the host to the device and waits until the copy is done.
+    /// download() copies in the other direction.
     /// @throws DeviceError if the device is lost
     void upload(const void* data, std::size_t n_bytes, std::size_t offset_bytes = 0);
     void download(void* data, std::size_t n_bytes, std::size_t offset_bytes = 0) const;
-    /// Copies the first n_bytes of another buffer of the same device, and blocks until
-    /// the copy is done.
+    /// Copies the first n_bytes of another buffer of the same device. Waits until the
+    /// copy is done.
     void copy_from(const Buffer& source, std::size_t n_bytes);
 
     struct Impl;
 
 private:
-    /// Returns the internal implementation; used only inside the library.
+    /// Returns the internal implementation. Only the library uses this function.
     friend Impl& impl_of(const Buffer& buffer);
     template <class, class>
     friend class Array;
@@ -51,7 +51,7 @@ private:
     std::uint64_t address() const;
 };
 
-/// Device array of trivially copyable values.
+/// Array in device memory. T must be trivially copyable.
 template <class T>
 class Array<T, void> {
 public:
@@ -64,13 +64,13 @@ public:
     }
 
     std::size_t size() const { return n_; }
-    /// Returns the device address of entry `first`, to pass to a kernel. Arrays start at
-    /// multiples of 16 bytes, so that kernels can load a record in 16-byte pieces. An
-    /// address that is not a multiple of 16 bytes may only be used with atomics or with
-    /// indices computed at run time.
+    /// Returns the device address of entry `first`, to be passed to a kernel. Arrays
+    /// start at multiples of 16 bytes, so that kernels can load a record in 16-byte
+    /// pieces. Other addresses may be used only with atomics or with indices computed at
+    /// run time.
     Address<T> address(std::size_t first = 0) const { return address_as<T>(first); }
-    /// Returns the same address for a kernel that reads the memory as another type or
-    /// meaning. `first` counts entries of T.
+    /// Returns the device address of entry `first` for a kernel that reads the memory as
+    /// another type or with another meaning. `first` counts entries of T.
     template <class U, class Meaning = void>
     Address<U, Meaning> address_as(std::size_t first = 0) const {
         static_assert(sizeof(T) % sizeof(U) == 0 || sizeof(U) % sizeof(T) == 0);
@@ -81,16 +81,16 @@ public:
         if (!values.empty()) buffer_.upload(values.data(), values.size_bytes(), first * sizeof(T));
     }
     std::vector<T> download() const { return download(n_); }
-    /// Copies the first n values to the host.
+    /// Waits for the GPU and copies the first n values to the host.
     std::vector<T> download(std::size_t n) const {
         std::vector<T> values(n);
         if (n) buffer_.download(values.data(), n * sizeof(T));
         return values;
     }
-    /// Grows the array to at least n values and keeps the existing values; new values are
-    /// undefined. The array never shrinks. No pending submission may use the array,
+    /// Enlarges the array to at least n values. Existing values are kept, and new values
+    /// are undefined. The array never shrinks. No submitted GPU work may use the array,
     /// because its address changes.
-    /// @throws DeviceError if device memory is exhausted; the array is then unchanged
+    /// @throws DeviceError if device memory is exhausted. The array is then unchanged.
     void reserve(Device& device, std::size_t n, const std::string& what) {
         if (n <= n_) return;
         Array larger(device, n, what);
@@ -103,28 +103,30 @@ private:
     std::size_t n_ = 0;
 };
 
-/// Device array whose type also names its content. The Meaning is a name that a kernel
-/// parameter declares with RELIDAR_OF, for example Array<float, shared::LossTerms>. It
-/// separates arrays of the same element type. On the host it behaves like Array<T>.
+/// Device array whose type also names its content, for example Array<float,
+/// shared::LossTerms>. It prevents passing the wrong array to a kernel when the element
+/// types are equal. A kernel parameter declares the required Meaning with RELIDAR_OF. On
+/// the host the class behaves like Array<T>.
 template <class T, class Meaning>
 class Array : public Array<T> {
 public:
     using Array<T>::Array;
-    /// Returns the device address of an element. The address has the same Meaning.
+    /// Returns the device address of an element. The address type has the same Meaning as
+    /// the array.
     Address<T, Meaning> address(std::size_t first = 0) const {
         return this->template address_as<T, Meaning>(first);
     }
 };
 
-/// Returns the address of an optional array, or a null address if the pointer is null.
+/// Returns the device address of an array, or a null address if the pointer is null.
 template <class T, class Meaning>
 Address<T, Meaning> address_of(const Array<T, Meaning>* array) {
     return array ? array->address() : Address<T, Meaning>();
 }
 
-/// Records kernel launches and submits them. A launch sees the results of all earlier
-/// launches, except launches in the same Concurrent scope or in another strand (see
-/// Strands).
+/// Records GPU commands and submits them to the device. A kernel launch sees the results
+/// of all earlier launches. Exceptions are launches in the same Concurrent scope and
+/// launches in another sequence of a Strands scope.
 class Stream {
 public:
     explicit Stream(Device& device, bool timing = false);
@@ -132,26 +134,26 @@ public:
     Stream(const Stream&) = delete;
     Stream& operator=(const Stream&) = delete;
 
-    /// Fills an array with a 32-bit pattern.
+    /// Records a command that fills an array with a 32-bit pattern.
     void fill(const Buffer& buffer, std::uint32_t pattern = 0);
     template <class T>
     void fill(const Array<T>& array, std::uint32_t pattern = 0) {
         fill(array.buffer(), pattern);
     }
-    /// Records a copy of the first n_bytes of one buffer to another buffer of the same
+    /// Records a copy of the first n_bytes from one buffer to another buffer of the same
     /// device.
     void copy(const Buffer& from, const Buffer& to, std::size_t n_bytes);
-    /// Submits the recorded commands.
-    /// @return ticket for wait()
+    /// Submits the recorded commands to the GPU.
+    /// @return ticket with which wait() waits for this submission
     std::uint64_t submit();
-    /// Blocks until the submission with this ticket is done.
-    /// @throws DeviceError if the device is lost or a check in a kernel failed; the
-    /// message names the kernel
+    /// Waits until the submission with this ticket is done.
+    /// @throws DeviceError if the device is lost or a check in a kernel failed. The
+    /// message names the kernel.
     void wait(std::uint64_t ticket);
-    /// Submits the recorded commands and waits for them.
+    /// Submits the recorded commands and waits until they are done.
     void finish() { wait(submit()); }
-    /// Returns the kernel times measured so far. Requires timing = true and a device with
-    /// timestamps.
+    /// Returns the kernel times measured so far. Times are measured only if timing = true
+    /// and the device has timestamps.
     const KernelTimes& times() const;
     void reset_times();
     Device& device() const;
@@ -159,13 +161,13 @@ public:
     struct Impl;
 
 private:
-    /// Returns the internal implementation; used only inside the library.
+    /// Returns the internal implementation. Only the library uses this function.
     friend Impl& impl_of(const Stream& stream);
     std::unique_ptr<Impl> impl_;
 };
 
-/// Scope in which all launches recorded on a stream may run concurrently. A launch may
-/// not access memory that another launch of the scope writes. Commands recorded after the
+/// Scope in which all recorded kernel launches may run concurrently. A launch must not
+/// access memory that another launch of the scope writes. Commands recorded after the
 /// scope see the results of all its launches.
 class Concurrent {
 public:
@@ -178,28 +180,30 @@ private:
     Stream& stream_;
 };
 
-/// Scope in which a stream records into several independent sequences of launches, called
-/// strands. A launch sees the results of earlier launches of the same strand. The n-th
-/// launches of all strands may run concurrently, so that small launches fill a device
-/// together. No launch may access memory that another strand writes. Commands recorded or
-/// submitted after the scope see the results of all strands.
+/// Scope in which a stream records several independent sequences of kernel launches
+/// (strands). A launch sees only the results of earlier launches in its sequence. The
+/// n-th launches of all sequences may run concurrently, so that several small launches
+/// use the full device. A launch must not access memory that another sequence writes.
+/// Commands recorded or submitted after the scope see the results of all sequences.
 class Strands {
 public:
     Strands(Stream& stream, std::size_t n);
     ~Strands();
     Strands(const Strands&) = delete;
     Strands& operator=(const Strands&) = delete;
-    /// Selects the strand of all launches recorded from here on. Initially strand 0.
+    /// Selects the sequence (strand) in which the next launches are recorded. The scope
+    /// starts with sequence 0.
     void choose(std::size_t strand);
 
 private:
     Stream& stream_;
 };
 
-/// Copy of device values to the host that is executed with a later submission.
+/// Copies device values to host memory without blocking. The next submission of the
+/// stream executes the copy.
 class Readback {
 public:
-    /// Allocates host memory for the copy.
+    /// Allocates host memory for the copied values.
     /// @param n_bytes maximum size of a copy
     /// @param what name of the copy in messages
     /// @throws DeviceError if memory is exhausted
@@ -208,12 +212,12 @@ public:
     Readback(Readback&&) noexcept;
     Readback& operator=(Readback&&) noexcept;
 
-    /// Records a copy of n_bytes into cached host memory. The next submit() of the stream
-    /// executes the copy.
+    /// Records a copy of n_bytes from the device into cached host memory. The next
+    /// submit() of the stream executes the copy.
     void record(Stream& stream, const Buffer& from, std::size_t n_bytes, std::size_t offset_bytes = 0);
     /// Returns true if a copy was recorded and wait() has not yet been called for it.
     bool pending() const;
-    /// Blocks until the recorded copy is done.
+    /// Waits until the recorded copy is done.
     /// @return the copied bytes, valid until the next record()
     const void* wait(Stream& stream);
 

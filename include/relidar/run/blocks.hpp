@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of a long log in blocks. A block is a section of the sensor's trajectory,
-// trained separately with the sweeps that see it. The blocks are then joined to one
-// scene, whose background is loaded block by block (Scene::blocks). The paper trains a
-// log as one unit and names this as a limitation.
+// Trains a long log in blocks. A block is a section of the sensor's trajectory. It is
+// trained separately with the sweeps that see it. The trained blocks are then joined to
+// one scene, and their backgrounds are loaded from files when needed (Scene::blocks). The
+// paper trains a log as one unit and names this as a limitation.
 #pragma once
 
 #include <filesystem>
@@ -16,47 +16,48 @@
 
 namespace relidar {
 
-/// Section of the sensor's trajectory.
+/// Section of the sensor's trajectory that is trained separately.
 struct Block {
-    /// Begin and end of the section, in metres driven since the start of the log.
+    /// Begin and end of the section, measured along the trajectory from the start of the
+    /// log, metres.
     double begin_m = 0.0, end_m = 0.0;
     /// Indices in Sequence::frames of the sweeps recorded in this section, including
     /// held-out sweeps.
     std::vector<int> own;
-    /// Indices of the training frames that see the section: sweeps recorded in it, and
-    /// all sweeps recorded within the halo.
+    /// Indices of the training frames that see the section. These are the sweeps recorded
+    /// in the section or within a fixed distance of it (the halo).
     std::vector<int> train;
 };
 
-/// Divides the trajectory of a log's vehicle into blocks of equal length, at most
-/// options.length_m. Omits sections without a sweep, where the log has a gap.
+/// Divides the vehicle's trajectory into blocks of equal length, at most
+/// options.length_m. Skips sections without a sweep, where the log has a gap.
 /// @throws DataError if a block has no training frame within its halo
 std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, const BlockConfig& options);
 
-/// Part of a log for the training of a block: its training frames, the held-out frames
-/// recorded in the block, and boxes near them.
+/// Part of a log that is used to train one block. It contains the training frames of the
+/// block, the held-out frames recorded in the block, and boxes near them.
 struct BlockLog {
     Sequence sequence;
     Split split;
-    /// Settings for the training of the block, without further division into blocks. They
-    /// list only tracks that the block has.
+    /// Settings for the training of one block. Division into blocks is disabled, and only
+    /// tracks of this block are listed.
     Config config;
 };
-/// Extracts the part of a prepared log that a block needs.
+/// Copies the part of a prepared log that is needed to train one block.
 /// @param config settings of the complete training
 BlockLog block_log(const Sequence& sequence, const Split& split, const Block& block, const Config& config);
 
-/// Removes all background surfels that do not belong to a block. A surfel belongs to the
-/// block whose sweep is nearest to it.
+/// Removes all background surfels that belong to other blocks. A surfel belongs to the
+/// block with the sweep that is nearest to it.
 void keep_own_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
                       std::size_t block);
 
 /// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
-/// Each actor comes from the block whose training frames saw it most often. Corrected
-/// poses come from the block in which the sweep was recorded.
+/// Each actor is copied from the block with the most training frames that saw it.
+/// Corrected poses are copied from the block in which the sweep was recorded.
 /// @param run run with the prepared log and without a scene
-/// @param folders [blocks] run folders of the blocks (save_run())
-/// @throws DataError as load_run()
+/// @param folders [blocks] run folders of the blocks
+/// @throws DataError if a run folder has a missing, truncated or inconsistent file
 void join_blocks(Run& run, const std::vector<Block>& blocks,
                  const std::vector<std::filesystem::path>& folders);
 

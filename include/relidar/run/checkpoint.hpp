@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoints: the complete state of a training, from which it resumes exactly. A
-// checkpoint is a list of named arrays and texts. The class that has the state lists it
-// once, in a function used with both StateWriter and StateReader.
+// Checkpoint files. A checkpoint is the complete state of a training, from which training
+// resumes exactly. It is a list of named arrays and texts. Each class lists its state in
+// one function, which is used for both writing and reading.
 //
 // A checkpoint is stored as a safetensors file, which is written atomically. Its metadata
 // contain the texts and the keys format, version, relidar (version of the writer),
@@ -31,13 +31,13 @@ struct Checkpoint {
     std::map<std::string, std::string> texts;
     std::vector<NamedArray> arrays;
 
-    /// Returns the array or text with this name.
-    /// @throws DataError if it does not exist
+    /// Returns the array or the text with this name.
+    /// @throws DataError if the name does not exist
     const NamedArray& array(const std::string& name) const;
     const std::string& text(const std::string& name) const;
 };
 
-/// Returns numpy's name of a number type.
+/// Returns the name of a number type in numpy, for example "f4" for float.
 template <class T>
 constexpr const char* dtype_of() {
     static_assert(std::is_arithmetic_v<T> && (sizeof(T) == 4 || sizeof(T) == 8));
@@ -46,20 +46,20 @@ constexpr const char* dtype_of() {
     else return sizeof(T) == 4 ? "u4" : "u8";
 }
 
-/// Reference to the first n values of a device array, which may be larger.
+/// Refers to the first n values of a device array, which may have more values.
 template <class T>
 struct FirstOf {
     Array<T>& array;
     std::size_t n;
 };
 
-/// Copies state into a checkpoint, with one call per array or number. No running work may
-/// use the device arrays.
+/// Copies the state of a training into a checkpoint, with one call per array or number.
+/// No submitted GPU work may use the device arrays during a call.
 class StateWriter {
 public:
     explicit StateWriter(Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
 
-    /// Stores a number, an array on the host [n] or an array on the device [n].
+    /// Stores a number, a host array [n] or a device array [n] under a name.
     template <class T>
     void operator()(const std::string& name, const T& value) requires std::is_arithmetic_v<T> {
         put(name, dtype_of<T>(), {}, &value);
@@ -76,25 +76,26 @@ public:
     void operator()(const std::string& name, const FirstOf<T>& first) {
         (*this)(name, first.array.download(first.n));
     }
-    /// Stores one array per parameter group: name/mean [n,3] and so on.
+    /// Stores one array per parameter group, for example name/mean, [n,3].
     void operator()(const std::string& name, const SurfelArrays& surfels);
 
 private:
     Checkpoint& checkpoint_;
 
-    /// Copies the values into the checkpoint.
+    /// Copies the values of an array into the checkpoint.
     void put(const std::string& name, const char* dtype, std::vector<std::size_t> shape, const void* values);
 };
 
-/// Copies state back from a checkpoint, with the same calls as the writer. Host vectors
-/// are resized to the stored length; device arrays must have the right length already.
-/// @throws DataError if an array is missing or has the wrong shape; the message names the
-/// array
+/// Copies the state of a training back from a checkpoint, with the same calls as
+/// StateWriter. Host vectors are resized to the stored length. Device arrays must already
+/// have the right length.
+/// @throws DataError if an array is missing or has the wrong shape. The message names the
+/// array.
 class StateReader {
 public:
     explicit StateReader(const Checkpoint& checkpoint) : checkpoint_(checkpoint) {}
 
-    /// Restores a number, an array on the host [n] or an array on the device [n].
+    /// Restores a number, a host array [n] or a device array [n] from the checkpoint.
     template <class T>
     void operator()(const std::string& name, T& value) const requires std::is_arithmetic_v<T> {
         copy(find(name, dtype_of<T>(), {}), &value);
@@ -119,15 +120,15 @@ public:
         surfels.upload(surfels_of(name, surfels.n));
     }
 
-    /// Returns the stored surfels on the host, for any number of surfels.
+    /// Returns the stored surfels as host arrays. Any number of surfels is accepted.
     Surfels surfels(const std::string& name) const;
 
 private:
     const Checkpoint& checkpoint_;
 
-    /// Helpers that return an array of the given type and shape, an array of the given
-    /// type and any length, or the arrays of n surfels. copy() copies all bytes of an
-    /// array.
+    /// Returns an array after checking its type and shape. find_rows() accepts any
+    /// length. surfels_of() returns the arrays of n surfels. copy() copies all bytes of
+    /// an array.
     const NamedArray& find(const std::string& name, const char* dtype,
                            const std::vector<std::size_t>& shape) const;
     const NamedArray& find_rows(const std::string& name, const char* dtype) const;
@@ -136,13 +137,13 @@ private:
 };
 
 /// Checks that all stored numbers are finite.
-/// @throws DataError naming array and row of the first number that is not finite
+/// @throws DataError naming the array and row of the first number that is not finite
 void check_finite(const Checkpoint& checkpoint);
 
-/// Writes a checkpoint file atomically.
+/// Writes a checkpoint file. The file appears only when it is complete.
 /// @throws DataError if the file cannot be written
 void write_checkpoint(const std::filesystem::path& path, const Checkpoint& checkpoint);
-/// Reads a checkpoint file and checks format, version, sizes, checksum and that all
+/// Reads a checkpoint file. Checks its format, version, sizes and checksum, and that all
 /// values are finite.
 /// @throws DataError with the reason if a check fails
 Checkpoint read_checkpoint(const std::filesystem::path& path);
@@ -152,17 +153,17 @@ Checkpoint read_checkpoint(const std::filesystem::path& path);
 std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path& folder);
 /// Writes a checkpoint into a folder, which is created if needed. Then removes older
 /// checkpoints, so that at most `keep` remain. Also removes checkpoints of later
-/// iterations, which belong to an abandoned training. Removes files only after the new
-/// checkpoint is on disk.
-/// @throws DataError as write_checkpoint()
+/// iterations, because they belong to an abandoned training. Files are removed only after
+/// the new checkpoint is on disk.
+/// @throws DataError if the file cannot be written
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep);
 /// Loads the newest readable checkpoint of a folder.
-/// @param note callback for one line about each unreadable checkpoint
+/// @param note function that receives one line of text about each unreadable checkpoint
 /// @return nullopt if there is no checkpoint
 /// @throws DataError if there are checkpoints but none is readable
 std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& folder,
                                                  const std::function<void(const std::string&)>& note);
-/// Removes all checkpoints of a folder. Removes the folder if it is then empty.
+/// Removes all checkpoints of a folder. Also removes the folder if it has no other files.
 void remove_checkpoints(const std::filesystem::path& folder);
 
 }  // namespace relidar

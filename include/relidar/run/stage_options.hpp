@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derives options for ray tracing and gradient summation from the settings of a run.
+// Converts the settings of a run to options for ray tracing and for the summation of
+// gradients.
 #pragma once
 
 #include <relidar/diff/backward.hpp>
@@ -9,18 +10,18 @@
 
 namespace relidar {
 
-/// Returns the settings with a definite dataset.max_range_m: 0 is replaced by the largest
-/// range limit of the log's LiDARs.
+/// Returns the settings with a maximum range. If dataset.max_range_m is 0, it is replaced
+/// by the largest range limit of the log's LiDARs.
 Config with_farthest(Config config, const Sequence& sequence);
-/// Returns the options for ray tracing that do not depend on the device.
+/// Returns the options for ray tracing that are the same on every device.
 TraceOptions trace_options(const Config& config);
-/// Returns the options for ray tracing during training, including outputs that the losses
-/// need.
+/// Returns the options for ray tracing during training. They include outputs that only
+/// losses need.
 TraceOptions training_trace_options(const Config& config);
-/// Returns the options for ray tracing when scans are rendered, including normals and the
-/// heaviest surface.
+/// Returns the options for ray tracing when scans are rendered. They enable normals and
+/// the surface with the largest weight.
 TraceOptions rendering_trace_options(const Config& config);
-/// Returns the options for the summation of gradients.
+/// Returns the options for the summation of gradients in the backward pass.
 BackwardOptions backward_options(const Config& config);
 
 }  // namespace relidar

@@ -1,19 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
-// List of all primitives, one line each, read by C++ and GLSL. It defines Primitive and
-// kPrimitives (relidar/scene/scene.hpp), the values of `image.primitive`, the metadata of
-// models and checkpoints, and the constant PRIMITIVE of kernels.
+// List of all primitives, one per line. C++ and GLSL generate the enum Primitive, the
+// values of `image.primitive`, the metadata of model files and the kernel constant
+// PRIMITIVE from this list.
 #ifndef RELIDAR_INCLUDED_SCENE_PRIMITIVES_H
 #define RELIDAR_INCLUDED_SCENE_PRIMITIVES_H
 
 /// PRIMITIVE(number in kernels, name in files and settings, plural name, third scale,
-/// normals, proxy)
+/// normals, proxy) describes one primitive.
 ///
-///   third scale  has a parameter log_scale_w, the standard deviation along the third axis;
-///                densification also samples and moves along this axis
-///   normals      the third axis is the normal of a surface
+///   third scale  true if it has a parameter log_scale_w, the standard deviation along the
+///                third axis. Densification then also samples and moves along this axis.
+///   normals      true if the third axis is the normal of a surface
 ///   proxy        triangle mesh in a driver's acceleration structure: rectangle or icosahedron
 ///
-/// Kernels that branch on PRIMITIVE define the intersection with a ray.
+/// Kernels that branch on PRIMITIVE compute the intersection with a ray.
 #define RELIDAR_PRIMITIVES(PRIMITIVE)                        \
     PRIMITIVE(0u, surfel, "surfels", false, true, rectangle) \
     PRIMITIVE(1u, gaussian, "3D Gaussians", true, false, icosahedron)

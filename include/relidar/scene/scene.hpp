@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A scene of 2D Gaussians (surfels): one model for the background and one per actor.
+// Scene of 2D Gaussians (surfels). It has one model for the background and one per actor.
 // Instances place the models in the world (Eq. 1, 4, 5). A scene may use 3D Gaussians
 // instead, which have a third scale. Comments about surfels also apply to 3D Gaussians.
 #pragma once
@@ -23,21 +23,22 @@
 
 namespace relidar {
 
-/// Coefficients of the real spherical harmonics (SH) basis of degree 3.
+/// Number of coefficients of the real spherical harmonics (SH) basis of degree 3.
 inline constexpr int kShCoefficients = 16;
-inline constexpr int kShChannels = 3;  ///< SH channels: intensity, hit logit, drop logit.
+inline constexpr int kShChannels = 3;  ///< Number of SH channels: intensity, hit logit, drop logit.
 inline constexpr int kShFloats = kShChannels * kShCoefficients;
 
-/// Primitive of a scene: surfels or 3D Gaussians (docs/method.md section 2). kPrimitives
-/// lists the properties of each.
+/// Type of Gaussian that a scene consists of: surfels or 3D Gaussians (docs/method.md
+/// section 2).
 enum class Primitive {
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) name = number,
-    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // One enumerator per primitive.
+    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Declares one enumerator per primitive.
 #undef RELIDAR_PRIMITIVE
 };
 
-/// Triangle mesh that represents a primitive in a driver's acceleration structure: two
-/// triangles in the plane of a surfel, or twenty triangles around an ellipsoid.
+/// Triangle mesh that encloses a primitive in a driver's acceleration structure.
+/// `rectangle` is two triangles in the plane of a surfel. `icosahedron` is twenty
+/// triangles around an ellipsoid.
 enum class ProxyMesh { rectangle, icosahedron };
 
 /// Properties of a primitive. RELIDAR_PRIMITIVES explains each field.
@@ -53,7 +54,7 @@ struct PrimitiveKind {
 inline constexpr std::array kPrimitives{
 #define RELIDAR_PRIMITIVE(number, name, label, third_scale, normals, proxy) \
     PrimitiveKind{Primitive::name, #name, label, third_scale, normals, ProxyMesh::proxy},
-    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // One row per primitive.
+    RELIDAR_PRIMITIVES(RELIDAR_PRIMITIVE)  // Adds one row per primitive.
 #undef RELIDAR_PRIMITIVE
 };
 /// Returns the properties of a primitive.
@@ -61,29 +62,32 @@ constexpr const PrimitiveKind& kind_of(Primitive primitive) {
     return kPrimitives[static_cast<std::size_t>(primitive)];
 }
 
-/// Motion of a surfel of a walking actor with the gait phase p, in turns
-/// (InstancePose::phase, docs/method.md M14):
+/// Periodic motion of a surfel on a walking actor. p is the gait phase of the actor,
+/// where 1 is a full gait cycle (InstancePose::phase, docs/method.md M14):
 ///
 ///   opacity exp(sharpness^2 (cos 2 pi (p - phase) - 1)),   mean + swing sin 2 pi (p - phase)
 ///
 /// If all fields are zero, the surfel is always visible and does not move.
 struct Gait {
-    float phase = 0.0f;  ///< Phase at which the surfel is most opaque and at its mean position, in turns.
-    /// Sharpness of the visibility over the gait phase; 0 = visible at every phase.
+    /// Gait phase at which the surfel is most opaque and at its mean position. 1 = a full
+    /// gait cycle.
+    float phase = 0.0f;
+    /// Determines how quickly the surfel fades at other gait phases. 0 = visible at every
+    /// phase.
     float sharpness = 0.0f;
-    glm::vec3 swing{0.0f};  ///< Amplitude of the motion: [3] metres, model frame.
+    glm::vec3 swing{0.0f};  ///< Amplitude of the motion, [3] metres, model frame.
 };
 
-/// Set of parameters that each surfel of a scene has.
+/// Selects the parameters that the surfels of a scene have.
 struct ParameterSet {
     Primitive primitive;
-    bool bends;  ///< True if surfels also have a gait.
+    bool bends;  ///< True if the surfels also have a gait (walking motion).
     constexpr ParameterSet(Primitive p = Primitive::surfel, bool b = false) : primitive(p), bends(b) {}
     bool operator==(const ParameterSet&) const = default;
 };
 
-/// Surfel parameters as they are stored and optimised, as a structure of arrays. All
-/// parameters are in the frame of the surfel's model.
+/// Surfel parameters in the form in which they are stored and optimised. Each parameter
+/// has one array. All parameters are in the frame of the surfel's model.
 struct Surfels {
     std::vector<glm::vec3> mean;  ///< Centres, [n,3] metres.
     /// Rotations, [n,4] quaternions w, x, y, z, unnormalised. The columns of the rotation
@@ -91,49 +95,49 @@ struct Surfels {
     std::vector<glm::vec4> rotation;
     std::vector<glm::vec2> log_scale;  ///< Standard deviations along a_u and a_v, [n,2] ln metres.
     std::vector<float> opacity_logit;  ///< Logits of the opacities, [n].
-    /// SH coefficients, [n,3,16], channel-major: value = 0.5 + basis(direction) .
-    /// coefficients.
+    /// SH coefficients, [n,3,16], channel by channel. The value of a channel is 0.5 +
+    /// basis(direction) . coefficients.
     std::vector<float> sh;
-    /// Standard deviations along the third axis, [n] ln metres. Empty for primitives
-    /// without a third scale.
+    /// Standard deviations along the third axis, [n] ln metres. Empty for surfels, which
+    /// have only two axes.
     std::vector<float> log_scale_w;
-    std::vector<Gait> gait;  ///< Gaits, [n] if any surfel bends; otherwise empty.
+    std::vector<Gait> gait;  ///< Walking motions, [n] if `bends` is true, otherwise empty.
     Primitive primitive = Primitive::surfel;
-    bool bends = false;  ///< True if the surfels have a gait.
+    bool bends = false;  ///< True if the surfels have a gait (walking motion).
 
     std::size_t size() const { return mean.size(); }
     ParameterSet parameters() const { return {primitive, bends}; }
     void resize(std::size_t n) { resize(n, parameters()); }
     void resize(std::size_t n, ParameterSet of);
-    void add_gait();  ///< Adds a gait without motion to every surfel that has no gait.
-    /// Appends the surfels of another set. An empty set adopts the primitive of the other
-    /// set. If only one set has a gait, the surfels of the other set get a gait without
-    /// motion.
+    void add_gait();  ///< Adds a gait without motion to all surfels if they have no gait.
+    /// Appends the surfels of another set. An empty set first adopts the primitive of the
+    /// other set. If only one set has a gait, the surfels of the other set get a gait
+    /// without motion.
     /// @throws DataError if the primitives differ
     void append(const Surfels& other);
     /// Returns a reordered copy: surfel i of the result is surfel order[i] of this set.
     Surfels permuted(const std::vector<std::uint32_t>& order) const;
     /// Returns a copy of surfels first ... first + count - 1.
     Surfels slice(std::size_t first, std::size_t count) const;
-    /// Checks the lengths of all arrays.
+    /// Checks that all arrays have the same number of surfels.
     /// @throws DataError if the lengths of the arrays disagree
     void check_shapes() const;
 };
 
-/// Changes the primitive of surfels. If the new primitive has a third scale, it is set to
-/// `thickness` times the geometric mean of the two scales in the plane.
+/// Converts surfels to another primitive. A new third scale is set to `thickness` times
+/// the geometric mean of the two scales in the plane.
 void make_primitive(Surfels& surfels, Primitive primitive, double thickness);
 
-/// Contiguous range of the surfels of a scene that share one frame.
+/// Contiguous range of the scene's surfels that share one coordinate frame.
 struct Model {
     std::string name;  ///< Name of the model: "background" or the track id.
     std::uint32_t first = 0;
     std::uint32_t count = 0;
-    /// Half size of the box around the origin that contains the model's surfels, model
-    /// frame; 0 = unbounded.
+    /// Half size of the box around the origin that contains the model's surfels, metres,
+    /// model frame. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Distance walked in one turn of the gait (two steps of a person), metres; 0 = the
-    /// model is rigid.
+    /// Distance walked in one gait cycle (two steps of a person), metres. 0 = the model
+    /// is rigid.
     float stride_m = 0.0f;
 };
 
@@ -141,13 +145,13 @@ struct Model {
 /// pose.
 struct Instance {
     std::uint32_t model = 0;
-    std::string track;  ///< Id of the track that moves the instance; empty for the background.
+    std::string track;  ///< Id of the track that moves the instance. Empty for the background.
 };
 
-/// Part of a background that stays in its file until a sensor comes near. It was trained
-/// on one section of a road.
+/// Part of a background that is trained on one section of a road. It stays in its file
+/// until a sensor is near.
 struct SceneBlock {
-    /// File written by save_model(); the block is the first model in the file.
+    /// File written by save_model(). The block is the first model in the file.
     std::filesystem::path file;
     std::uint32_t count = 0;  ///< Number of surfels in the block.
     /// Corners of the bounding box of the surfels, [3] metres, world frame. The box
@@ -155,14 +159,15 @@ struct SceneBlock {
     glm::vec3 low_m{0.0f};
     glm::vec3 high_m{0.0f};
 
-    /// Returns the distance from a point in the world frame to the box; 0 inside the box.
+    /// Returns the distance from a point in the world frame to the box. Returns 0 inside
+    /// the box.
     double distance_m(const glm::dvec3& point_m) const {
         return glm::distance(point_m, glm::clamp(point_m, glm::dvec3(low_m), glm::dvec3(high_m)));
     }
 };
 
-/// Renderable scene: surfels, models, instances that place the models in the world, and
-/// drop probabilities of the sensor.
+/// Scene that can be rendered. It contains surfels, models, instances that place the
+/// models in the world, and drop probabilities of the sensor.
 struct Scene {
     Surfels surfels;
     std::vector<Model> models;
@@ -170,60 +175,62 @@ struct Scene {
     /// Drop probabilities of the log's LiDARs, one row per beam (Sequence::beam_number).
     /// Empty if they were not estimated.
     DropTable sensor_drop;
-    /// Background blocks in files, in addition to the surfels of model 0. If there are no
-    /// blocks, the background is completely in memory.
+    /// Background blocks in files, in addition to the surfels of model 0. Empty if the
+    /// complete background is in memory.
     std::vector<SceneBlock> blocks = {};
 };
 
-/// Returns the number of surfels of a scene, including the surfels of its blocks.
+/// Returns the number of surfels of a scene, including background blocks that are still
+/// in files.
 std::size_t count_surfels(const Scene& scene);
 
-/// Scene with the log whose box tracks place its instances. An instance has the name of
-/// its track. The scans of the log are not used.
+/// Scene together with the log that contains the track of each instance. An instance has
+/// the name of its track. The scans of the log are not used.
 struct DrivingScene {
     Scene scene;
     Sequence sequence;
 };
 
-/// Returns a scene with one model, the background, and one instance.
+/// Returns a scene that has only a background model and its instance.
 Scene make_background_scene(Surfels surfels);
-/// Returns a copy of the scene with another background and without blocks. The new
-/// background is sorted in kd order.
+/// Returns a copy of the scene in which another background replaces the old one and all
+/// blocks. The new background is sorted in kd-tree order.
 Scene with_background(const Scene& scene, const Surfels& background);
-/// Appends a model of another scene with its surfels.
+/// Copies a model and its surfels from another scene to the end of this scene.
 /// @return index of the new model
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
-/// Returns the same scene with a separate model for every instance. The surfels of a
-/// model with n instances are copied n - 1 times.
+/// Returns the same scene with a separate model for every instance. If n instances share
+/// a model, its surfels are copied n - 1 times.
 Scene own_models(Scene scene);
 /// Selects instances by name: "background", "actors" (all except the background), or a
 /// track id.
 /// @return [instances] true for each selected instance
-/// @throws UsageError for an unknown name; the message suggests the most similar name
+/// @throws UsageError for an unknown name. The message suggests the most similar name.
 std::vector<bool> select_instances(const Scene& scene, const std::vector<std::string>& names);
 
-/// Direction in which spherical harmonics are evaluated: along each ray, or from the
-/// sensor to each surfel's mean.
+/// Direction in which spherical harmonics are evaluated. `ray`: along each ray. `surfel`:
+/// from the sensor to each surfel's mean.
 enum class ShDirection { ray, surfel };
 
 /// Constants of the image formation model (docs/method.md sections 2-3).
 struct ImageModel {
-    float near_m = 0.2f;              ///< Nearest range at which a surfel is hit, metres.
-    float alpha_min = 1.0f / 255.0f;  ///< Smallest alpha; surfels with a smaller alpha are skipped.
-    float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero where alpha is clamped.
-    /// Minimum transmittance T. A surfel that would reduce T below it is not blended and
-    /// ends the ray.
+    float near_m = 0.2f;              ///< Minimum range at which a ray can hit a surfel, metres.
+    float alpha_min = 1.0f / 255.0f;  ///< Minimum alpha of a hit. Hits with a smaller alpha are skipped.
+    float alpha_max = 0.99f;          ///< Upper bound of alpha. The gradient is zero if alpha is clamped.
+    /// Minimum transmittance of a ray. The ray ends before a surfel that would reduce its
+    /// transmittance below this value.
     float transmittance_min = 1e-4f;
     int sh_degree = 3;  ///< Active SH degree, 0..3.
     ShDirection sh_direction = ShDirection::ray;
-    /// If true, hit logits are 0 and have no gradient, so that M6 is a sigmoid of the
-    /// drop logit (ablation).
+    /// If true, hit logits are 0 and have no gradient. The drop probability (M6) is then
+    /// a sigmoid of the drop logit (ablation).
     bool single_drop_logit = false;
     Primitive primitive = Primitive::surfel;  ///< Primitive of the scene (ablation).
     bool operator==(const ImageModel&) const = default;
 };
 
-/// Kind of a labelled object, independent of the class names of its dataset.
+/// Kind of a labelled object. Kinds are the same for all datasets, although datasets have
+/// different class names.
 enum class ObjectKind {
     vehicle,  ///< Vehicle on more than two wheels or on rails, or a trailer.
     cyclist,  ///< Two-wheeler with or without a rider, or a rider.
@@ -237,174 +244,177 @@ ObjectKind object_kind(std::string_view category);
 /// "other".
 const char* name_of(ObjectKind kind);
 
-/// Treatment of moving objects without a label. `background`: they are part of the
-/// background. `removed`: points that other training frames see through are left out.
-/// `actors`: like `removed`, and objects that are observed long enough become actors with
-/// a track (discover_tracks()).
+/// Treatment of moving objects without a label. `background`: their points are part of
+/// the background. `removed`: points are removed if rays of other training frames pass
+/// through them. `actors`: like `removed`, and objects that are observed long enough
+/// become actors.
 enum class UnlabelledMovers { background, removed, actors };
 
-/// Options for the initialisation of a scene from a log.
+/// Options for creating the initial scene from a log.
 struct InitialiseOptions {
-    /// Edge length of the voxels in which points of all training frames are averaged,
-    /// metres.
+    /// Edge length of voxels, metres. The points of all training frames in a voxel are
+    /// averaged.
     double voxel_m = 0.15;
-    /// Growth of the voxel edge with the distance to the nearest sensor position, as a
-    /// share of that distance (0 = paper).
+    /// Increase of the voxel edge per metre of distance to the nearest sensor position. 0
+    /// = constant edge length (paper).
     double voxel_growth = 0.0;
-    /// If true, surfel normals come from the k nearest neighbours; otherwise orientations
-    /// are random (ablation).
+    /// If true, surfel normals are estimated from the nearest neighbours. If false,
+    /// orientations are random (ablation).
     bool normals = true;
     int normal_neighbours = 6;
-    /// Flatness threshold: a point lies on a surface if the variance of its neighbours
-    /// across the surface is less than this share of the smaller variance within the
-    /// surface. Discs on a surface are moved onto the plane of their neighbours. Other
-    /// discs (leaves, wires, corners) face the sensor. With 1, all discs keep the
+    /// Flatness threshold. A point lies on a surface if the variance of its neighbours
+    /// across the surface is less than this fraction of the smaller variance within the
+    /// surface. Surfels on a surface are moved onto the plane of their neighbours. Other
+    /// surfels (leaves, wires, corners) face the sensor. With 1, all surfels keep the
     /// position and normal of their points (paper).
     double flatness = 1.0;
     double opacity = 0.1;
-    /// Hit logit minus drop logit of new surfels; the mean of the two logits is 0.5. A
-    /// surface starts with a drop probability of 1 / (1 + exp(hit_margin)) (M6).
+    /// Hit logit minus drop logit of new surfels. The mean of the two logits is 0.5. The
+    /// initial drop probability of a surface is 1 / (1 + exp(hit_margin)) (M6).
     double hit_margin = 1.0;
-    /// If true, hit logits start at 0 and drop logits at the negative hit_margin
+    /// If true, hit logits start at 0 and drop logits start at -hit_margin
     /// (ImageModel::single_drop_logit).
     bool one_logit = false;
-    /// Upper bound of the initial standard deviations, metres. Does not limit discs that
-    /// reach across gaps (max_gap_m).
+    /// Upper bound of the initial standard deviations, metres. It does not apply to
+    /// surfels that cover gaps between scan lines (max_gap_m).
     double max_scale_m = 1000.0;
     /// Initial standard deviation, relative to the mean distance to the 3 nearest
     /// neighbours.
     double scale_factor = 1.0;
-    /// Largest gap between scan lines that discs on a surface may cover, metres. A disc
-    /// covers a gap if the gap is much wider than the distance between points on its own
-    /// scan line. 0 = discs are round (paper).
+    /// Largest gap between scan lines that a surfel may cover, metres. A surfel covers a
+    /// gap that is much wider than the point distance along its scan line. 0 = all
+    /// surfels are round (paper).
     double max_gap_m = 0.0;
     /// Initial scale of 3D Gaussians along the normal, relative to the scale in the
     /// plane. 1 = spheres, as in 3D Gaussian splatting.
     double thickness = 1.0;
     bool second_returns = false;  ///< If true, second returns of the log also become surfels.
-    /// Treatment of moving objects without a label; the default is the paper's.
+    /// Treatment of moving objects without a label. The default is the paper's.
     UnlabelledMovers unlabelled_movers = UnlabelledMovers::background;
-    /// Comma-separated kinds (object_kind()) or classes of the moving boxes that become
-    /// actors; all = every class, empty = none.
+    /// Comma-separated kinds (object_kind()) or class names of the moving boxes that
+    /// become actors. all = every class. Empty = none.
     std::string actor_classes = "all";
     /// If true, moving boxes of other classes are excluded from training. If false, they
     /// belong to the background (paper).
     bool mask_others = true;
-    /// Comma-separated track ids that become actors, regardless of class and motion;
-    /// empty = select by class.
+    /// Comma-separated track ids that become actors, regardless of class and motion.
+    /// Empty = select actors by class.
     std::string actor_tracks;
-    /// Comma-separated kinds or classes of the actors that may get a walking gait, if
-    /// their points show one; empty = none (paper).
+    /// Comma-separated kinds or class names of actors that may get a walking motion if
+    /// their points show one. Empty = none (paper).
     std::string deform = "person,cyclist";
     int actor_points = 8000;  ///< Maximum number of surfels per actor.
-    /// Number of surfels up to which smaller actors are filled with random points in
-    /// their box; 0 = off (paper: 8000).
+    /// Minimum number of surfels per actor. Random points in the box fill up smaller
+    /// actors. 0 = off (paper: 8000).
     int actor_pad_to = 0;
     /// Minimum number of points in a box that becomes an actor. A box with fewer points
-    /// is masked.
+    /// is excluded from training.
     int actor_min_points = 20;
-    std::uint64_t seed = 1;  ///< Seed for random orientations and points. Training uses train.seed.
+    /// Seed for random orientations and points. Training uses train.seed instead.
+    std::uint64_t seed = 1;
     bool operator==(const InitialiseOptions&) const = default;
 };
 
-/// Pose of an instance, or its absence.
+/// Pose and motion of an instance during a sweep. An instance may be absent.
 struct InstancePose {
     Pose world_from_model;
     bool present = true;
-    double time_s = 0.0;  ///< Time at which the track is at world_from_model; set by place_instances().
-    double phase = 0.0;   ///< Phase of the model's gait, in turns.
+    /// Time at which the track has the pose world_from_model. place_instances() sets it.
+    double time_s = 0.0;
+    double phase = 0.0;   ///< Phase of the model's walking motion. 1 = a full gait cycle.
     PoseMotion motion{};  ///< Motion during the sweep, relative to world_from_model.
 };
 
 /// Finds moving objects without a label. Groups returns of training frames, within 40 m,
-/// that other frames see through. Links the groups over time and fits upright boxes of
-/// constant size, with x along a smooth path. A box is kept if it is seen in 6 frames,
-/// moves 0.6 m and 0.9 of its size, and is not part of the sensor's vehicle. If only one
-/// side was seen, the box size is a guess (size_guess).
+/// at places through which rays of other frames pass. Links the groups over time and fits
+/// upright boxes of constant size, with x along a smooth path. Keeps a box if it is seen
+/// in 6 frames, moves 0.6 m and 0.9 of its size, and is not part of the sensor's vehicle.
+/// If only one side was seen, the box size is a guess (size_guess).
 ///
-/// If a moving object has a label for part of the time, the result is the labelled box
-/// with its id, class and size. It has additional poses before and after the labels
-/// (n_before, n_after) and replaces the labelled box. Other boxes are named mover-0,
-/// mover-1, ... All processes of a group get the same result. Each LiDAR is processed
-/// separately. If several LiDARs saw an object, the first track is kept, unless another
-/// track is more than 1.5 times as long.
+/// If a moving object has a label for part of the time, the result keeps its id, class
+/// and size. The box gets additional poses before and after the labels (n_before,
+/// n_after) and replaces the labelled box. Other boxes are named mover-0, mover-1, ...
+/// All processes of a group get the same result. Each LiDAR is processed separately. If
+/// several LiDARs saw an object, the first track is kept, unless another track is more
+/// than 1.5 times as long.
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress = {}, const ProcessGroup& group = {});
 
-/// Returns the boxes whose points and rays do not belong to the background: boxes that
-/// move (BoxTrack::moves) and the tracks listed in actor_tracks.
+/// Returns the boxes whose points and rays do not belong to the background. These are
+/// moving boxes (BoxTrack::moves) and the tracks listed in actor_tracks.
 /// @throws DataError for a box without a size or with a pose that is not finite
 /// @throws UsageError for an unknown track
 std::vector<BoxTrack> separate_boxes(const Sequence& sequence, const InitialiseOptions& options);
 
 /// Creates the background surfels from the training frames of a log, in the recentred
-/// world frame. The surfels are in kd order (recursive object median along the longest
-/// axis), because software BVH builders without sorting need it.
+/// world frame. The surfels are sorted by recursive median splits along the longest axis
+/// (kd-tree order), because software BVH builders without sorting need this order.
 /// @throws DataError if no training frame has a usable point
 Surfels initialise_background(const Sequence& sequence, const std::vector<int>& train_positions,
                               const InitialiseOptions& options, const Progress& progress = {});
 
 /// Creates the background, and one model and instance per actor, in the frame of the
 /// actor's box (Eq. 4-5). Actors are moving boxes of the selected classes, or the
-/// selected tracks. A point that lies in two boxes belongs to both models. Uses points of
-/// training frames only.
-/// @param notes output: each actor of InitialiseOptions::deform, with its stride or the
-/// reason why it is rigid
-/// @throws DataError as initialise_background()
+/// selected tracks. A point in two boxes belongs to both models. Uses only points of
+/// training frames.
+/// @param notes output: for each possible walker (InitialiseOptions::deform), its stride
+/// or the reason why it is rigid
+/// @throws DataError if no training frame has a usable point
 Scene initialise_scene(const Sequence& sequence, const std::vector<int>& train_positions,
                        const InitialiseOptions& options, const Progress& progress = {},
                        std::vector<std::string>* notes = nullptr);
 
-/// Returns the boxes that separate_boxes() removes from the background but that have no
-/// instance: their class is not selected, or they have too few points. Rays through these
-/// boxes are not used in training, and renderings lack their returns.
+/// Returns the boxes that are removed from the background but have no instance. Their
+/// class is not selected, or they have too few points. Rays through these boxes are not
+/// used in training, and renderings lack their returns.
 std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
                                    const InitialiseOptions& options);
-/// Returns the boxes of separate_boxes() whose class or track is not selected as an
-/// actor. Does not need a scene.
+/// Returns the boxes that are removed from the background because they move, but are not
+/// selected as actors. Does not need a scene.
 std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options);
-/// Lists tracks and classes of boxes, at most eight by name: "3 (Pedestrian), 7 (Tram)".
+/// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
 std::string names_of(const std::vector<BoxTrack>& boxes);
 
-/// Computes poses and motions of all instances in a sweep (pose_in_sweep()). A box is
-/// absent before its first and after its last label.
+/// Computes poses and motions of all instances in a sweep from the log. A box is absent
+/// before its first and after its last label.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep);
 
 /// Tracks of actors by name. Poses are box centres in relidar's world frame, interpolated
-/// like PoseTrack::at(). Other actors are absent.
+/// over time. Actors without an entry are absent.
 using ActorPoses = std::map<std::string, PoseTrack>;
-/// Computes poses and motions of all instances from the caller's actor tracks. The
-/// sequence provides the motion and pose of the sensor.
-/// @throws UsageError for a name that no instance has; the message suggests the most
-/// similar name
+/// Computes poses and motions of all instances in a sweep from the caller's actor tracks.
+/// The sequence provides the motion and pose of the sensor.
+/// @throws UsageError for a name that no instance has. The message suggests the most
+/// similar name.
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep, const ActorPoses& world_from_actor);
 /// Returns all surfels of a scene at one time, in the world frame. Actors are moved to
-/// their poses, bent to their gait phase, and their harmonics are rotated. Absent actors
-/// are left out.
+/// their poses, and their walking motion and harmonics are applied. Absent actors are
+/// left out.
 /// @param placed [instances] pose of each instance
 /// @throws DataError if the number of poses is wrong
 Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed);
 
-/// Sorts points by recursive object median along the longest axis, split at (first +
-/// last) / 2.
+/// Sorts points in kd-tree order, by recursive median splits along the longest axis. The
+/// median of a range is at (first + last) / 2.
 /// @return [n] permutation: position i of the sorted array holds point order[i]
 std::vector<std::uint32_t> kd_order(const std::vector<glm::vec3>& points);
 
-/// Returns the extent of a model in metres; training multiplies extent-relative settings
-/// by it. For an actor it is 4 x the diagonal of its box. Otherwise it is 3 x the 90th
+/// Returns the extent of a model in metres. Training multiplies relative settings by the
+/// extent. For an actor it is 4 x the diagonal of its box. Otherwise it is 3 x the 90th
 /// percentile of 2 |p - centre| over the model's surfels. A model without surfels has
 /// extent 1.
 double model_extent(const Scene& scene, std::size_t model);
-/// Returns the extent of a box, 4 x its diagonal, as model_extent() does.
+/// Returns the extent of a box, 4 x its diagonal, metres.
 /// @param half_size_m [3] half size of the box, metres
 double box_extent(const glm::vec3& half_size_m);
-/// Returns the extent of the background, as model_extent() does.
+/// Returns the extent of the background, metres: 3 x the 90th percentile of 2 |p -
+/// centre|.
 double background_extent(const Scene& scene);
 
-/// Returns models, instances, blocks and sensor drop probabilities of a scene, without
-/// its surfels.
+/// Returns a copy of a scene without its surfels. The copy has models, instances, blocks
+/// and sensor drop probabilities.
 Scene layout_of(const Scene& scene);
 
 }  // namespace relidar
