@@ -338,7 +338,7 @@ SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::
                              std::size_t number = 0);
 
 /// End point of a returned ray in the world frame, and the time at which it was measured.
-/// The range offset of the beam and its effect on the intensity are removed.
+/// The range offset and the intensity response of the beam are removed.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
