@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates lines for a scene: a grid on the ground, axes, boxes, a path. Each function
+// Creates lines that are drawn in a scene: a grid on the ground, axes, boxes, a path. Each function
 // returns {position, rgba} for CloudView.setLines().
 import { transform } from './matrix.js';
 
