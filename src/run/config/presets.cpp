@@ -64,13 +64,13 @@ Config standard() {
     // Small surfels give sharp silhouettes, because surfels extend beyond an edge by
     // about their size.
     config.init.voxel_m = 0.1;
-    // Growth of the voxel size per metre of range. It is approximately the spacing of
-    // neighbouring rays.
+    // Growth of the voxel edge, as a share of the distance to the sensor. It is
+    // approximately the spacing of neighbouring rays.
     config.init.voxel_growth = 0.006;
     // With only 6 neighbours, range noise of 2 cm tilts a normal by 0.1 rad.
     config.init.normal_neighbours = 24;
-    // With this limit, discs on leaves and corners face the sensor. This lowers the
-    // Chamfer distance and the range error.
+    // With this threshold, discs that are not on a flat surface (leaves, corners) face
+    // the sensor. This lowers the Chamfer distance and the range error.
     config.init.flatness = 0.04;
     // Moving objects without a label become actors. They are common, because KITTI has
     // labels only in the view of the front camera.
@@ -138,7 +138,7 @@ Config standard() {
     // Uses the measured azimuths of each sweep. Heads rotate unevenly, so this lowers the
     // range error.
     config.render.follow_sweeps = true;
-    // Number of hits that are processed in one pass. Rays stop at low transmittance, so a
+    // Number of hits that are sorted at a time. Rays stop at low transmittance, so a
     // single pass is nearly always enough.
     config.trace.chunk = 64;
     return config;

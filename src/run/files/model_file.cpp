@@ -58,7 +58,7 @@ void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& s
     check_finite(group, surfels, file);
 }
 
-/// Reads the half size of a model's box. If all values are 0, the model has no box.
+/// Reads the half size of a model's box. If all values are 0, the model has no bounds.
 glm::vec3 read_half_size(const JsonField& model) {
     const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
     for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number(0.0, 1e6);

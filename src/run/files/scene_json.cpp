@@ -218,7 +218,8 @@ BoxTrack read_box(const JsonField& field) {
     return box;
 }
 
-/// Reads the list of edits of a scene. The list is missing directly after training.
+/// Reads the list of edits of a scene. A run that was not edited after training has no
+/// such list.
 void read_edits(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i)
         scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
