@@ -28,7 +28,7 @@ enum class ChannelJoin {
     /// Beam: sum over the sub-rays of the strongest return, divided by the number of all
     /// sub-rays. Cell: value of the ray that was selected for the cell.
     intensity,
-    drop,  ///< beam: mean over all sub-rays; cell: minimum over all rays in the cell
+    drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };
 
 /// Description of a channel.

@@ -38,10 +38,11 @@ struct Sweep {
 /// @param points  points with rings
 Sweep even_sweep(const Points& points, const SpinningSensor& sensor);
 
-/// Builds the scan of a spinning LiDAR in the order of a range image (see RayTable), with
-/// one ray for each beam and firing. Each point is assigned to the ray that measured it.
-/// A ray with a return keeps its measured direction and starts at the origin of its beam.
-/// A firing without a point becomes a dropped ray with the direction of the sensor model.
+/// Builds the scan of a spinning LiDAR, with one ray for each beam and firing. The rays
+/// are in the order of a range image (see RayTable). Each point is assigned to the ray
+/// that measured it. A ray with a return keeps its measured direction and starts at the
+/// origin of its beam. A firing without a point becomes a dropped ray with the direction
+/// of the sensor model.
 ///
 /// If two first returns belong to one ray, the second return is moved to a free
 /// neighbouring cell. If no such cell is free, only the nearer point is kept. A point
@@ -78,7 +79,7 @@ void recover_rings(Points& points, const std::vector<Beam>& beams);
 
 /// Model of a spinning LiDAR that was fitted to its points.
 struct FittedSensor {
-    SpinningSensor sensor;  ///< fitted sensor; the reader must set its name and range limits
+    SpinningSensor sensor;  ///< Fitted sensor. The dataset reader must set its name and its range limits.
     /// [highest ring + 1] index of the beam that measured the points of a ring. The value
     /// is kNoBeam if the ring has no points.
     std::vector<std::uint16_t> beam_of_ring;
@@ -133,12 +134,12 @@ struct BoxLabel {
 /// first labels. The first label of a track sets its size and category.
 std::vector<BoxTrack> tracks_of(const std::vector<BoxLabel>& labels);
 
-/// Checks that a log meets the requirements of sequence.hpp:
-/// - The LiDAR indices are valid, and each time has a pose; the times ascend.
-/// - Rays and returns are finite, directions are unit vectors, and all arrays of a scan
-///   have the length of its ray table.
-/// - Boxes are within reach of the vehicle. load_sequence() calls this function for every
-///   reader.
+/// Checks that a log is valid, and throws an error if it is not. load_sequence() calls
+/// this function for every reader. The function checks:
+/// - LiDAR indices are valid, times ascend, and each time has a pose.
+/// - Rays and returns are finite, and directions are unit vectors.
+/// - All arrays of a scan have the length of its ray table.
+/// - Boxes are within reach of the vehicle.
 /// @throws DataError naming the frame or box, the field and the value
 void check_sequence(const Sequence& sequence);
 

@@ -30,7 +30,9 @@ inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.
 struct BagOptions {
-    std::string poses_from = {};  ///< frame or topic of the poses; empty: the reader chooses
+    /// Frame or topic from which poses are read. If the text is empty, the reader chooses
+    /// a topic.
+    std::string poses_from = {};
 };
 
 /// Options that only the reader of Waymo Open uses.
@@ -57,9 +59,10 @@ struct DatasetOptions {
     /// False: all rays of a sweep are treated as if they were fired at the reference time
     /// of the sweep.
     bool rolling_shutter = true;
-    double max_range_m = 80.0;             ///< Returns beyond this range are treated as dropped.
-    double min_range_m = 0.0;              ///< Returns nearer than this range are treated as dropped.
-    std::vector<std::string> lidars = {};  ///< names of the LiDARs to read; empty: all
+    double max_range_m = 80.0;  ///< Returns beyond this range are treated as dropped.
+    double min_range_m = 0.0;   ///< Returns nearer than this range are treated as dropped.
+    /// Names of the LiDARs to read. If the list is empty, all LiDARs are read.
+    std::vector<std::string> lidars = {};
     /// Maximum number of scans to read from each LiDAR, for a preview of a long log. The
     /// scans are spread evenly over the log, and the other frames have no rays. 0: read
     /// all scans. Some logs are always read completely: KITTI, Argoverse 2, Waymo, and

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registration: estimates the poses of the vehicle from the scans alone, so that the same
-// wall has the same position in all scans (docs/method.md section 6).
+// Registration: estimates the poses of the vehicle from the scans alone. With these
+// poses, the same wall has the same position in all scans (docs/method.md section 6).
 #pragma once
 
 #include <functional>
@@ -22,7 +22,7 @@ struct RegisterOptions {
     /// True: the motion from scan to scan is taken from the given poses. False: the
     /// motion is estimated from the scans alone.
     bool given_motion = true;
-    std::vector<BoxTrack> movers;            ///< boxes of moving objects; points inside them are ignored
+    std::vector<BoxTrack> movers;  ///< Boxes of moving objects. Points inside these boxes are ignored.
     double mover_margin_m = kMoverMargin_m;  ///< boxes are enlarged by this margin
     /// Polled before every scan and every round of the adjustment. If the callback
     /// returns true, registration stops and leaves the poses unchanged.
@@ -109,7 +109,7 @@ using SceneView = std::function<std::vector<SeenSurface>(int position, const std
 
 /// Pose of a scan that was aligned with a scene.
 struct ScanPlacement {
-    Pose world_from_vehicle;  ///< aligned pose; the original pose if the alignment failed
+    Pose world_from_vehicle;  ///< Aligned pose. If the alignment failed, this is the original pose.
     double moved_m = 0.0;
     /// Fraction of the scan's points that lie on surfaces of the scene. Computed from a
     /// subset of the points.

@@ -19,11 +19,11 @@ namespace relidar {
 struct RenderedIntensities {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
-    /// Range of the surface with the largest weight along the ray; 0 if the ray hit
+    /// Range of the surface with the largest weight along the ray. 0 if the ray hit
     /// nothing.
     std::vector<float> range_m;
     std::vector<float> spread_m;  ///< result of range_spread()
-    /// Cosine of the angle between ray and surface normal; negative if unknown.
+    /// Cosine of the angle between ray and surface normal. Negative if unknown.
     std::vector<float> cosine;
     std::vector<float> elevation_rad;  ///< Elevation of the ray. It identifies the beam.
 };
@@ -48,10 +48,11 @@ struct IntensityScatter {
         /// Threshold. If the feature is at most this value, the first child is visited
         /// next, otherwise the second child.
         float at = 0.0f;
-        std::int32_t child = 0;              ///< index of the first child; the second child follows it
+        std::int32_t child = 0;  ///< Index of the first child. The second child has the next index.
         std::uint32_t first = 0, count = 0;  ///< range of entries in `values`
     };
-    std::vector<Node> nodes;    ///< nodes, [0] is the root; empty if there is no model
+    /// Nodes of the tree. The first node is the root. Empty if there is no model.
+    std::vector<Node> nodes;
     std::vector<float> values;  ///< measured intensities, leaf by leaf
     /// Quantisation step of the sensor: all intensities of the log are multiples of this
     /// step. 0 if the intensities are not quantised.

@@ -20,9 +20,8 @@ namespace relidar {
 
 // Memory for the arrays of rays and scans. A log of 6000 scans needs 30 GB, which is more
 // than most machines have. Arrays beyond a limit are therefore stored in a memory-mapped
-// file, of which the operating system loads only the pages in use. The file is only
-// slightly slower than memory, because scans are written once and then read frame by
-// frame.
+// file. The operating system then loads only the pages in use. The file is only slightly
+// slower than memory, because scans are written once and then read frame by frame.
 
 /// Limits the memory that later arrays of scans may use in this process. Arrays beyond
 /// the limit are stored in an unnamed file, which disappears when the process ends. The
@@ -100,7 +99,8 @@ struct RayTable {
     double divergence_of(std::size_t ray) const {
         return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray];
     }
-    double largest_divergence() const;  ///< largest divergence in the table; 0 if all rays are ideal
+    /// Returns the largest divergence in the table, or 0 if all rays are ideal.
+    double largest_divergence() const;
     /// Appends a ray of another table. All appended rays must come from the same table.
     /// Does not change `rows` and `columns`.
     void append(const RayTable& from, std::size_t ray);
@@ -165,7 +165,7 @@ struct SpinningSensor {
     std::string name;
     std::vector<Beam> beams;  ///< beams, highest first
     int columns = 0;          ///< azimuth steps in a sweep
-    double period_s = 0.1;    ///< duration of a sweep; 0: the sensor does not spin
+    double period_s = 0.1;    ///< Duration of a sweep. If it is 0, the sensor does not spin.
     bool clockwise = true;    ///< direction of rotation, seen from above
     /// Azimuth of the centre of column 0. If the bins are centred on half steps, use pi -
     /// pi/columns.
@@ -212,7 +212,7 @@ inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 /// blocks some rays. P(drop) = 1 - (1 - P of the scene) (1 - P of the sensor).
 struct DropTable {
     int channels = 0;
-    int bins = 0;  ///< azimuth bins; bin 0 starts at +180 degrees, and the azimuth decreases
+    int bins = 0;  ///< Number of azimuth bins. Bin 0 starts at +180 degrees, and the azimuth decreases.
     std::vector<float> probability;  ///< [channels, bins] drop probability
 
     bool empty() const { return probability.empty(); }
@@ -262,7 +262,8 @@ struct GridImage {
     int columns = 0;
     std::vector<float> range_m;    ///< [rows*columns] 0 in pixels without a point
     std::vector<float> intensity;  ///< [rows*columns] intensity of the nearest point
-    /// [rows*columns] index of the point in the pixel; -1 in pixels without a point.
+    /// [rows*columns] index of the point in the pixel. The index is -1 in pixels without
+    /// a point.
     std::vector<int> source;
 };
 
@@ -310,7 +311,8 @@ struct ScanningWindow {
     double divergence_rad = 0.0;
 };
 
-/// Returns the rays of a scan. Row 0 is the highest; time 0 is the middle of the scan.
+/// Returns the rays of a scan. Row 0 is the highest row. Time 0 is the middle of the
+/// scan.
 /// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
@@ -331,8 +333,9 @@ struct AzimuthSweep {
 
 /// Properties of a scan pattern that are known without generating its rays.
 struct PatternSummary {
-    std::size_t n_rays = 0;         ///< number of rays in a scan
-    double period_s = 0.0;          ///< duration of a scan; 0: given by the time offsets of the rays
+    std::size_t n_rays = 0;  ///< number of rays in a scan
+    /// Duration of a scan. It is 0 if the time offsets of the rays define the duration.
+    double period_s = 0.0;
     bool has_rays_by_time = false;  ///< True if scans at different times have different rays.
     /// Azimuths of the sweep. Empty if the sensor spins or fires in another order.
     std::optional<AzimuthSweep> sweep = {};

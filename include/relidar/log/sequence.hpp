@@ -90,8 +90,10 @@ struct Frame {
     /// `start`.
     double time_s = 0.0;
     Scan scan;
-    int lidar = 0;                         ///< index into Sequence::lidars
-    std::optional<SweepStart> start = {};  ///< result of find_start(); set by load_sequence()
+    int lidar = 0;  ///< index into Sequence::lidars
+    /// Azimuth and time at the start of the sweep, set by load_sequence(). Empty for the
+    /// default start.
+    std::optional<SweepStart> start = {};
     /// [columns] deviation of the head from the nominal azimuth at each firing, in
     /// radians. load_sequence() sets it. Empty if there is no deviation.
     std::vector<float> azimuth_shift_rad = {};
@@ -120,7 +122,7 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
 /// Standard deviation of a sensor's measured ranges, as a table over the range and the
 /// angle of incidence.
 struct RangeNoise {
-    /// upper limits of the bins, ascending; empty if the noise is unknown
+    /// Upper limits of the bins, ascending. Empty if the range noise is unknown.
     std::vector<double> range_m, cosine;
     /// [ranges*cosines] standard deviations along the ray, a row for each range
     std::vector<double> sigma_m;
@@ -133,7 +135,7 @@ struct RangeNoise {
 
 /// A LiDAR of a log.
 struct Lidar {
-    std::string name;  ///< name in the dataset, unique in the log; empty if the log has only one LiDAR
+    std::string name;  ///< Name in the dataset, unique in the log. Empty if the log has only one LiDAR.
     /// Nominal sensor, used to generate rays for frames without a scan. If the LiDAR does
     /// not spin, this sensor has no beams and period 0.
     SpinningSensor sensor;
@@ -223,9 +225,13 @@ struct BoxTrack {
 /// common to all beams of a log. The factor is 1 at 10 m and perpendicular incidence.
 ///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
 struct IntensityResponse {
-    std::vector<double> range_m;  ///< knots, ascending; empty: factor 1 at every range
-    std::vector<double> factor;   ///< [knots] factor, interpolated linearly
-    double incidence = 0.0;       ///< 0: no dependence on the angle of incidence; 1: Lambert's cosine
+    /// Ranges at which the factor is known, ascending. If empty, the factor is 1 at every
+    /// range.
+    std::vector<double> range_m;
+    std::vector<double> factor;  ///< [knots] factor, interpolated linearly
+    /// Strength of the dependence on the angle of incidence: 0 for none, 1 for Lambert's
+    /// cosine law.
+    double incidence = 0.0;
 
     double at_range(double at_m) const;  ///< uses the first or last factor outside the knots
     /// Returns the intensity factor for the cosine of the angle between the ray and the
@@ -327,7 +333,9 @@ double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const Sw
 /// Range and intensity of the surface that a ray hit. The intensity still depends on the
 /// angle of incidence.
 struct SurfaceReturn {
-    float range_m;    ///< range without the range offset of the beam; 0 if the ray was dropped
+    /// Range of the surface, without the range offset of the beam. 0 if the ray was
+    /// dropped.
+    float range_m;
     float intensity;  ///< intensity that the mean beam would measure at a distance of 10 m
 };
 /// Returns the range and intensity of the surface that a ray hit.
@@ -353,7 +361,7 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. Boxes are
 /// interpolated in time and enlarged by margin_m. A box exists from its first to its last
-/// observation, plus half a time step on either side for the other rays of those sweeps.
+/// observation, plus half a time step on either side.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                    double margin_m);
 

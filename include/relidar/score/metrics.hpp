@@ -142,9 +142,9 @@ enum class BoxMotion { stay, follow };
 /// @throws DataError if there is no training frame
 Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes);
 
-/// Assigns points to the rays of a table. Each point is assigned to the ray with the
-/// smallest angle to the point. Each ray keeps its nearest point. Skips points that are
-/// more than half a beam spacing above the highest or below the lowest beam.
+/// Assigns each point to the ray of a table with the smallest angle to the point. Each
+/// ray keeps its nearest point. Skips points that are more than half a beam spacing above
+/// the highest or below the lowest beam.
 /// @return a scan of `rays`, with range_m along the direction of each ray
 /// @throws DataError if the rays are not in image order
 Scan bin_onto_rays(const RayTable& rays, const Scan& points);

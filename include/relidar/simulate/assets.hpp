@@ -48,8 +48,8 @@ public:
     /// Returns true if the patch of a point was observed. Returns false if the point is
     /// on the ignored lowest part of a side.
     bool is_seen(const glm::dvec3& point_m) const;
-    /// Returns true if the patch of a point was not observed, but the mirror patch on the
-    /// other side of the box was observed.
+    /// Returns true if the patch of a point was not observed, but its mirror patch was
+    /// observed. The mirror patch is on the other side of the box.
     bool is_mirrored(const glm::dvec3& point_m) const;
     /// Returns the observed fraction of a side, 0 to 1.
     double seen(BoxSide side) const;
@@ -135,9 +135,9 @@ struct Asset {
     Run run;
 };
 /// Extracts an actor from a run. Removes surfels that are never visible, because they are
-/// too faint to be blended or are outside the box. If a part of a vehicle was hit by no
-/// ray, that part is replaced by the mirror image of the other side, if rays have hit the
-/// other side.
+/// too faint to be blended or are outside the box. Parts of a vehicle that no ray has hit
+/// are replaced by the mirror image of the other side. Such a part is replaced only if
+/// rays have hit the other side.
 /// @param sightings  hits of this actor
 /// @throws UsageError if no instance has this track
 Asset make_asset(const Run& run, const std::string& track, const ActorSightings& sightings);

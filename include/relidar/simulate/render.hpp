@@ -125,8 +125,8 @@ DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& c
 /// @return [3] metres
 glm::dvec3 first_origin(const Sequence& sequence);
 
-/// Returns the rendered intensities of a scan, together with the rendered values from
-/// which random intensities are drawn (range, spread, incidence and elevation).
+/// Returns the rendered intensities of a scan. Also returns the values from which random
+/// intensities are drawn: range, spread, incidence and elevation.
 RenderedIntensities rendered_intensities(const RenderedScan& scan);
 
 /// Replaces a scan of expected values by one random sample. A ray returns with
@@ -159,8 +159,8 @@ struct RaysInWeather {
 
 /// Adds the effects of weather to a scan. Surfaces become darker or are dropped. If fog,
 /// rain, snow or noise causes the return of a ray, the ray gets the range and intensity
-/// of this return. It also gets instance -1, and no values in channels that describe
-/// surfaces. The channel `source` stores the cause of each return; clear air changes
+/// of this return. The ray also gets instance -1, and no values in channels that describe
+/// surfaces. The channel `source` stores the cause of each return. Clear air changes
 /// nothing else. The result depends only on seed and time, not on the number of threads.
 /// @param response intensity that the sensor reports for the same surface as a function
 /// of range
@@ -178,15 +178,15 @@ struct RenderedPoints {
 
 /// The sensor to simulate.
 struct SensorChoice {
-    RayTable rays;  ///< rays of a sweep; empty for a Rosette, whose rays differ in every scan
+    RayTable rays;  ///< Rays of a sweep. Empty for a Rosette, because its rays differ in every scan.
     /// Range grid into which the simulated points are binned after rendering.
     std::optional<RangeGrid> grid = {};
     /// True for a LiDAR of the log. The drop probabilities that the sensor itself causes
     /// then apply.
     bool is_own = false;
     /// True if `rays` are the nominal rays of the log's LiDAR. A scan at the time of a
-    /// recorded sweep then uses the measured azimuths of that sweep, unless a ScanRequest
-    /// sets the poses.
+    /// recorded sweep then uses the measured azimuths of that sweep. This does not apply
+    /// if a ScanRequest sets the poses.
     bool follows_sweeps = false;
     /// Calibration of the beams: range offsets, intensity gains and offsets. If empty,
     /// the measured values are not changed.
@@ -206,9 +206,9 @@ struct SensorChoice {
     bool rolling_shutter = true;
 };
 
-/// Returns true if the sensor fires its rays at different times. This is
-/// SensorChoice::rolling_shutter, unless `sensor.rolling_shutter` is `no`. Without a
-/// rolling shutter, all time offsets of a scan are 0, and all points are in the sensor's
+/// Returns true if the sensor fires its rays at different times. The setting
+/// `sensor.rolling_shutter` = `no` overrides SensorChoice::rolling_shutter. Without a
+/// rolling shutter, all time offsets of a scan are 0. All points are then in the sensor's
 /// frame at the scan's time.
 bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 
@@ -262,9 +262,9 @@ struct ScanRequest {
 
 /// Renders scans of a trained scene. Only one thread may use a renderer, and renderers of
 /// the same device must not be used simultaneously. With ShDirection::surfel, a model
-/// with n instances is stored n times (own_models), because spherical harmonics are
-/// evaluated for the direction from the sensor to each instance. ShDirection::ray needs
-/// only one copy.
+/// with n instances is stored n times (own_models). The reason is that spherical
+/// harmonics are evaluated for the direction from the sensor to each instance.
+/// ShDirection::ray needs only one copy.
 class ScanRenderer {
 public:
     /// Creates a renderer of a scene.
@@ -373,9 +373,9 @@ private:
 /// the same reason.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 
-/// Returns the real image of a frame on the pixels of the configured sensor, so that it
-/// can be compared with a rendering. The native grid returns the scan unchanged. Any
-/// other grid bins the points of the scan.
+/// Returns the real image of a frame with the pixels of the configured sensor. It can be
+/// compared with a rendered image. The native grid returns the scan unchanged. Any other
+/// grid bins the points of the scan.
 RangeImage real_image(const Config& config, const Scan& scan);
 
 }  // namespace relidar

@@ -161,8 +161,8 @@ class ScanFolder {
 public:
     /// Creates the folder if it does not exist. Removes the files of an earlier rendering
     /// from the folder.
-    /// @throws UsageError for an unknown format; the message suggests the most similar
-    /// known format
+    /// @throws UsageError for an unknown format. The message suggests the most similar
+    /// known format.
     /// @throws DataError if the folder cannot be written
     ScanFolder(std::filesystem::path folder, ScanFormat format);
     /// Opens a folder that another process has created for the same rendering. This

@@ -108,7 +108,7 @@ enum class PointSource : std::int32_t {
 
 /// A possible return of a ray.
 struct Echo {
-    double range_m = 0.0;  ///< range along the ray; 0: no return
+    double range_m = 0.0;  ///< Range along the ray. It is 0 if the ray has no return.
     /// Reflectivity of a surface that would return the same power in clear air. For the
     /// return of a surface, the value is in 0..1.
     double reflectivity = 0.0;
@@ -138,8 +138,8 @@ double extinction(const Weather& weather);
 /// @param cosine  cosine of the angle of incidence in air, 0..1
 double mirrored_by_water(double cosine);
 /// Returns the ratio of the light that wet ground and dry ground return to the source
-/// (Lekner and Dorf 1988). Light passes the water surface twice. Total reflection keeps
-/// the light that the ground scatters in the water film until the light leaves or is
+/// (Lekner and Dorf 1988). Light passes the water surface twice. The ground scatters
+/// light, and total reflection keeps a part of it in the water film until it leaves or is
 /// absorbed:
 ///   (1 - F(cosine))^2 / (n^2 (1 - albedo p)),  p = 1 - (1 - mean of F over a diffuse surface's light) / n^2
 /// @param cosine  cosine of the angle of incidence in air, 0..1

@@ -16,8 +16,7 @@ namespace {
 // Maximum distance of a box from the sensor. Boxes farther away have hardly any returns.
 constexpr double kSeen_m = 100.0;
 
-/// Returns the training frames of a block, and the test frames that belong to this block,
-/// in the order of the log.
+/// Returns the training frames and the test frames of a block, in the order of the log.
 std::vector<int> frames_of(const Block& block, const Split& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.own)

@@ -14,8 +14,8 @@ namespace relidar {
 /// @return [frames] metres, world frame
 std::vector<glm::dvec3> frame_places(const Sequence& sequence);
 
-/// Returns true if a box is present at the time of a frame and its distance from the
-/// vehicle is below a limit.
+/// Returns true if a box is present at the time of a frame and is within `metres` of the
+/// vehicle.
 bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres);
 
 }  // namespace relidar

@@ -49,8 +49,8 @@ Config released() {
     return config;
 }
 
-/// Returns the settings with the best results on a real log (KITTI raw 0005; see
-/// docs/results.md). The scene starts with a dense set of smoothed points, so training
+/// Returns the settings with the best results on a real log (KITTI raw 0005,
+/// docs/results.md). The scene starts with a dense set of smoothed points. Training then
 /// refines existing surfaces and needs no densification.
 Config standard() {
     Config config;
@@ -168,8 +168,8 @@ Config quick() {
     config.train.intensity_factor = 0.5;
     config.train.rays_per_iteration = 24576;
     config.train.sh_degree_interval = 180;
-    // Updates only surfels that were hit. This saves up to a sixth of a step on a CPU,
-    // and raises RMSE and Chamfer distance by about 2 % (docs/performance.md).
+    // Updates only surfels that were hit. This saves up to a sixth of a step on a CPU. It
+    // raises RMSE and Chamfer distance by about 2 % (docs/performance.md).
     config.train.only_touched = true;
     config.train.log_every = 20;
     // Smallest network. It is nearly as good as the network "small" and needs a quarter

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures whether an actor has enough surfels. Compares its number of surfels with the
-// number of rays that hit its box when the actor is nearest to a LiDAR.
+// Measures whether an actor has enough surfels. Compares the number of its surfels with
+// the number of rays that hit its box at the shortest distance from a LiDAR.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>

@@ -75,9 +75,9 @@ std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool 
     return blocks;
 }
 
-/// Writes the settings of a run to config.toml. Throws an error if an option that is not
-/// a setting differs from the preset, because the file cannot store this option.
-/// Otherwise the run could not be rendered again in the same way.
+/// Writes the settings of a run to config.toml. Some options are not settings, so the
+/// file cannot store them. Throws an error if such an option differs from the preset,
+/// because the run could not be rendered again in the same way.
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));

@@ -268,8 +268,8 @@ std::string to_scene_json(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Parses the text before it is written, so that values that cannot be read again (for
-    // example a NaN pose) are rejected.
+    // Parses the text before it is written. This rejects values that cannot be read
+    // again, for example a NaN pose.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }

@@ -50,7 +50,7 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
 }
 
 /// Converts a point from the world frame to the sensor frame, at the time in the sweep at
-/// which the LiDAR's head faces the point.
+/// which the LiDAR faces the point.
 glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;

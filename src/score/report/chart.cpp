@@ -115,8 +115,8 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
     return axis;
 }
 
-/// Returns the indices of the points to draw. At most two points are kept for each
-/// interval of the x axis, the minimum and the maximum, so that spikes remain visible.
+/// Returns the indices of the points to draw. Each interval of the x axis keeps at most
+/// two points. They are the minimum and the maximum, so that spikes remain visible.
 /// Points that are not finite become gaps.
 std::vector<std::size_t> thinned(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the 3D views of the report. Packs each point of a view into 8 bytes,
 // little-endian: x, y, z in centimetres (int16), intensity in steps of 1/255, and the
-// range error in steps of 4 mm up to 1 m. An unknown range error is 255. points/report.js
-// reads the points.
+// range error. The range error has steps of 4 mm up to 1 m, and 255 means unknown.
+// points/report.js reads the points.
 #include "report_parts.hpp"
 
 #include <algorithm>
