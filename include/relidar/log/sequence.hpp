@@ -91,8 +91,7 @@ struct Frame {
     double time_s = 0.0;
     Scan scan;
     int lidar = 0;  ///< index into Sequence::lidars
-    /// Azimuth and time at the start of the sweep, set by load_sequence(). Empty for the
-    /// default start.
+    /// Azimuth and time at the start; empty for the default start
     std::optional<SweepStart> start = {};
     /// [columns] deviation of the head from the nominal azimuth at each firing, in
     /// radians. load_sequence() sets it. Empty if there is no deviation.
@@ -115,14 +114,13 @@ inline SweepMoment moment_of(const Frame& frame) { return {frame.time_s, frame.l
 
 struct Lidar;
 /// Computes the start of a sweep for any LiDAR. For a LiDAR that does not spin, returns
-/// nothing if the frame's time is the middle of the scan. Also returns nothing if its
-/// scan pattern is unknown.
+/// nothing if its pattern is unknown or the frame's time is the middle of the scan.
 std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
 
 /// Standard deviation of a sensor's measured ranges, as a table over the range and the
 /// angle of incidence.
 struct RangeNoise {
-    /// Upper limits of the bins, ascending. Empty if the range noise is unknown.
+    /// Upper limits of the bins, ascending. Empty if unknown.
     std::vector<double> range_m, cosine;
     /// [ranges*cosines] standard deviations along the ray, a row for each range
     std::vector<double> sigma_m;
@@ -135,7 +133,7 @@ struct RangeNoise {
 
 /// A LiDAR of a log.
 struct Lidar {
-    std::string name;  ///< Name in the dataset, unique in the log. Empty if the log has only one LiDAR.
+    std::string name;  ///< Name in the dataset. Empty if the log has only one LiDAR.
     /// Nominal sensor, used to generate rays for frames without a scan. If the LiDAR does
     /// not spin, this sensor has no beams and period 0.
     SpinningSensor sensor;
@@ -191,8 +189,7 @@ struct BoxTrack {
     std::string id;          ///< unique in the sequence
     std::string category;    ///< class name in the dataset, or kDiscoveredCategory
     glm::dvec3 size_m{0.0};  ///< length, width, height
-    /// Poses of the box at the times of the frames in which it was labelled or
-    /// discovered.
+    /// Poses at the times of the frames in which the box was labelled or discovered.
     PoseTrack world_from_box;
     /// Kind of object whose typical size was used, for a discovered box of which the
     /// scans show only one side. Otherwise empty.
@@ -225,12 +222,10 @@ struct BoxTrack {
 /// common to all beams of a log. The factor is 1 at 10 m and perpendicular incidence.
 ///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
 struct IntensityResponse {
-    /// Ranges at which the factor is known, ascending. If empty, the factor is 1 at every
-    /// range.
+    /// Ranges of the factors, ascending. Empty: the factor is 1.
     std::vector<double> range_m;
     std::vector<double> factor;  ///< [knots] factor, interpolated linearly
-    /// Strength of the dependence on the angle of incidence: 0 for none, 1 for Lambert's
-    /// cosine law.
+    /// Dependence on the angle of incidence: 0 none, 1 Lambert's cosine law.
     double incidence = 0.0;
 
     double at_range(double at_m) const;  ///< uses the first or last factor outside the knots
@@ -255,8 +250,7 @@ struct Sequence {
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
     std::vector<std::string> notes;  ///< data that the log lacks, one line for each kind
-    /// Indices of the frames that published results on this part of the dataset use as
-    /// test frames.
+    /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
     /// False: all poses are identity until they are estimated by a registration of the
     /// scans.
@@ -280,8 +274,8 @@ struct Sequence {
     std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
 };
 
-/// Returns the box with this id. Returns null if no box has this id, or if the id is
-/// empty. An empty id means the background.
+/// Returns the box with this id, or null if no box has this id. An empty id means the
+/// background and gives null.
 const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
 
 /// Returns a copy of a log without its frames.
@@ -330,7 +324,7 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 /// @return the `time_s` of the sweep if the sequence has no rolling shutter
 double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
 
-/// Range and intensity of the surface that a ray hit. The intensity still depends on the
+/// Range and intensity of a surface that a ray hit. The intensity still depends on the
 /// angle of incidence.
 struct SurfaceReturn {
     /// Range of the surface, without the range offset of the beam. 0 if the ray was
@@ -340,8 +334,7 @@ struct SurfaceReturn {
 };
 /// Returns the range and intensity of the surface that a ray hit.
 /// @param ray  index of a ray of the frame
-/// @param number  number of the return: 0 is the strongest return, and further numbers
-/// are the entries of Scan::second_returns
+/// @param number  0 for the strongest return, n for Scan::second_returns[n-1]
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                              std::size_t number = 0);
 
