@@ -20,9 +20,10 @@ struct HeadLattice {
     double zero_rad = 0.0;  ///< azimuth of tick 0
 
     double tick_rad() const;
-    /// Returns the tick nearest to an azimuth of the head, in [0, n_ticks).
+    /// Returns the encoder tick nearest to an azimuth of the rotating head, in [0,
+    /// n_ticks).
     int tick(double head_azimuth_rad) const;
-    /// Returns the azimuth of the head at a tick, in (-pi, pi].
+    /// Returns the azimuth of the rotating head at an encoder tick, in (-pi, pi].
     double azimuth_of(int tick) const;
 };
 

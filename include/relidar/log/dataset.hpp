@@ -14,8 +14,8 @@
 
 namespace relidar {
 
-/// Range of the dataset's frame numbers, without the last number. Written "a:b" on the
-/// command line. Either number may be left out.
+/// Range of frame numbers of the dataset, written "a:b" on the command line. It includes
+/// frame a and excludes frame b. Either number may be left out.
 struct FrameRange {
     int begin = 0;
     int end = -1;  ///< -1: up to the last frame

@@ -35,7 +35,8 @@ struct PoseTrack {
     /// this track. `mounted` is the mounting. Same as moved_track(*this,
     /// mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
-    /// Returns the two poses between which at(t_s) interpolates.
+    /// Returns the positions in the track of the two poses between which at(t_s)
+    /// interpolates.
     /// @throws DataError if the track is empty
     TrackPlace place(double t_s) const;
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
@@ -249,7 +250,7 @@ struct Sequence {
     /// factor is 1 unless it was estimated.
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
-    std::vector<std::string> notes;  ///< data that the log lacks, one line for each kind
+    std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
     /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
     /// False: all poses are identity until they are estimated by a registration of the

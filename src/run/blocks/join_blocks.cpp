@@ -63,7 +63,8 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// An actor as it was trained in one block, if several blocks contain this actor.
+/// An actor as it was trained in one block. Several blocks can contain the same actor,
+/// and one of them is selected.
 struct Candidate {
     std::size_t sightings = 0;
     Model model;

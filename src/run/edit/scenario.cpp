@@ -141,8 +141,8 @@ Pose read_position(const Source& source, const pugi::xml_node& vertex, const std
 
 PoseTrack read_polyline(const Source& source, const Action& action, const std::string& where) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
-    // Looks first where versions from 1.1 on store the trajectory, then where version 1.0
-    // stores it.
+    // The trajectory is a child of TrajectoryRef since version 1.1, and a direct child in
+    // version 1.0.
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory) source.fail(where, "no Trajectory", "one in the file itself, not of a catalog");
