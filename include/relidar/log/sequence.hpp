@@ -35,8 +35,7 @@ struct PoseTrack {
     /// this track. `mounted` is the mounting. Same as moved_track(*this,
     /// mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
-    /// Returns the positions in the track of the two poses between which at(t_s)
-    /// interpolates.
+    /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
     TrackPlace place(double t_s) const;
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }

@@ -26,8 +26,7 @@ struct RangeErrorCounts {
     /// limits of the bins of the real range
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
     static constexpr std::array<double, 3> kErrorEdges_m{0.05, 0.2, 1.0};
-    /// Number of error bins: one for each interval between the limits, and a last bin for
-    /// rays that have no rendered return.
+    /// Number of error bins. The last bin counts rays that have no rendered return.
     static constexpr std::size_t kBands = kErrorEdges_m.size() + 2;
 
     std::array<std::array<double, kBands>, kRangeEdges_m.size() - 1> rays{};
