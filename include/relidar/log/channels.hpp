@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Channels: the values that a scan stores for each ray. This file has the list of
-// channels that scans, files, recordings, the gRPC service, the viewer and the Python
-// module share. docs/architecture.md explains how to add a channel.
+// Channels: the values that a scan stores for each ray, such as range and intensity. This
+// file declares the list of channels that scans, files, the gRPC service, the viewer and
+// the Python module share. docs/architecture.md explains how to add a channel.
 #pragma once
 
 #include <cstddef>
@@ -14,20 +14,21 @@
 
 namespace relidar {
 
-/// How the values of several rays are combined into a single value. Used in two cases:
-/// for the sub-rays of a beam, and for the rays whose points fall into the same cell of a
-/// range grid.
+/// Rule that combines the values of several rays into one value. relidar uses the rule in
+/// two cases. "Beam": a beam is simulated by several sub-rays. "Cell": several rays hit
+/// points in the same cell of a range image.
 enum class ChannelJoin {
-    /// Beam: value of the sub-ray nearest to the beam axis, among the sub-rays of the
-    /// strongest return. Cell: value of the ray that was selected for the cell.
+    /// Beam: value of the sub-ray that is nearest to the beam axis, among the sub-rays of
+    /// the strongest return. Cell: value of the ray that was selected for the cell.
     nearest,
-    /// Beam: mean over the sub-rays of the strongest return, weighted by light. Cell:
-    /// distance from the grid origin to the point of the selected ray.
+    /// Beam: mean over the sub-rays of the strongest return, weighted by their light.
+    /// Cell: distance from the origin of the range image to the point of the selected
+    /// ray.
     range,
     /// Beam: sum over the sub-rays of the strongest return, divided by the number of all
-    /// sub-rays. Cell: value of the selected ray.
+    /// sub-rays. Cell: value of the ray that was selected for the cell.
     intensity,
-    drop,  ///< beam: mean over all sub-rays; cell: minimum over all rays in the cell
+    drop,  ///< Beam: mean over all sub-rays. Cell: minimum over all rays in the cell.
 };
 
 /// Description of a channel.
@@ -35,30 +36,34 @@ struct ChannelInfo {
     std::string name;          ///< name in files: lower case letters, digits and _
     std::string unit = {};     ///< unit; empty for a plain number
     std::string meaning = {};  ///< description for users: a sentence without a full stop
-    /// rule for float values; integers and vectors always use `nearest`
+    /// Rule that combines float values of several rays. Integers and vectors always use
+    /// `nearest`.
     ChannelJoin join = ChannelJoin::nearest;
-    /// the values are directions: they are rotated when the points change to another
-    /// frame
+    /// True if the values are directions. They are rotated when the points are converted
+    /// to another frame.
     bool turns = false;
-    bool of_ray = false;  ///< the value depends on the ray alone, so the second return has the same value
-    /// Value if the ray hits nothing, for second returns, and for rays that do not have
-    /// the channel.
+    /// True if the value depends only on the ray. The second return then has the same
+    /// value.
+    bool of_ray = false;
+    /// Default value. It is stored if the ray hits nothing, for second returns, and for
+    /// rays without the channel.
     double none = 0.0;
-    /// the channel needs the blended normals of surfels, so 3D Gaussians do not support
-    /// it
+    /// True if the channel needs the normals of surfels. 3D Gaussians have no normals and
+    /// do not support such a channel.
     bool needs_normals = false;
 };
 
-/// Values of a channel. [n] an entry for each ray or point.
+/// Values of a channel: a vector of n floats, integers or 3D vectors, with one entry for
+/// each ray or point.
 using ChannelValues = std::variant<std::vector<float>, std::vector<std::int32_t>, std::vector<glm::vec3>>;
 
-/// A channel of a scan or a point cloud. Either relidar has rendered it, or the caller
-/// has added it.
+/// A channel of a scan or a point cloud, with its values. relidar renders the channel, or
+/// the caller adds it.
 struct ScanChannel {
     ChannelInfo info;
     ChannelValues values;
-    /// [n] values of the second returns. Empty if the channel has no separate values for
-    /// them.
+    /// Values of the second returns, one for each ray. Empty if the channel does not
+    /// store separate values for second returns.
     ChannelValues second = {};
 };
 
@@ -66,24 +71,24 @@ struct ScanChannel {
 struct BasicChannels {
     ChannelInfo range, median_range, mean_range, intensity, drop_prob, weight, time, ring, instance;
 };
-/// Returns the descriptions of the channels that every scan has. @return a reference to a
-/// single static object
+/// Returns the descriptions of the channels that every scan has, such as range and
+/// intensity. @return a reference to a static object
 const BasicChannels& basic_channels();
-/// Returns the basic channels that are written to files, in the order in which files
-/// store them.
+/// Returns the basic channels that are written to files, in the order of their columns in
+/// the files.
 std::vector<ChannelInfo> file_channels();
 /// Returns the channels that the setting `render.channels` can enable.
 const std::vector<ChannelInfo>& optional_channels();
-/// Returns the names of `optional_channels()`, in the same order.
+/// Returns the names of the channels in `optional_channels()`, in the same order.
 std::vector<std::string> optional_channel_names();
 
-/// Parses a setting with channel names, separated by commas. Removes duplicates.
+/// Parses a comma-separated list of channel names, and removes duplicates.
 /// @throws UsageError for an unknown name; the message suggests the most similar known
 /// name
 std::vector<ChannelInfo> wanted_channels(const std::string& names);
 
-/// Returns the values of the channel with this name. Returns null if the channel does not
-/// exist or its values have another type.
+/// Returns a pointer to the values of the channel with this name. Returns null if no
+/// channel has this name, or if the values have another type than T.
 template <class T>
 const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, const std::string& name) {
     for (const ScanChannel& channel : channels)
@@ -94,42 +99,45 @@ const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, cons
 /// Returns the number of values of a channel: one for each ray or point.
 std::size_t size(const ChannelValues& values);
 
-/// Returns the same channels with the same types, but without values.
+/// Returns a copy of the channels with the same names and types, but without values.
 std::vector<ScanChannel> emptied(const std::vector<ScanChannel>& channels);
 
-/// A scalar column of a channel, float32 or int32. A scalar channel has a single column,
-/// for example "seen". A vector channel has three: "normal_x", "normal_y", "normal_z".
+/// A column of numbers in a file, float32 or int32. A scalar channel is written as one
+/// column, for example "seen". A vector channel is written as three columns: "normal_x",
+/// "normal_y", "normal_z".
 struct ChannelNumber {
     std::string name;
     bool is_integer;
 };
-/// Returns the scalar columns of the channels, in the order in which append_row() writes
-/// them.
-/// @param joint  text between a vector's name and its axis
+/// Returns the columns of numbers that the channels are written as, in the order in which
+/// append_row() writes them.
+/// @param joint  text between the name of a vector channel and its axis, for example "_"
+/// in "normal_x"
 std::vector<ChannelNumber> numbers_of(const std::vector<ScanChannel>& channels,
                                       const std::string& joint = "_");
-/// Appends the values of all channels for a ray or point to `bytes`. Writes 4 bytes for
-/// each number, in the byte order of the machine.
+/// Appends the values of all channels for one ray or point to `bytes`. Each number takes
+/// 4 bytes in the byte order of the machine.
 /// @param at  index of the ray or point
 void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, std::size_t at);
 
-/// Returns the value that a channel has if the ray hits nothing or the value is unknown.
+/// Returns the default value of a channel. The default value is stored if the ray hits
+/// nothing or if the value is unknown.
 template <class T>
 T nothing_of(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 
-/// Appends the value of a return of a ray to a channel of points. A second return gets
-/// its value in `ScanChannel::second`, if that is not empty. Otherwise it gets the value
-/// of the ray if `ChannelInfo::of_ray` is set, or else `ChannelInfo::none`.
+/// Appends the value of one return to a channel of points. A second return gets its value
+/// from `ScanChannel::second` if that array is not empty. Otherwise it gets the value of
+/// the ray if `ChannelInfo::of_ray` is set, or else `ChannelInfo::none`.
 /// @param number  number of the return, starting at 1
 void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size_t ray, int number);
 
-/// Checks channels before they are written to a file.
+/// Checks names and sizes of channels before the channels are written to a file.
 /// @param n  expected number of values
 /// @param what  the rays or points, for the error message
-/// @throws DataError if a channel has an invalid name, the name of another channel, or a
-/// number of values other than `n`
+/// @throws DataError if a name is invalid or used twice, or if a channel does not have
+/// `n` values
 void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, const std::string& what);
 
 }  // namespace relidar

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Coverage of a log: the space that the rays of its training scans have passed through,
-// or in which they have hit something. Anything that a simulated ray hits outside this
-// space is extrapolated.
+// or in which they have hit something. A surface that a simulated ray hits outside this
+// space is extrapolated, because no training scan observed it.
 #pragma once
 
 #include <array>
@@ -21,8 +21,8 @@ public:
     static constexpr double kCell_m = 1.0;
     static constexpr int kBlockCells = 8;  ///< cells along an edge of a block
     static constexpr std::size_t kWords = 32;
-    /// Bits of a block. Cell (x, y, z) of a block is bit x + 8 y + 64 z, with 16 bits
-    /// in each word.
+    /// Bits of the cells of a block, 16 in each word. Cell (x, y, z) of the block is bit
+    /// x + 8 y + 64 z.
     using Cells = std::array<std::uint16_t, kWords>;
     struct Block {
         glm::ivec3 place{0};  ///< position of the lowest corner, in units of blocks
@@ -30,14 +30,14 @@ public:
     };
 
     bool empty() const { return blocks_.empty(); }
-    /// Adds every cell that a line segment crosses. A segment with a coordinate that is
-    /// not finite adds nothing.
+    /// Adds every cell that a line segment crosses. If a coordinate is not finite, no
+    /// cell is added.
     /// @param from_m [3] start of the segment; metres, world frame
     /// @param to_m [3] end of the segment; metres, world frame
     void add(const glm::dvec3& from_m, const glm::dvec3& to_m);
     void add(const Block& block);
     void add(const Coverage& other);
-    /// Returns the fraction of a line segment that is in cells of the set, 0..1.
+    /// Returns the fraction of a line segment's length that is in cells of the set, 0..1.
     /// @param from_m [3] start of the segment; metres, world frame
     /// @param to_m [3] end of the segment; metres, world frame
     /// @return 0 if a coordinate is not finite
@@ -52,11 +52,12 @@ private:
 /// Returns the space that the rays of some scans have observed. A ray with a return has
 /// observed the space up to its point. For a dropped ray, the result depends on the other
 /// rays of the same firing:
-/// - with returns above and below it: it has observed the space up to the nearer one;
-/// - above all returns: it has observed the space up to `max_range_m`;
-/// - otherwise: it has observed nothing.
+/// - If there are returns above and below it, the ray has observed the space up to the
+///   nearer of them.
+/// - If the ray is above all returns, it has observed the space up to `max_range_m`.
+/// - Otherwise the ray has observed nothing.
 ///
-/// The space between two adjacent beams of a firing counts as observed up to the shorter
+/// Two adjacent beams of a firing also observe the space between them, up to the shorter
 /// of their two lengths.
 /// @param world_from_vehicle  poses of the vehicle at the times of the frames
 /// @param positions  indices into Sequence::frames of the frames to use

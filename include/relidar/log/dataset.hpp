@@ -14,88 +14,96 @@
 
 namespace relidar {
 
-/// Half-open range of frame numbers, written "a:b" on the command line. Either side may
-/// be empty. The numbers are those of the dataset.
+/// Range of frame numbers of the dataset, written "a:b" on the command line. It includes
+/// frame a and excludes frame b. Either number may be left out.
 struct FrameRange {
     int begin = 0;
     int end = -1;  ///< -1: up to the last frame
 };
 
-/// Value of `DatasetOptions::poses_file` for a log without poses. All poses are then
-/// identity until a registration of the scans estimates them. Boxes keep the poses of
-/// their labels in the sensor frame; set_vehicle_poses() moves them along with the
-/// vehicle. To read a file that has the name "none", write "./none".
+/// Value of `DatasetOptions::poses_file` for a log without poses. All poses of the
+/// vehicle are then identity until they are estimated from the scans. Boxes keep the
+/// poses of their labels in the sensor frame. When the poses are estimated,
+/// set_vehicle_poses() moves the boxes along with the vehicle. To read a file that has
+/// the name "none", write "./none".
 inline constexpr const char* kNoPoses = "none";
 
 /// Options that only the reader of ROS bags uses.
 struct BagOptions {
-    std::string poses_from = {};  ///< frame or topic of the poses; empty: the reader chooses
+    /// Frame or topic from which poses are read. If the text is empty, the reader chooses
+    /// a topic.
+    std::string poses_from = {};
 };
 
 /// Options that only the reader of Waymo Open uses.
 struct WaymoOptions {
-    bool clamp_intensity = false;  ///< cut intensities at 1; false: take their tanh
+    /// True: clamp intensities to 1. False: replace each intensity by its tanh.
+    bool clamp_intensity = false;
 };
 
 /// Options for reading a log.
 struct DatasetOptions {
-    /// Name of the drive, for a dataset that has several. Empty: the only drive, or the
-    /// first one.
+    /// Name of the drive to read from a dataset that has several drives. If the name is
+    /// empty, the first drive is read.
     std::string sequence;
     FrameRange frames;
-    /// Text file with poses: line i has the 12 numbers of world_from_sensor for frame i,
-    /// in the dataset's world frame. Empty: use the poses of the dataset. kNoPoses: read
-    /// no poses.
+    /// Text file with poses. Line i holds the 12 numbers of the matrix world_from_sensor
+    /// of frame i, in the dataset's world frame. If the path is empty, the poses of the
+    /// dataset are used. The value kNoPoses means that no poses are read.
     std::filesystem::path poses_file;
-    /// true: skip frames without a scan. false: a missing scan is an error.
+    /// True: frames without a scan are skipped. False: a missing scan is an error.
     bool allow_missing_scans = true;
-    /// true: skip scans that cannot be read and add a note for each. false: the first
-    /// such scan is an error.
+    /// True: scans that cannot be read are skipped, and each adds a note to the log.
+    /// False: the first such scan is an error.
     bool skip_broken = false;
-    /// false: treat all rays of a sweep as if they were fired at its reference time
+    /// False: all rays of a sweep are treated as if they were fired at the reference time
+    /// of the sweep.
     bool rolling_shutter = true;
-    double max_range_m = 80.0;             ///< returns farther away are treated as dropped
-    double min_range_m = 0.0;              ///< returns nearer than this are treated as dropped
-    std::vector<std::string> lidars = {};  ///< names of the LiDARs to read; empty: all
-    /// For a preview of a long log: the maximum number of scans to read from each LiDAR.
-    /// The scans are spread over its frames, and the other frames have no rays. 0: read
-    /// all scans. Logs of KITTI, Argoverse 2 and Waymo, and of nuScenes' original
-    /// HDL-32E, are always read completely.
+    double max_range_m = 80.0;  ///< Returns beyond this range are treated as dropped.
+    double min_range_m = 0.0;   ///< Returns nearer than this range are treated as dropped.
+    /// Names of the LiDARs to read. If the list is empty, all LiDARs are read.
+    std::vector<std::string> lidars = {};
+    /// Maximum number of scans to read from each LiDAR, for a preview of a long log. The
+    /// scans are spread evenly over the log, and the other frames have no rays. 0: read
+    /// all scans. Some logs are always read completely: KITTI, Argoverse 2, Waymo, and
+    /// nuScenes with its original HDL-32E.
     int most_scans = 0;
     Progress progress = {};  ///< receives the progress of reading
     BagOptions bag = {};
     WaymoOptions waymo = {};
 };
 
-/// Reads a log.
-/// @param dataset  a path (the format is recognised), or "kind:path" with a kind that
+/// Reads a log from a dataset.
+/// @param dataset  a path, whose format is detected, or "kind:path" with a kind that
 /// recognise_dataset() returns
-/// @throws DataError naming the file and what is wrong with it
+/// @throws DataError naming the file and the error in it
 /// @throws UsageError for an unknown kind or an empty frame range
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options);
 
-/// Returns a dataset argument of load_sequence() with an absolute path, so that it does
-/// not depend on the working directory. Keeps a "kind:" prefix.
+/// Returns a dataset argument of load_sequence() with an absolute path, so that the
+/// argument does not depend on the working directory. Keeps a "kind:" prefix.
 std::string absolute_dataset(const std::string& dataset);
 
 /// Returns the kind of a dataset, for example "kitti_raw" or "waymo". docs/datasets.md
 /// lists all kinds.
-/// @throws DataError if the path is none of the known kinds
+/// @throws DataError if the path is not a dataset of a known kind
 std::string recognise_dataset(const std::filesystem::path& path);
 
 /// Options of save_folder().
 struct FolderOptions {
-    /// replace an existing plain folder of this name after the new one is complete
+    /// True: an existing plain folder with this name is replaced after the new folder is
+    /// complete.
     bool overwrite = false;
-    bool poses = true;  ///< false: do not write poses; for a log that was read without poses (kNoPoses)
-    /// receives the progress; if it throws an exception, writing stops and leaves no
-    /// files
+    /// False: no poses are written, for a log that was read without poses (kNoPoses).
+    bool poses = true;
+    /// Receives the progress of writing. If the callback throws an exception, writing
+    /// stops and leaves no files.
     Progress progress = {};
 };
 /// Writes a log as a plain folder (kind "folder", docs/datasets.md) that load_sequence()
 /// can read. All rays are preserved bit by bit, including dropped rays and second
-/// returns. Times, boxes and notes are preserved too, and poses to a nanometre. Values
-/// that are estimated later, for example the intensity response of beams, are not
+/// returns. Times, boxes and notes are preserved too. Poses are preserved to a nanometre.
+/// Values that are estimated later, for example the intensity response of beams, are not
 /// written. The folder gets its final name only when it is complete.
 /// @throws UsageError if the path exists and may not be replaced
 /// @throws DataError if the folder cannot be written
@@ -105,8 +113,8 @@ void save_folder(const Sequence& sequence, const std::filesystem::path& folder,
 /// Returns true if a folder or file is a log of a known kind.
 bool is_dataset(const std::filesystem::path& path);
 
-/// Parameters of the synthetic street: facades, poles, parked cars and moving objects.
-/// Its scans are computed by exact ray casting.
+/// Parameters of a synthetic street with facades, poles, parked cars and moving objects.
+/// The scans of the street are computed by exact ray casting.
 struct SyntheticOptions {
     std::uint64_t seed = 1;
     int n_frames = 30;
@@ -115,32 +123,33 @@ struct SyntheticOptions {
     double range_noise_m = 0.01;  ///< standard deviation of the range noise
     double speed_mps = 8.0;       ///< speed of the sensor along the street
     bool moving_cars = true;
-    /// File of a sensor rig that is mounted on the vehicle. Its sensors record the log,
-    /// instead of a sensor with `rows` and `columns`.
+    /// Path of a file that describes several sensors mounted on the vehicle. They record
+    /// the log instead of the default sensor with `rows` and `columns`.
     std::string rig = {};
     /// Adds three pedestrians, a cyclist, cars parked behind a fence, cars with
     /// transparent windows, and bushes.
     bool people = false;
-    /// pedestrians swing their legs and arms, in step with the distance they have walked
+    /// True: pedestrians swing their legs and arms, in step with the distance that they
+    /// walk.
     bool gait = false;
 };
 
-/// Creates the log of the synthetic street in memory. The scans are ground truth: exact
+/// Creates the log of the synthetic street in memory. Its scans are ground truth: exact
 /// ray casting with a rolling shutter.
 Sequence make_synthetic_street(const SyntheticOptions& options);
 
-/// Casts any rays into the synthetic street, each at its own firing time. The result is
-/// the exact scan of a novel sensor or pose. It has no noise. A dropped ray has range 0.
+/// Casts rays into the synthetic street, each ray at its own firing time. Returns the
+/// exact scan of a novel sensor or pose, without noise. A dropped ray has range 0.
 /// @param world_from_sensor  poses of the sensor over time
 /// @param time_s  reference time of the scan
 Scan cast_synthetic_street(const SyntheticOptions& options, const RayTable& rays,
                            const PoseTrack& world_from_sensor, double time_s);
 
-/// Casts beams with a divergence, and returns up to two returns for each beam, like a
-/// dual-return receiver. The first is the strongest. The second is the last return, or
-/// the second strongest if the strongest is also the last. Each beam is sampled with 53
-/// exact rays. Surfaces that are 0.5 m apart give separate returns. A second return needs
-/// at least a tenth of the light of the strongest one.
+/// Casts beams with a divergence. Computes up to two returns for each beam, as a
+/// dual-return LiDAR does. The first return is the strongest. The second return is the
+/// last one, or the second strongest if the strongest is also the last. Each beam is
+/// sampled with 53 exact rays. Surfaces that are 0.5 m apart give separate returns. A
+/// second return needs at least a tenth of the light of the strongest return.
 /// @param rays  at least one ray must have a divergence above 0
 /// @throws UsageError if no ray has a divergence
 Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
@@ -150,21 +159,23 @@ Scan cast_synthetic_beams(const SyntheticOptions& options, const RayTable& rays,
 /// follows a track in relidar's world frame.
 struct StreetCar {
     std::size_t shapes_of = 0;  ///< id of the original car: BoxTrack::id "0", "1", ...
-    BoxTrack track;  ///< the car exists in every sweep at whose reference time the track is present
+    /// Track of the car. The car exists in every sweep whose reference time the track
+    /// covers.
+    BoxTrack track;
 };
 
-/// Casts rays into the street with these cars instead of the original ones. The result is
-/// the exact scan of an edited street.
+/// Casts rays into the street with these cars instead of the street's original cars.
+/// Returns the exact scan of the edited street.
 /// @throws DataError if the street has no car with the id `shapes_of`
 Scan cast_synthetic_street(const SyntheticOptions& options, const std::vector<StreetCar>& cars,
                            const RayTable& rays, const PoseTrack& world_from_sensor, double time_s);
 
-/// Reads the options of a log that save_synthetic() wrote.
+/// Reads the options of a synthetic log that save_synthetic() wrote.
 /// @throws DataError naming the key that is wrong
 SyntheticOptions read_synthetic(const std::filesystem::path& folder);
 
 /// Writes a synthetic log as a folder that load_sequence() can read (kind "synthetic").
-/// The folder holds only `street.toml` with the options.
+/// The folder holds only the options of the street, in `street.toml`.
 void save_synthetic(const SyntheticOptions& options, const std::filesystem::path& folder);
 
 }  // namespace relidar

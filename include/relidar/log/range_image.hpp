@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Range images, and the rule that decides which of their pixels are returns.
+// Range images, and the rule that decides which pixels of a range image count as returns.
 #pragma once
 
 #include <algorithm>
@@ -13,17 +13,17 @@ namespace relidar {
 struct RangeImage {
     int rows = 0;
     int columns = 0;
-    /// [rows*columns] metres along the ray. 0 if the ray was dropped (measured image) or
-    /// hit nothing (rendered image).
+    /// [rows*columns] range in metres along the ray. The value is 0 if the ray was
+    /// dropped (measured image) or hit nothing (rendered image).
     std::vector<float> range_m;
     std::vector<float> intensity;      ///< [rows*columns] intensity
-    std::vector<float> drop_prob;      ///< [rows*columns] drop probability; 0 or 1 in a measured image
+    std::vector<float> drop_prob;      ///< [rows*columns] drop probability. It is 0 or 1 in a measured image.
     std::vector<glm::vec3> origin;     ///< [rows*columns] start of the ray; metres, sensor frame
     std::vector<glm::vec3> direction;  ///< [rows*columns] unit vector, sensor frame
 };
 
-/// Drop probability at and above which a ray counts as dropped. Output files always use
-/// this threshold; strict metrics use it by default.
+/// A ray counts as dropped if its drop probability is at least this threshold. Output
+/// files always use this threshold. Strict metrics use it by default.
 inline constexpr float kDropThreshold = 0.5f;
 /// Returns true if a ray counts as a return: it hit something, and its drop probability
 /// is below kDropThreshold.

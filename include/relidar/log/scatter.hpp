@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Statistical model of the difference between measured and rendered intensities: noise
-// along a beam, differences between beams, and quantisation. A decision tree selects a
-// leaf from the rendered values around a ray and from the values that were already drawn.
-// Each leaf holds the intensities that were measured in such situations. (Not in the
-// paper.)
+// along a beam, differences between beams, and quantisation. The model is a decision
+// tree. Its inputs are the rendered values around a ray and the intensities that were
+// already drawn. Each leaf holds the intensities that were measured for similar inputs.
+// (Not in the paper.)
 #pragma once
 
 #include <cstddef>
@@ -14,18 +14,21 @@
 
 namespace relidar {
 
-/// Rendered values for the rays of a scan, row by row. Columns wrap around. All arrays
-/// are [rows*columns].
+/// Rendered values for all rays of a scan, row by row. The last column is a neighbour of
+/// the first column. All arrays are [rows*columns].
 struct RenderedIntensities {
     int rows = 0, columns = 0;
     std::vector<float> intensity;
-    std::vector<float> range_m;        ///< range of the dominant surface; 0 if the ray hit nothing
-    std::vector<float> spread_m;       ///< result of range_spread()
-    std::vector<float> cosine;         ///< cosine of the angle of incidence; negative if unknown
-    std::vector<float> elevation_rad;  ///< elevation of the ray, which identifies the beam
+    /// Range of the surface with the largest weight along the ray. 0 if the ray hit
+    /// nothing.
+    std::vector<float> range_m;
+    std::vector<float> spread_m;  ///< result of range_spread()
+    /// Cosine of the angle between ray and surface normal. Negative if unknown.
+    std::vector<float> cosine;
+    std::vector<float> elevation_rad;  ///< Elevation of the ray. It identifies the beam.
 };
 
-/// Marks a ray without a return in an array of intensities.
+/// Value in an array of intensities that marks a ray without a return.
 inline constexpr float kNoIntensity = std::numeric_limits<float>::lowest();
 
 /// A rendered scan and the measured intensities of the same rays.
@@ -34,23 +37,25 @@ struct MeasuredIntensities {
     std::vector<float> measured;  ///< [rows*columns] kNoIntensity for rays without a return
 };
 
-/// Decision tree with the measured intensities of a LiDAR.
+/// Decision tree whose leaves hold measured intensities of a LiDAR.
 struct IntensityScatter {
-    /// Node of the decision tree. Every node has values; an inner node has the values of
-    /// its two children.
+    /// Node of the decision tree. Each node refers to a range of measured intensities. An
+    /// inner node refers to the intensities of both children.
     struct Node {
-        /// feature to compare, less than count_scatter_features(); -1 for a leaf
+        /// Index of the feature that the node compares, less than
+        /// count_scatter_features(). The value is -1 for a leaf.
         std::int32_t feature = -1;
-        /// threshold: the first child is next for values up to it, the second child for
-        /// values above it
+        /// Threshold. If the feature is at most this value, the first child is visited
+        /// next, otherwise the second child.
         float at = 0.0f;
-        std::int32_t child = 0;              ///< index of the first child; the second child follows it
+        std::int32_t child = 0;  ///< Index of the first child. The second child has the next index.
         std::uint32_t first = 0, count = 0;  ///< range of entries in `values`
     };
-    std::vector<Node> nodes;    ///< nodes, [0] is the root; empty if there is no model
+    /// Nodes of the tree. The first node is the root. Empty if there is no model.
+    std::vector<Node> nodes;
     std::vector<float> values;  ///< measured intensities, leaf by leaf
-    /// quantisation step: all intensities of the log are multiples of it; 0 if there is
-    /// none
+    /// Quantisation step of the sensor: all intensities of the log are multiples of this
+    /// step. 0 if the intensities are not quantised.
     double step = 0.0;
 
     bool empty() const { return nodes.empty(); }
@@ -61,14 +66,15 @@ struct IntensityScatter {
 /// Returns the number of features that a node of the tree can compare.
 std::size_t count_scatter_features();
 
-/// Returns the largest number of which all values are multiples. Rounding errors of up to
-/// 1e-6 of the largest value are allowed. Returns 0 if that number is below 1e-5 of the
-/// largest value, or if there are fewer than eight distinct values.
+/// Returns the quantisation step: the largest number of which all values are multiples.
+/// Rounding errors of up to 1e-6 of the largest value are allowed. Returns 0 if that
+/// number is below 1e-5 of the largest value, or if there are fewer than eight distinct
+/// values.
 /// @param values  >= 0, in any order
 double find_step(std::vector<float> values);
 
-/// Fits the decision tree to scans of a LiDAR. Nodes are split to reduce the entropy of
-/// the measured values. The result does not depend on the number of threads.
+/// Fits the decision tree to scans of a LiDAR. Splits nodes so that the entropy of the
+/// measured intensities decreases. The result does not depend on the number of threads.
 /// @return an empty tree if there are fewer than a thousand returns
 /// @throws DataError if an array has another size than its image
 IntensityScatter fit_scatter(std::span<const MeasuredIntensities> images);

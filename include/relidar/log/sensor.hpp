@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models of LiDAR sensors. Each sensor is a table of rays. A spinning LiDAR generates
-// such a table; a range grid defines the order of points in an image. Sensor frame: x
-// forward, y left, z up, metres.
+// Models of LiDAR sensors. Each model generates a table of rays. A range grid defines how
+// points are sorted into the pixels of an image. Sensor frame: x forward, y left, z up,
+// metres.
 #pragma once
 
 #include <cstddef>
@@ -19,19 +19,20 @@
 namespace relidar {
 
 // Memory for the arrays of rays and scans. A log of 6000 scans needs 30 GB, which is more
-// than most machines have. Arrays beyond a limit are stored in a memory-mapped file, so
-// that the operating system keeps only the pages in use. This has a small cost, because
-// scans are written once and then read frame by frame.
+// than most machines have. Arrays beyond a limit are therefore stored in a memory-mapped
+// file. The operating system then loads only the pages in use. The file is only slightly
+// slower than memory, because scans are written once and then read frame by frame.
 
-/// Limits the memory for the arrays of all scans in this process, from now on. Arrays
-/// beyond the limit are stored in an unnamed file, which disappears when the process
-/// ends. The memory is unlimited until this function is called.
+/// Limits the memory that later arrays of scans may use in this process. Arrays beyond
+/// the limit are stored in an unnamed file, which disappears when the process ends. The
+/// memory is unlimited until this function is called.
 /// @param bytes  0: half of the memory of the machine or of the control group, divided by
 /// the number of processes (share_scan_memory())
 /// @param folder  folder of the file; the file is created when the first array needs it
 void limit_scan_memory(std::uint64_t bytes, const std::filesystem::path& folder);
 
-/// Sets how many processes on this machine hold scans. The default is one.
+/// Sets the number of processes on this machine that load scans. They share the memory
+/// limit. The default is one.
 void share_scan_memory(int n_processes);
 
 /// Memory used by the arrays of all scans, in bytes. Arrays below 16 KiB are not counted.
@@ -39,16 +40,17 @@ struct ScanMemoryUse {
     std::uint64_t in_memory = 0;
     std::uint64_t in_file = 0;
 };
-/// Returns the memory that the arrays of all scans use now.
+/// Returns the current memory use of the arrays of all scans.
 ScanMemoryUse scan_memory_use();
 
-/// Allocates an array, in memory or in the mapped file.
+/// Allocates an array in memory, or in a mapped file if the memory limit is reached.
 /// @throws DataError naming the folder if its disk is full or it cannot be written
 /// @throws std::bad_alloc
 void* allocate_scan_array(std::size_t bytes);
 void free_scan_array(void* array, std::size_t bytes) noexcept;
 
-/// Allocator for the arrays of scans. Uses allocate_scan_array().
+/// Allocator for the arrays of scans. It stores arrays in a mapped file if the memory
+/// limit is reached.
 template <class T>
 struct ScanAllocator {
     using value_type = T;
@@ -89,26 +91,28 @@ struct RayTable {
     ScanArray<float> time_offset_s;
     ScanArray<std::uint16_t> channel;  ///< [rows*columns] beam number, 0 = highest
     float divergence_rad = 0.0f;       ///< full beam divergence of all rays; 0 = ideal ray
-    /// [rows*columns] divergence of each ray, instead of `divergence_rad`. Empty if all
-    /// rays have the same.
+    /// [rows*columns] divergence of each ray, used instead of `divergence_rad`. Empty if
+    /// all rays have the same divergence.
     ScanArray<float> ray_divergence_rad = {};
 
     std::size_t size() const { return direction.size(); }
     double divergence_of(std::size_t ray) const {
         return ray_divergence_rad.empty() ? divergence_rad : ray_divergence_rad[ray];
     }
-    double largest_divergence() const;  ///< largest divergence in the table; 0 if all rays are ideal
-    /// Appends a ray of another table. All rays of this table must come from that same
-    /// table. Does not change `rows` and `columns`.
+    /// Returns the largest divergence in the table, or 0 if all rays are ideal.
+    double largest_divergence() const;
+    /// Appends a ray of another table. All appended rays must come from the same table.
+    /// Does not change `rows` and `columns`.
     void append(const RayTable& from, std::size_t ray);
 };
-/// Returns the offsets of the sub-rays that sample the footprint of a beam. [n] in units
-/// of half the beam's divergence; the first is the beam axis. All sub-rays have the same
-/// weight. Their spread is that of an evenly lit disc: mean of offset^2 = 1/2.
+/// Returns the offsets of the sub-rays that sample the footprint of a beam: [n] in units
+/// of half the beam's divergence. The first sub-ray is the beam axis. All sub-rays have
+/// the same weight. Their spread equals the spread of an evenly lit disc: the mean of
+/// offset^2 is 1/2.
 /// @param n  1, 5 or 9; any other number gives a spiral whose first ray is not on the
 /// axis
 std::vector<glm::dvec2> footprint_pattern(int n);
-/// Returns some rays of a table as a new table without image order (rows = 1).
+/// Returns a new table with the selected rays of a table, without image order (rows = 1).
 RayTable some_rays(const RayTable& rays, const std::vector<std::size_t>& ray_indices);
 
 /// A beam of a spinning LiDAR. If the head is at azimuth `theta` (counter-clockwise), the
@@ -126,11 +130,12 @@ struct Beam {
     double intensity_offset = 0.0;
     double range_offset_m = 0.0;
 
-    /// Converts between values of a surface and values that the beam measures:
+    /// Range that the beam measures for a surface. The four functions convert between
+    /// values of a surface and measured values:
     ///   measured range = range of the surface + range_offset,
     ///   measured intensity = gain * fall * intensity of the surface + offset, clamped to 0..1
-    /// A range of 0 (no return) stays 0. The two directions are inverse unless a value is
-    /// clamped.
+    /// A range of 0 (no return) stays 0. The conversions are inverse to each other unless
+    /// a value is clamped.
     /// @param fall  factor of the log's IntensityResponse at the range of the surface
     double measured_range(double surface_m) const;
     double surface_range(double measured_m) const;  ///< at least 1 mm
@@ -138,8 +143,8 @@ struct Beam {
     double surface_intensity(double measured, double fall) const;
 };
 
-/// Returns the beam of a channel. If there is no such beam, returns an ideal beam that
-/// measures the values of the surface unchanged.
+/// Returns the calibration of the beam with this number. If there is no such beam,
+/// returns an ideal beam that does not change the values of the surface.
 const Beam& beam_of(const std::vector<Beam>& beams, std::size_t channel);
 
 /// Range limits of a sensor. A ray whose range is outside the limits is dropped.
@@ -147,8 +152,8 @@ struct RangeLimits {
     double min_m = 0.0;
     double max_m = std::numeric_limits<double>::infinity();
 
-    /// Returns true if the range is within the limits. A range of 0 means that the ray
-    /// hit nothing, so it is never within the limits.
+    /// Returns true if the range is within the limits. Returns false for a range of 0,
+    /// which means that the ray hit nothing.
     bool contains(double range_m) const { return range_m > 0.0 && range_m >= min_m && range_m <= max_m; }
 };
 /// Returns the intersection of two range limits.
@@ -160,10 +165,10 @@ struct SpinningSensor {
     std::string name;
     std::vector<Beam> beams;  ///< beams, highest first
     int columns = 0;          ///< azimuth steps in a sweep
-    double period_s = 0.1;    ///< duration of a sweep; 0: the sensor does not spin
+    double period_s = 0.1;    ///< Duration of a sweep. If it is 0, the sensor does not spin.
     bool clockwise = true;    ///< direction of rotation, seen from above
-    /// Azimuth of the centre of column 0. Use pi - pi/columns if the bins are centred on
-    /// half steps.
+    /// Azimuth of the centre of column 0. If the bins are centred on half steps, use pi -
+    /// pi/columns.
     double first_azimuth_rad = 0.0;
     double min_range_m = 0.0;
     double max_range_m = 80.0;
@@ -178,39 +183,40 @@ struct BeamRay {
     glm::dvec3 direction;
 };
 
-/// Returns the ray of a beam while the head is at an azimuth. Uses the equation of
-/// `Beam`.
+/// Returns the origin and the direction of a beam while the head is at an azimuth. Uses
+/// the equation of `Beam`.
 BeamRay beam_ray(const Beam& beam, double head_azimuth_rad);
 
-/// Returns the azimuth of the head at which a beam hits a point. Inverse of beam_ray().
+/// Returns the azimuth of the head at which a beam hits a point. This is the inverse of
+/// beam_ray().
 /// @param point_m [3] metres, sensor frame
 /// @return radians, not wrapped to a range
 double head_azimuth(const Beam& beam, const glm::dvec3& point_m);
 
-/// Returns by how many columns the firings of a beam are shifted in the image, so that
-/// each column has one azimuth. Image column j holds firing (j + shift) mod columns,
+/// Returns the number of columns by which a beam is shifted in the image, so that each
+/// image column has one azimuth. Image column j holds firing (j + shift) mod columns,
 /// where shift = azimuth_offset in columns, rounded.
 int column_shift(const Beam& beam, int columns);
 
-/// Returns the rays of a sweep. Time 0 is the moment at which the head faces forward
-/// (azimuth 0). A clockwise head reaches azimuth a at -a / (2 pi) * period.
+/// Returns the rays of a sweep. At time 0 the head faces forward (azimuth 0). A clockwise
+/// head reaches azimuth a at time -a / (2 pi) * period.
 /// @throws UsageError if the sensor has no beams, no columns, more than kMaxRays rays, a
 /// value that is not finite, or an empty range between its limits
 RayTable make_rays(const SpinningSensor& sensor);
-/// Maximum number of rays in a sweep: 128 beams with steps of 0.003 degrees. The rays
-/// and their scan then use 500 MB.
+/// Maximum number of rays in a sweep, enough for 128 beams with azimuth steps of 0.003
+/// degrees. Such a sweep and its scan use 500 MB.
 inline constexpr std::size_t kMaxRays = std::size_t(1) << 24;
 
-/// Ray-drop of the sensor itself (paper section 3.5): the probability that a beam has no
-/// return in an azimuth bin, independent of the scene. An example is the body of the
-/// sensor's own vehicle. P(drop) = 1 - (1 - P of the scene) (1 - P of the sensor).
+/// Probability that the sensor itself drops a ray, for each beam and azimuth bin (paper
+/// section 3.5). It does not depend on the scene. For example, the sensor's own vehicle
+/// blocks some rays. P(drop) = 1 - (1 - P of the scene) (1 - P of the sensor).
 struct DropTable {
     int channels = 0;
-    int bins = 0;  ///< azimuth bins; bin 0 starts at +180 degrees, and the azimuth decreases
+    int bins = 0;  ///< Number of azimuth bins. Bin 0 starts at +180 degrees, and the azimuth decreases.
     std::vector<float> probability;  ///< [channels, bins] drop probability
 
     bool empty() const { return probability.empty(); }
-    /// Returns the index of the entry for a ray.
+    /// Returns the index of a ray's entry in `probability`.
     /// @param direction [3] sensor frame
     std::size_t index(std::uint16_t channel, const glm::vec3& direction) const;
     /// Returns the drop probability of a ray.
@@ -219,8 +225,9 @@ struct DropTable {
     float at(std::uint16_t channel, const glm::vec3& direction) const;
 };
 
-/// Layout of a range image that is linear in elevation and azimuth, like the KITTI-360
-/// grid. The centre of pixel (i, j) has, in degrees:
+/// Layout of a range image whose rows have equal elevation steps and whose columns have
+/// equal azimuth steps, like the KITTI-360 grid. The centre of pixel (i, j) has, in
+/// degrees:
 ///   elevation = fov_up - i * fov / rows,  azimuth = 180 - j * 360 / columns
 struct RangeGrid {
     std::string name;
@@ -231,31 +238,33 @@ struct RangeGrid {
     double max_range_m = 80.0;
 };
 
-/// Returns the range grid that published results on KITTI-360 use: 66 x 1030 pixels,
-/// elevation +2.0 to -24.9 degrees, 80 m.
+/// Returns the range grid with which published results on KITTI-360 are computed: 66 x
+/// 1030 pixels, elevation +2.0 to -24.9 degrees, 80 m.
 RangeGrid kitti360_grid();
 
-/// Returns rays through the pixel centres of a grid. They start at the sensor origin; the
-/// sweep is clockwise and takes 0.1 s.
+/// Returns rays through the pixel centres of a grid. All rays start at the sensor origin.
+/// The sweep is clockwise and takes 0.1 s.
 RayTable make_rays(const RangeGrid& grid);
 
-/// Returns the pixel nearest to the projection of a point: the forward half of the sensor
-/// model (Eq. 6-7).
+/// Projects a point into a range grid (sensor model, Eq. 6-7) and returns the nearest
+/// pixel.
 /// @param point_m [3] metres, sensor frame
-/// @return row * columns + column, or nothing if the point is outside the vertical field
-/// of view, at range 0 or beyond max_range_m
+/// @return row * columns + column. Nothing if the point is outside the vertical field of
+/// view, at range 0 or beyond max_range_m.
 /// @differs Eq. 7 as printed divides only |f_down| by f_v; Eq. 6 writes arctan(y, x) and
 /// arcsin(z, d).
 std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m);
 
-/// A range image that was made by projecting points. Each pixel holds the nearest of its
-/// points.
+/// A range image that was made by projecting points. If several points fall into a pixel,
+/// the pixel holds the nearest point.
 struct GridImage {
     int rows = 0;
     int columns = 0;
     std::vector<float> range_m;    ///< [rows*columns] 0 in pixels without a point
     std::vector<float> intensity;  ///< [rows*columns] intensity of the nearest point
-    std::vector<int> source;  ///< [rows*columns] index of the nearest point; -1 in pixels without a point
+    /// [rows*columns] index of the point in the pixel. The index is -1 in pixels without
+    /// a point.
+    std::vector<int> source;
 };
 
 /// Projects points into a range grid.
@@ -265,30 +274,33 @@ struct GridImage {
 GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m,
                          const std::vector<float>& intensity);
 
-/// A LiDAR that deflects its beam with two prisms rotating in opposite directions. Its
-/// scan is a rosette about the x axis, with different petals in every scan:
+/// A LiDAR that deflects its beam with two prisms rotating in opposite directions. A scan
+/// is a flower-shaped pattern (rosette) about the x axis, and each scan covers different
+/// directions:
 ///   direction = (cos r, sin r cos p, sin r sin p)
 ///   r e^(ip) = deflection (e^(i 2 pi f1 t) + e^(i 2 pi f2 t))
 /// This is the paraxial form of two thin prisms with equal wedge angles.
 struct Rosette {
     std::string name;
-    double deflection_rad = 0.0;  ///< deflection by each prism: half of the cone's half angle
-    /// Rotation rates of the prisms. Positive means counter-clockwise, seen from behind
-    /// the sensor.
+    /// Deflection by each prism, which is half of the half angle of the scanned cone.
+    double deflection_rad = 0.0;
+    /// Rotation rates of the prisms. A positive rate means counter-clockwise rotation,
+    /// seen from behind the sensor.
     double first_hz = 0.0, second_hz = 0.0;
     int n_rays = 0;  ///< rays of a scan, evenly spaced in time
     double period_s = 0.1;
     double divergence_rad = 0.0;
 };
 
-/// Returns the rays of the scan at a time, in the order of firing: rows = 1, channel 0,
-/// time offsets from -period/2 to period/2.
+/// Returns the rays of the scan at a time, in the order of firing. The table has one row,
+/// all rays have channel 0, and time offsets range from -period/2 to period/2.
 /// @throws UsageError for no rays, for more than kMaxRays rays, or for a value that is
 /// not finite
 RayTable make_rays(const Rosette& rosette, double time_s);
 
-/// A LiDAR whose mirrors scan a rectangular window. Rows have evenly spaced elevations,
-/// columns evenly spaced azimuths. All rows of a column fire at the same time.
+/// A LiDAR that scans a rectangular window with mirrors. Its rows have evenly spaced
+/// elevations, and its columns have evenly spaced azimuths. All rows of a column fire at
+/// the same time.
 struct ScanningWindow {
     std::string name;
     int rows = 0, columns = 0;
@@ -299,16 +311,17 @@ struct ScanningWindow {
     double divergence_rad = 0.0;
 };
 
-/// Returns the rays of a scan. Row 0 is the highest; time 0 is the middle of the scan.
+/// Returns the rays of a scan. Row 0 is the highest row. Time 0 is the middle of the
+/// scan.
 /// @throws UsageError in the same cases as for a SpinningSensor
 RayTable make_rays(const ScanningWindow& window);
 
 /// Scan pattern of a sensor, from which its rays are generated. docs/architecture.md
-/// explains the table of these kinds.
+/// lists these kinds of sensors in a table.
 using SensorPattern = std::variant<SpinningSensor, ScanningWindow, Rosette, RayTable>;
 
 /// Returns the rays of the scan at a time.
-/// @throws UsageError as make_rays() of the kind of the pattern
+/// @throws UsageError like the make_rays() of the pattern's type
 RayTable make_rays(const SensorPattern& pattern, double time_s);
 
 /// A sweep at constant speed over columns of rays. All rays of a column fire at the same
@@ -320,22 +333,24 @@ struct AzimuthSweep {
 
 /// Properties of a scan pattern that are known without generating its rays.
 struct PatternSummary {
-    std::size_t n_rays = 0;         ///< number of rays in a scan
-    double period_s = 0.0;          ///< duration of a scan; 0: given by the time offsets of the rays
-    bool has_rays_by_time = false;  ///< true: scans at different times have different rays
-    /// azimuth sweep; empty if the sensor spins or fires in another order
+    std::size_t n_rays = 0;  ///< number of rays in a scan
+    /// Duration of a scan. It is 0 if the time offsets of the rays define the duration.
+    double period_s = 0.0;
+    bool has_rays_by_time = false;  ///< True if scans at different times have different rays.
+    /// Azimuths of the sweep. Empty if the sensor spins or fires in another order.
     std::optional<AzimuthSweep> sweep = {};
 };
-/// Returns the properties of a pattern.
+/// Returns the number of rays, duration and sweep of a scan pattern.
 PatternSummary describe_pattern(const SensorPattern& pattern);
-/// Returns the duration of a scan, see PatternSummary::period_s.
+/// Returns the duration of a scan in seconds, or 0 if the time offsets of the rays define
+/// it.
 double period_of(const SensorPattern& pattern);
 
 /// A sensor to simulate: its scan pattern and its range limits.
 struct SensorModel {
     std::string name;
-    /// one line that describes the sensor and names the source of its specification;
-    /// empty for a sensor file
+    /// One line that describes the sensor and names the source of its specification.
+    /// Empty for a sensor that was read from a file.
     std::string about = {};
     RangeLimits limits = {};
     SensorPattern pattern;
@@ -345,12 +360,13 @@ struct SensorModel {
 /// @throws UsageError as make_rays() of the pattern
 RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 
-/// Returns the pattern of a sensor that does not spin, or nothing for a spinning sensor.
+/// Returns the scan pattern of a sensor that does not spin. Returns nothing for a
+/// spinning sensor.
 std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor);
 
 /// Returns the names that known_sensor() accepts.
 std::vector<std::string> sensor_names();
-/// Returns a built-in sensor, or nothing if no sensor has this name.
+/// Returns the built-in sensor with this name, or nothing if no sensor has this name.
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
 /// @param columns  azimuth steps in a sweep of a spinning sensor; 0: the default of the
 /// sensor

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors and sensor rigs from files. All commands use these functions to find the
-// sensor that a user has named.
+// Reads sensors and sensor rigs from files. All commands use these functions to load the
+// sensor whose name or file the user has passed.
 #pragma once
 
 #include <optional>
@@ -52,15 +52,15 @@ struct MountedSensor {
 };
 
 /// Reads the sensors of a rig from a JSON file with the key "sensors". Returns nothing if
-/// the path is not such a file, or cannot be read.
+/// the file cannot be read or does not have this key.
 ///   {"sensors": [{"name": "front", "sensor": "VLP-16", "translation_m": [1, 0, 2],
 ///                 "yaw_pitch_roll_deg": [90, 0, 0]}, ...]}
-/// "sensor" is an argument of find_sensor(), with file paths relative to the rig's file,
-/// or the object of a FILE.json. "translation_m" and "yaw_pitch_roll_deg" are the
-/// mounting; the default is 0. The axes are x forward, y left, z up; yaw is the first
-/// rotation and is positive to the left. "returns" is 2 for a sensor with two returns per
-/// ray. Names are used as names of folders: they are unique and consist of letters,
-/// digits, -, _ and dots.
+/// "sensor" is an argument of find_sensor(), or an object with the content of a
+/// FILE.json. File paths are relative to the rig's file. "translation_m" and
+/// "yaw_pitch_roll_deg" are the mounting; the default is 0. The axes are x forward, y
+/// left, z up. Yaw is the first rotation and is positive to the left. "returns" is 2 for
+/// a sensor with two returns per ray. Sensor names are also used as folder names. They
+/// must be unique and consist of letters, digits, -, _ and dots.
 /// @throws DataError naming the sensor and the key that is wrong
 /// @throws errors of find_sensor()
 std::optional<std::vector<MountedSensor>> find_rig(const std::string& path);

@@ -12,27 +12,28 @@ namespace relidar {
 
 class JsonField;
 
-/// Reads a sensor from an object {"<kind>": {...}}, where the kind is one of
-/// describe_pattern_kinds(). All files that contain sensors use this object. If the file
-/// has no maximum range, the maximum range is infinite.
+/// Reads a sensor from a JSON object {"<kind>": {...}}. The kind is one of those that
+/// describe_pattern_kinds() lists. All files that contain sensors use such an object. If
+/// the object has no maximum range, the maximum range is infinite.
 /// @param name  name of the sensor if the file does not contain one
 /// @throws DataError naming the member that is wrong
 SensorModel read_sensor_json(const JsonField& field, const std::string& name);
-/// Returns the JSON text of a sensor for read_sensor_json(). Reading it restores the same
-/// rays bit by bit.
+/// Returns the JSON text of a sensor. read_sensor_json() restores the same rays from the
+/// text, bit by bit.
 std::string write_sensor_json(const SensorModel& sensor);
 
-/// Returns the kinds of sensor objects and their members, one line for each kind.
+/// Returns a text for users that lists the kinds of sensor objects and their members, one
+/// line for each kind.
 std::string describe_pattern_kinds();
 
-/// Firing data of one beam, from a line of a beam table.
+/// Channel number and firing time of one beam, from a line of a beam table.
 struct BeamFiring {
     int channel = 0;         ///< channel number of the manufacturer
     double offset_us = 0.0;  ///< time since the first beam of the firing cycle
 };
 
-/// Returns the firing data of each beam of a built-in sensor, highest beam first like
-/// known_sensor(). The data are in src/log/sensor/tables.
+/// Returns the channel number and firing time of each beam of a built-in sensor, highest
+/// beam first. The values are in src/log/sensor/tables.
 /// @param name  a name of sensor_names() that has a table
 std::vector<BeamFiring> known_firings(const std::string& name);
 

@@ -13,8 +13,9 @@
 
 namespace relidar {
 
-/// Position of a time in a track: between the entries `left` and `left + 1`, at fraction
-/// s. s is outside 0..1 for times before the first or after the last entry.
+/// Position of a time between two entries of a track, `left` and `left + 1`. The fraction
+/// between them is s. It is outside 0..1 for times before the first or after the last
+/// entry.
 struct TrackPlace {
     std::size_t left = 0;
     double s = 0.0;  ///< 0 if the track has only one entry
@@ -26,20 +27,22 @@ struct PoseTrack {
     std::vector<Pose> pose;
 
     /// Returns the interpolated pose at a time (slerp for rotations, lerp for
-    /// translations). Before the first and after the last pose, the velocity of the
-    /// nearest segment continues.
+    /// translations). Times outside the track are extrapolated with the velocity of the
+    /// nearest segment.
     /// @throws DataError if the track is empty
     Pose at(double t_s) const;
-    /// Returns the pose at `t_s` of an object that is mounted on this one. Same as
-    /// moved_track(*this, mounted).at(t_s).
+    /// Returns the pose at `t_s` of an object that is mounted on the moving object of
+    /// this track. `mounted` is the mounting. Same as moved_track(*this,
+    /// mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
-    /// Returns the two poses between which at(t_s) interpolates.
+    /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
     TrackPlace place(double t_s) const;
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
 };
 
-/// The second returns of all rays of a scan, or the third returns, and so on.
+/// One further return of every ray of a scan: all second returns, or all third returns,
+/// and so on.
 struct SecondReturn {
     std::vector<float> range_m;    ///< [n] range along the ray from its origin; 0 = no such return
     std::vector<float> intensity;  ///< [n] 0..1; 0 if there is no such return
@@ -48,10 +51,11 @@ struct SecondReturn {
 /// A measured or simulated sweep: its rays and the returns of each ray.
 struct Scan {
     RayTable rays;  ///< for a ray with a return: its measured direction and origin
-    /// [n] range of the strongest return along the ray from its origin; 0 = dropped
+    /// [n] range of the strongest return along the ray, from the ray's origin. 0 if the
+    /// ray was dropped.
     ScanArray<float> range_m;
     ScanArray<float> intensity;  ///< [n] intensity of the strongest return, 0..1; 0 if dropped
-    /// Second, third, ... returns of the rays. A dropped ray has none.
+    /// Second, third, ... returns of all rays. A dropped ray has no further returns.
     std::vector<SecondReturn> second_returns = {};
 
     /// Returns the end point of a ray.
@@ -61,7 +65,7 @@ struct Scan {
 };
 
 /// Drops the rays of a scan whose range is outside the limits. Also removes second
-/// returns outside the limits.
+/// returns whose range is outside the limits.
 void drop_outside(Scan& scan, const RangeLimits& limits);
 
 /// State of a LiDAR at the start of a sweep: the azimuth of its head, and the time since
@@ -73,21 +77,24 @@ struct SweepStart {
 
 /// Computes the start of a sweep from the times and azimuths of its rays. Returns nothing
 /// in these cases:
-/// - the sweep started facing backward, half a period before time 0 (the default, which
-///   faces forward at time 0);
-/// - the LiDAR does not spin;
-/// - the times and azimuths of the rays are inconsistent.
+/// - The sweep has the default start: facing backward, half a period before time 0.
+/// - The LiDAR does not spin.
+/// - The times and azimuths of the rays are inconsistent.
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor);
 
 /// A sweep of one LiDAR of the log.
 struct Frame {
-    int index = 0;        ///< frame number of the dataset; LiDARs that sweep together share it
-    double time_s = 0.0;  ///< reference time: the head faces forward, except in a sweep with a `start`
+    /// Frame number in the dataset. LiDARs that sweep at the same time share this number.
+    int index = 0;
+    /// Reference time. The head faces forward at this time, except in a sweep with a
+    /// `start`.
+    double time_s = 0.0;
     Scan scan;
-    int lidar = 0;                         ///< index into Sequence::lidars
-    std::optional<SweepStart> start = {};  ///< result of find_start(); set by load_sequence()
-    /// [columns] result of find_azimuth_shift(), set by load_sequence(). Empty: no
-    /// deviation from the nominal azimuths.
+    int lidar = 0;  ///< index into Sequence::lidars
+    /// Azimuth and time at the start; empty for the default start
+    std::optional<SweepStart> start = {};
+    /// [columns] deviation of the head from the nominal azimuth at each firing, in
+    /// radians. load_sequence() sets it. Empty if there is no deviation.
     std::vector<float> azimuth_shift_rad = {};
 };
 
@@ -106,34 +113,35 @@ struct SweepMoment {
 inline SweepMoment moment_of(const Frame& frame) { return {frame.time_s, frame.lidar, frame.start}; }
 
 struct Lidar;
-/// Computes the start of a sweep for any LiDAR. For a scanning window or a rosette,
-/// returns nothing if the frame's time is the middle of the scan or the pattern is
-/// unknown.
+/// Computes the start of a sweep for any LiDAR. For a LiDAR that does not spin, returns
+/// nothing if its pattern is unknown or the frame's time is the middle of the scan.
 std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar);
 
-/// Range noise of a sensor, as a table over range and incidence.
+/// Standard deviation of a sensor's measured ranges, as a table over the range and the
+/// angle of incidence.
 struct RangeNoise {
-    /// upper limits of the bins, ascending; empty if the noise is unknown
+    /// Upper limits of the bins, ascending. Empty if unknown.
     std::vector<double> range_m, cosine;
     /// [ranges*cosines] standard deviations along the ray, a row for each range
     std::vector<double> sigma_m;
 
-    /// Returns the standard deviation of the bin that contains a range and a cosine of
-    /// incidence, or of the nearest bin. Returns 0 if the noise is unknown.
+    /// Returns the standard deviation of the range noise for a range and a cosine of
+    /// incidence. Uses the bin that contains both values, or the nearest bin. Returns 0
+    /// if the noise is unknown.
     double at(double at_m, double at_cosine) const;
 };
 
 /// A LiDAR of a log.
 struct Lidar {
-    std::string name;  ///< name in the dataset, unique in the log; empty if the log has only one LiDAR
-    /// Nominal sensor, used for rays of frames without a scan. No beams and period 0 mean
-    /// that it does not spin.
+    std::string name;  ///< Name in the dataset. Empty if the log has only one LiDAR.
+    /// Nominal sensor, used to generate rays for frames without a scan. If the LiDAR does
+    /// not spin, this sensor has no beams and period 0.
     SpinningSensor sensor;
-    /// Mounting. Identity if the log has a single LiDAR, because the vehicle frame is
-    /// then the sensor frame.
+    /// Pose of the sensor in the vehicle frame. It is the identity if the log has a
+    /// single LiDAR, because the vehicle frame is then the sensor frame.
     Pose vehicle_from_sensor;
-    /// Nominal pattern of a LiDAR that does not spin. Empty if it spins, or if only its
-    /// scans are known.
+    /// Nominal pattern of a LiDAR that does not spin. Empty if the LiDAR spins, or if
+    /// only its scans are known.
     std::optional<SensorPattern> pattern = {};
     RangeNoise range_noise = {};  ///< range noise; empty unless it was measured
 
@@ -143,17 +151,19 @@ struct Lidar {
 
 /// Sets the nominal sensor of a LiDAR.
 void set_sensor(Lidar& lidar, const SensorModel& sensor);
-/// Returns the nominal sensor of a LiDAR, without beams if only its scans are known.
+/// Returns the nominal sensor of a LiDAR. If only its scans are known, the sensor has no
+/// beams.
 SensorModel sensor_of(const Lidar& lidar);
 
-/// Returns the nominal rays of a LiDAR at a time, or none if only its scans are known.
+/// Returns the rays that a LiDAR nominally fires at a time. Returns no rays if only the
+/// scans of the LiDAR are known.
 RayTable nominal_rays(const Lidar& lidar, double time_s);
 
-/// Measures how far the head of a spinning LiDAR deviated from its nominal azimuth at
-/// each firing of a sweep. Positive is to the left. The value is the median over all
-/// returned rays of the firing. Because all beams share one value, it does not reveal
-/// which of them were dropped. Firings with less than three returns are interpolated from
-/// their neighbours. With this shift, the rays of KITTI's HDL-64E agree to 0.01 columns
+/// Measures the difference between the actual and the nominal azimuth of a spinning head,
+/// at each firing of a sweep. Positive is to the left. The value is the median over all
+/// returned rays of the firing. All beams share this value, so it does not reveal which
+/// rays were dropped. Firings with less than three returns are interpolated from their
+/// neighbours. With this correction, the rays of KITTI's HDL-64E agree to 0.01 columns
 /// instead of up to three columns.
 /// @param nominal  nominal_rays() of the LiDAR
 /// @return [columns] radians, by firing (column_shift()). Empty if the scan is not in the
@@ -161,16 +171,16 @@ RayTable nominal_rays(const Lidar& lidar, double time_s);
 /// deviation.
 std::vector<float> find_azimuth_shift(const Scan& scan, const SpinningSensor& sensor,
                                       const RayTable& nominal);
-/// Returns the rays of a sweep at the measured azimuths of the head: each firing is
-/// rotated about the z axis.
+/// Rotates the rays of each firing about the z axis, to the azimuth that was measured for
+/// this firing.
 /// @param shift_rad  result of find_azimuth_shift(); empty: no rotation
 RayTable shifted_azimuths(RayTable rays, const SpinningSensor& sensor, const std::vector<float>& shift_rad);
 
-/// Category of boxes that have no label in the dataset and were found by
-/// discover_tracks() (relidar/scene/scene.hpp).
+/// Category of moving objects that have no label in the dataset, and that
+/// discover_tracks() found in the scans (relidar/scene/scene.hpp).
 inline constexpr const char* kDiscoveredCategory = "Discovered";
-/// Moving boxes are enlarged by this margin when their points are removed, because labels
-/// fit loosely.
+/// Moving boxes are enlarged by this margin when their points are removed, because
+/// labelled boxes do not fit their objects exactly.
 inline constexpr double kMoverMargin_m = 0.2;
 
 /// A tracked box. Box frame: x along the length, y along the width, z up, origin at the
@@ -179,44 +189,48 @@ struct BoxTrack {
     std::string id;          ///< unique in the sequence
     std::string category;    ///< class name in the dataset, or kDiscoveredCategory
     glm::dvec3 size_m{0.0};  ///< length, width, height
-    /// poses at the times of the frames in which the box was labelled or discovered
+    /// Poses at the times of the frames in which the box was labelled or discovered.
     PoseTrack world_from_box;
-    /// For a discovered box of which only one side was seen: the kind of object whose
-    /// typical size was used.
+    /// Kind of object whose typical size was used, for a discovered box of which the
+    /// scans show only one side. Otherwise empty.
     std::string size_guess = {};
-    /// Number of poses that discover_tracks() added to a labelled box, before its first
-    /// and after its last label.
+    /// Numbers of poses that discover_tracks() added before the first label and after the
+    /// last label of a box.
     std::size_t n_before = 0, n_after = 0;
 
-    /// Returns true if the object moves, as far as labels and poses can show it.
-    /// Positions are averaged over one second (half of a shorter track), because labels
-    /// jitter (by 9 cm on KITTI). The poses of a log also drift while a parked car is
+    /// Returns true if the object moves, as far as its labels and poses can show this.
+    /// Labels jitter (by 9 cm on KITTI), so positions are averaged over one second, or
+    /// over half of a shorter track. The poses of a log also drift while a parked car is
     /// visible. Therefore an object moves only in one of these cases:
-    /// - An average is farther from the first one than 2 m, or than half the longer side
-    ///   of the box but at least 0.2 m.
-    /// - From one average to the next it moves faster than 0.5 m/s and by more than 0.2
-    ///   m.
+    /// - An average position is farther from the first average than 2 m, or than half the
+    ///   longer side of the box but at least 0.2 m.
+    /// - Between two successive averages the object moves faster than 0.5 m/s and by more
+    ///   than 0.2 m.
     bool moves() const;
-    /// Returns true if the box was observed at a time, or within half a mean step of an
-    /// observation. The tolerance is half a sweep on either side of a label.
+    /// Returns true if the box was observed at a time. The tolerance is half the mean
+    /// time step between observations, on either side.
     bool present(double t_s) const;
-    /// Returns the box without the `n_before` and `n_after` poses that were added.
+    /// Returns the track without the poses that were added before its first and after its
+    /// last label.
     BoxTrack labelled_part() const;
     /// Returns true if a point in the world frame is in the box at a time. The box is
-    /// enlarged by margin_m.
+    /// enlarged by margin_m on all sides.
     bool holds(const glm::dvec3& point_m, double t_s, double margin_m) const;
 };
 
-/// Model of the intensity as a function of range and incidence, common to all beams of a
-/// log. The factor is 1 at 10 m and perpendicular incidence.
+/// Model of the measured intensity as a function of range and angle of incidence. It is
+/// common to all beams of a log. The factor is 1 at 10 m and perpendicular incidence.
 ///   intensity of the mean beam = albedo * at_range(range) * at_cosine(cos)
 struct IntensityResponse {
-    std::vector<double> range_m;  ///< knots, ascending; empty: factor 1 at every range
-    std::vector<double> factor;   ///< [knots] factor, interpolated linearly
-    double incidence = 0.0;       ///< 0: no dependence on the angle of incidence; 1: Lambert's cosine
+    /// Ranges of the factors, ascending. Empty: the factor is 1.
+    std::vector<double> range_m;
+    std::vector<double> factor;  ///< [knots] factor, interpolated linearly
+    /// Dependence on the angle of incidence: 0 none, 1 Lambert's cosine law.
+    double incidence = 0.0;
 
     double at_range(double at_m) const;  ///< uses the first or last factor outside the knots
-    /// Returns the factor for the cosine of the angle between ray and normal.
+    /// Returns the intensity factor for the cosine of the angle between the ray and the
+    /// surface normal.
     double at_cosine(double cosine) const { return 1.0 - incidence * (1.0 - cosine); }
 };
 
@@ -228,37 +242,40 @@ struct Sequence {
     std::vector<Frame> frames;                          ///< frames of all LiDARs, ascending in time
     PoseTrack world_from_vehicle;                       ///< an entry for each time that has frames
     std::vector<BoxTrack> boxes;
-    /// add it to relidar's world coordinates to get the dataset's world coordinates
+    /// Offset from relidar's world to the dataset's world. Add it to coordinates in
+    /// relidar's world frame to get coordinates in the dataset's world frame.
     glm::dvec3 world_offset_m{0.0};
-    /// response of the intensity, common to all LiDARs; factor 1 unless estimated
+    /// Dependence of the intensity on range and incidence, common to all LiDARs. The
+    /// factor is 1 unless it was estimated.
     IntensityResponse intensity_response;
     std::string conventions;         ///< a single line for users: frames, units, time reference
-    std::vector<std::string> notes;  ///< data that the log lacks, one line for each kind
-    /// Indices of the frames that published results on this part of the dataset hold out.
-    /// See split_frames().
+    std::vector<std::string> notes;  ///< Messages about data that the log lacks, one line each
+    /// Indices of the test frames in published results on this part of the dataset.
     std::vector<int> test_frames = {};
-    /// false: all poses are identity until a registration of the scans estimates them
+    /// False: all poses are identity until they are estimated by a registration of the
+    /// scans.
     bool has_poses = true;
-    /// rays were fired at different times (scans are not motion-compensated)
+    /// True: the rays of a scan were fired at different times, and the scans are not
+    /// motion-compensated.
     bool rolling_shutter = true;
 
     const Lidar& lidar_of(const Frame& frame) const { return lidars[std::size_t(frame.lidar)]; }
     /// Returns the index into world_from_vehicle of the pose at the time of a frame.
     /// @throws DataError if there is no such pose
     std::size_t pose_of(const Frame& frame) const;
-    /// Returns the poses of a LiDAR: the poses of the vehicle, at the same times,
-    /// combined with the mounting.
+    /// Returns the poses of a LiDAR at the times of the vehicle's poses. Each pose is the
+    /// vehicle's pose combined with the mounting of the LiDAR.
     PoseTrack world_from_sensor(int lidar) const;
     /// Returns the total number of beams of all LiDARs.
     std::size_t count_beams() const;
-    /// Returns the number of a beam if the beams of all LiDARs are numbered
-    /// consecutively, in the order of `lidars`. Returns nothing if the LiDAR has no such
-    /// beam.
+    /// Returns the number of a beam when the beams of all LiDARs are numbered
+    /// consecutively, in the order of `lidars`. Returns nothing if the LiDAR does not
+    /// have the beam.
     std::optional<std::uint16_t> beam_number(int lidar, std::uint16_t channel) const;
 };
 
-/// Returns the box with an id. Returns null if there is none, or if the id is empty,
-/// which means the background.
+/// Returns the box with this id, or null if no box has this id. An empty id means the
+/// background and gives null.
 const BoxTrack* find_box(const Sequence& sequence, const std::string& id);
 
 /// Returns a copy of a log without its frames.
@@ -269,21 +286,21 @@ Sequence without_frames(const Sequence& sequence);
 /// @throws UsageError if no LiDAR has this name
 int find_lidar(const Sequence& sequence, const std::string& name);
 
-/// Returns the poses of an object that is mounted on another object.
-/// @param track  poses of the other object
-/// @param sensor_from_moved  pose of the mounted object in the frame of the other object
+/// Returns the poses of an object that is mounted on another moving object.
+/// @param track  poses of the moving object
+/// @param sensor_from_moved  pose of the mounted object in the frame of the moving object
 PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
-/// Returns the same motion with additional poses in curves. An object that moved_track()
-/// mounts on the track then follows the curve instead of its chords.
+/// Returns the same motion with additional poses in curves. An object that is mounted on
+/// the track then follows the curve, instead of straight lines between the poses.
 PoseTrack with_fine_turns(const PoseTrack& track);
 /// Returns the same poses in a world frame with another origin.
-/// @param by_m  vector that is added to every position. Use Sequence::world_offset_m to
-/// convert from relidar's world to the dataset's world, and its negative to convert back.
+/// @param by_m  vector that is added to every position. Sequence::world_offset_m converts
+/// from relidar's world to the dataset's world. Its negative converts back.
 PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m);
 
-/// Replaces the poses of the vehicle, at the same times. Boxes move along, because they
-/// were labelled on the scans: each box keeps its pose relative to the vehicle at the
-/// time of its label.
+/// Replaces the poses of the vehicle, at the same times. Also moves the boxes, because
+/// they were labelled on the scans. Each box keeps its pose relative to the vehicle at
+/// the time of its label.
 void set_vehicle_poses(Sequence& sequence, PoseTrack world_from_vehicle);
 
 /// A ray in the world frame at the time at which it was fired.
@@ -292,36 +309,37 @@ struct WorldRay {
     glm::dvec3 direction;
 };
 
-/// Returns a ray of a frame in the world frame. If the sequence has a rolling shutter,
+/// Converts a ray of a frame to the world frame. If the sequence has a rolling shutter,
 /// the sensor pose is interpolated at the ray's firing time.
 /// @param time_s  reference time of the sweep
 /// @param ray  index into `rays`
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray,
                    bool rolling_shutter);
 
-/// Returns the time in a sweep at which the LiDAR faces a point, which is when an object
-/// there is seen. For a scanning window, it is the time of the column that contains the
-/// point. For a rosette or a table of rays, it is the middle of the scan, because a
-/// rosette covers every direction repeatedly.
+/// Returns the time in a sweep at which the LiDAR faces a point. The LiDAR measures an
+/// object at that point at this time. For a scanning window, it is the time of the column
+/// that contains the point. For a rosette or a table of rays, it is the middle of the
+/// scan, because a rosette covers every direction repeatedly.
 /// @param point_m [3] metres, sensor frame
 /// @return the `time_s` of the sweep if the sequence has no rolling shutter
 double facing_time(const Sequence& sequence, const glm::dvec3& point_m, const SweepMoment& sweep);
 
-/// Range and intensity of the surface that a ray hit. The effect of the angle of
-/// incidence is not removed from the intensity.
+/// Range and intensity of a surface that a ray hit. The intensity still depends on the
+/// angle of incidence.
 struct SurfaceReturn {
-    float range_m;    ///< range without the range offset of the beam; 0 if the ray was dropped
+    /// Range of the surface, without the range offset of the beam. 0 if the ray was
+    /// dropped.
+    float range_m;
     float intensity;  ///< intensity that the mean beam would measure at a distance of 10 m
 };
-/// Returns the surface values of a ray.
+/// Returns the range and intensity of the surface that a ray hit.
 /// @param ray  index of a ray of the frame
-/// @param number  number of the return: 0 is the strongest, then those of
-/// Scan::second_returns
+/// @param number  0 for the strongest return, n for Scan::second_returns[n-1]
 SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::size_t ray,
                              std::size_t number = 0);
 
 /// End point of a returned ray in the world frame, and the time at which it was measured.
-/// The range offset and the intensity response of its beam are removed.
+/// The range offset and the intensity response of the beam are removed.
 struct WorldReturn {
     glm::dvec3 point_m;
     glm::dvec3 direction;
@@ -335,48 +353,50 @@ WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size
                          std::size_t number = 0);
 
 /// Returns true if a point in the world frame is in any moving box at time t_s. Boxes are
-/// interpolated in time and enlarged by margin_m. A box is absent before its first and
-/// after its last observation, with a tolerance of half a step for the other rays of that
-/// sweep.
+/// interpolated in time and enlarged by margin_m. A box exists from its first to its last
+/// observation, plus half a time step on either side.
 bool in_moving_box(const std::vector<BoxTrack>& boxes, const glm::dvec3& point_m, double t_s,
                    double margin_m);
 
-/// Result of calibrate_ranges(): how well the beams agree on common planes.
+/// Result of calibrate_ranges(): how well the points of different beams lie on common
+/// planes.
 struct LaserCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
-    double rms_before = 0.0;  ///< distance of points from their plane, metres
-    double rms_after = 0.0;   ///< the same, with an offset for each beam
-    bool adopted = false;     ///< true if the beams have the offsets now
+    double rms_before = 0.0;  ///< Root mean square distance of points from their plane, in metres.
+    double rms_after = 0.0;   ///< The same distance after an offset was added for each beam.
+    bool adopted = false;     ///< True if the offsets were stored in the beams.
 };
 /// Result of calibrate_intensity().
 struct IntensityCalibration {
     std::size_t returns = 0;  ///< number of returns that were compared
-    double rms_before = 0.0;  ///< difference of intensities from the mean at their place
-    double rms_after = 0.0;   ///< the same, with the adopted corrections
-    bool shared = false;      ///< true if the log has an IntensityResponse now
-    bool beams = false;       ///< true if the beams have gains and offsets now
+    /// Root mean square difference between an intensity and the mean of returns at the
+    /// same surface point.
+    double rms_before = 0.0;
+    double rms_after = 0.0;  ///< The same difference with the corrections that were adopted.
+    bool shared = false;     ///< True if the log now has an IntensityResponse.
+    bool beams = false;      ///< True if the beams now have gains and offsets.
 };
-/// Estimates two models of the intensity by least squares: its dependence on range and
-/// incidence (Sequence::intensity_response), and the gain and offset of each beam (Beam).
-/// It compares returns that fall into the same 0.1 m of a surface. A model, or both
-/// together, is adopted only if it reduces the error by a further 5 %. Beams that agree
-/// therefore get no gains, and intensities that the sensor has already compensated get no
-/// response. The mean beam has gain 1 and offset 0, and so does a beam that shares no
-/// place with others. (Not in the paper.)
+/// Estimates two models of the intensity by least squares. The first is the dependence on
+/// range and incidence (Sequence::intensity_response). The second is the gain and offset
+/// of each beam (Beam). Both are fitted to returns that hit the same 0.1 m of a surface.
+/// A model, or both together, is adopted only if it reduces the error by a further 5 %.
+/// Beams that agree therefore get no gains, and intensities that the sensor has already
+/// compensated get no response. The mean beam has gain 1 and offset 0. So does a beam
+/// that hits no surface point together with other beams. (Not in the paper.)
 /// @param positions  indices into Sequence::frames of the frames to use
 IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<int>& positions);
-/// Measures the range noise of each LiDAR (Lidar::range_noise), from second differences
+/// Measures the range noise of each LiDAR (Lidar::range_noise) from second differences
 /// between neighbouring firings of a beam. The scans must be in image order. A bin with
-/// fewer than 200 returns uses the value of its neighbour. A LiDAR in which no bin has
-/// that many returns gets no noise. (Not in the paper.)
+/// fewer than 200 returns uses the value of the neighbouring bin. If no bin of a LiDAR
+/// has 200 returns, the LiDAR gets no noise. (Not in the paper.)
 /// @param positions  indices into Sequence::frames of the frames to use
 /// @return number of returns that were used; 0: nothing was measured
 std::size_t measure_range_noise(Sequence& sequence, const std::vector<int>& positions);
 /// Estimates the range offset of each beam (Beam) from returns on the same planes, in
 /// cells of 0.3 m. Uses alternating least squares, starting from the nominal ranges. The
-/// offsets of all beams have mean 0. They are set to 0 if they make the planes less than
-/// 3 % thinner. Datasets contain offsets of centimetres between beams. (Not in the
-/// paper.)
+/// mean offset of all beams is 0. If the offsets reduce the thickness of the planes by
+/// less than 3 %, they are set to 0. Datasets contain offsets of centimetres between
+/// beams. (Not in the paper.)
 /// @param positions  indices into Sequence::frames of the frames to use
 LaserCalibration calibrate_ranges(Sequence& sequence, const std::vector<int>& positions);
 
@@ -385,11 +405,12 @@ struct Split {
     std::vector<int> train;  ///< indices into Sequence::frames
     std::vector<int> test;
 };
-/// Splits the frames of a log. A held-out sweep includes the frames of all LiDARs that
-/// share its index. Held out is every `test_every`-th sweep except the first (10, 20, ...
-/// of 0:50 with 10), or the sweeps in `test_frames`. With `test_every` = 10 on a
-/// published part of a dataset, Sequence::test_frames are held out.
-/// @param test_every  0: hold out nothing
+/// Splits the frames of a log into training and test frames. A test sweep includes the
+/// frames of all LiDARs that share its index. Test sweeps are every `test_every`-th sweep
+/// except the first (10, 20, ... of 0:50 with 10), or the sweeps in `test_frames`. With
+/// `test_every` = 10 on a published part of a dataset, Sequence::test_frames are the test
+/// frames.
+/// @param test_every  0: no test frames
 /// @param test_frames  indices and half-open ranges, "13,26,40:45". If not empty, it is
 /// used instead of `test_every`.
 /// @throws UsageError for a test_every of 1, for an invalid list, for a frame that does

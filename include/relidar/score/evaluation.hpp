@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Evaluation: renders frames, compares them with the real ones and computes metrics.
-// Scores a run on its held-out frames, and a simple baseline for comparison.
+// Evaluation: renders frames, compares them with the real frames and computes metrics.
+// Used for the held-out frames of a run, and for a simple baseline.
 #pragma once
 
 #include <array>
@@ -20,45 +20,46 @@
 
 namespace relidar {
 
-/// Histogram of the rays with a real return, by the real range and by the error of the
+/// Counts of the rays with a real return, by their real range and by the error of their
 /// rendered range.
 struct RangeErrorCounts {
     /// limits of the bins of the real range
     static constexpr std::array<double, 7> kRangeEdges_m{0.0, 10.0, 20.0, 30.0, 40.0, 60.0, 80.0};
     static constexpr std::array<double, 3> kErrorEdges_m{0.05, 0.2, 1.0};
-    /// Number of error bins. The last one counts rays that have no rendered return.
+    /// Number of error bins. The last bin counts rays that have no rendered return.
     static constexpr std::size_t kBands = kErrorEdges_m.size() + 2;
 
     std::array<std::array<double, kBands>, kRangeEdges_m.size() - 1> rays{};
 };
 
-/// A frame that was rendered on the rays of the real scan, with its metrics.
+/// A frame that was rendered with the rays of the real scan, and its metrics.
 struct ScoredFrame {
     int frame = 0;  ///< frame number of the dataset
     int lidar = 0;  ///< index of its LiDAR
     double time_s = 0.0;
     std::optional<SweepStart> start = {};  ///< start of the sweep, see Frame
-    /// number of traced rays; an image of binned points can have fewer or more pixels
+    /// Number of traced rays. If points are binned into an image, the image can have
+    /// fewer or more pixels.
     std::size_t n_rays = 0;
-    /// Rendered scan. In an evaluation of many frames, only the middle frame keeps it;
-    /// the other frames keep only its time.
+    /// Rendered scan. In an evaluation of many frames, only the middle frame keeps its
+    /// scan. The other frames keep only the rendering time.
     RenderedScan rendered;
-    RangeImage real;  ///< measured image; kept for the same frames as `rendered`
+    RangeImage real;  ///< Measured image. The same frames keep it as `rendered`.
     MetricRow metrics;
     RangeErrorCounts range_errors;
 };
 
-/// Measured and simulated points in the box of a person or cyclist.
+/// Measured and simulated points in the box of one person or cyclist.
 struct PeoplePoints {
-    /// [n,3] in the frame of the box at the time at which the point was measured
+    /// [n,3] points in the frame of the box at the time at which each point was measured.
     std::vector<glm::dvec3> real_m, simulated_m;
-    /// Number of rays that hit the box: in both scans, only in the real scan, only in the
-    /// simulated scan.
+    /// Numbers of rays that hit the box: in both scans, only in the real scan, and only
+    /// in the simulated scan.
     std::size_t n_both = 0, n_missed = 0, n_false = 0;
 };
 
-/// Collects the measured and simulated points in a box that is enlarged by 0.1 m. Skips
-/// the lowest 0.15 m, which contains ground points. For the counts of rays, the box is
+/// Returns the measured and simulated points in a box that is enlarged by 0.1 m. Skips
+/// the lowest 0.15 m, which contains ground points. For the numbers of rays, the box is
 /// enlarged by 0.3 m.
 /// @param rendered  rendered image
 /// @param points_m [n] ranges of the simulated points, see point_ranges()
@@ -69,37 +70,38 @@ PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>&
                            const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
                            const BoxTrack& box);
 
-/// Callback that receives each frame after it was scored, with its images. It may add
-/// metrics.
+/// Callback that receives each frame with its images after its metrics were computed. The
+/// callback may add metrics.
 using SeeFrame = std::function<void(ScoredFrame&)>;
 
 /// Scored frames and their mean metrics.
 struct Evaluation {
-    std::string title = "rendered";  ///< what was scored
+    std::string title = "rendered";  ///< What was scored: "rendered" or the name of a baseline.
     std::vector<ScoredFrame> frames;
     MetricRow mean;
-    MetricRow kernel_ms;    ///< mean time of a launch, by kernel
-    double trace_ms = 0.0;  ///< mean time of a frame, including transfers
+    MetricRow kernel_ms;    ///< Mean time of a kernel launch in milliseconds, by kernel name.
+    double trace_ms = 0.0;  ///< Mean time to render a frame, including transfers to and from the device.
     double mrays_per_s = 0.0;
 };
 
-/// Copies the scans of the log into frames of a run that was trained on it. The poses of
-/// the run are kept.
+/// Copies scans of the log into the frames of a run that was trained on the log. The
+/// poses of the run are kept.
 /// @param positions  indices into Run::sequence of the frames
-/// @throws DataError if the log does not have a frame, or has it at another time
+/// @throws DataError if a frame is missing in the log, or has another time there
 void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& log);
 
-/// Renders a frame at the pose of the real sensor and compares both images. With the
+/// Renders a frame at the pose of the real sensor and computes its metrics. With the
 /// native grid, the rays are those of the real scan. With another grid, the simulated
-/// points are binned in the same way as the real ones.
+/// points are binned in the same way as the real points.
 /// @param sequence  sequence of the renderer
 /// @param frame  the frame, with its scan
-/// @param sensor_offset  pose, in the frame of the log's sensor, of the sensor that made
-/// frame.scan
+/// @param sensor_offset  pose of the sensor that made frame.scan, in the frame of the
+/// log's sensor
 ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                         const Frame& frame, const Pose& sensor_offset = {});
 
-/// Renders and scores many frames. The memory does not grow with their number.
+/// Renders many frames and computes their metrics. The memory use does not grow with the
+/// number of frames.
 /// @param positions  indices of the frames in `sequence`
 /// @param progress  called before each frame and after the last one; if it throws, the
 /// evaluation stops
@@ -113,16 +115,17 @@ Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const S
 /// @param times  kernel times of the renderer that rendered the frames
 Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times);
 
-/// Returns the mean time of a launch in milliseconds, by kernel.
+/// Returns the mean time of a kernel launch in milliseconds, by kernel name.
 MetricRow mean_times(const KernelTimes& times);
 
-/// Returns how a baseline handles points in moving boxes. "nearest" leaves them where
-/// they were measured; "nearest-actors" moves them with their boxes. Both baselines
-/// consist of the points of the neighbouring training scans.
+/// Returns how the baseline with this name handles points in moving boxes. Both baselines
+/// consist of the points of the neighbouring training scans. "nearest" leaves the points
+/// in moving boxes where they were measured. "nearest-actors" moves these points with
+/// their boxes.
 /// @param name  "nearest" or "nearest-actors"
 /// @throws UsageError for another name
 BoxMotion find_baseline(const std::string& name);
-/// Scores a baseline on the held-out frames of a log.
+/// Computes the metrics of a baseline on the held-out frames of a log.
 /// @param name  see find_baseline()
 /// @param sequence  the log, with its scans
 /// @param progress  see evaluate_frames()
@@ -131,12 +134,12 @@ BoxMotion find_baseline(const std::string& name);
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
                              const Split& split, const Progress& progress = {}, const SeeFrame& see = {});
 
-/// Reads the file with LPIPS weights, if one is set. Detects a wrong file before a long
-/// evaluation starts.
+/// Reads the file with LPIPS weights, if one is set, so that a damaged file is reported
+/// before a long evaluation starts.
 /// @throws DataError like read_lpips_weights()
 void check_lpips_weights();
 /// Returns the path of the file with LPIPS weights, from the environment variable
-/// RELIDAR_LPIPS_WEIGHTS. If it is empty, LPIPS is not computed.
+/// RELIDAR_LPIPS_WEIGHTS. If the path is empty, LPIPS is not computed.
 std::string lpips_weights_file();
 
 }  // namespace relidar

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metrics that compare a rendered range image with a real one, under both protocols of
-// docs/method.md section 8, for the full image and by region. Also computes a baseline
-// for comparison: the neighbouring real scans, moved to the pose of the sensor.
+// Metrics that compare a rendered range image with a real range image, for the full image
+// and by region. docs/method.md section 8 defines the two protocols, "peer" and "strict".
+// A baseline is also computed for comparison: the neighbouring real scans, moved to the
+// pose of the sensor.
 #pragma once
 
 #include <array>
@@ -37,12 +38,13 @@ struct MetricOptions {
     double peer_drop_threshold = 0.4;
     double strict_drop_threshold = double(kDropThreshold);
     double max_range_m = 80.0;
-    const Lpips* lpips = nullptr;  ///< null: peer/*_lpips is not computed
+    const Lpips* lpips = nullptr;  ///< Null: the LPIPS metrics (peer/*_lpips) are not computed.
 };
 
-/// Pixels of a real image that are scored separately.
+/// Set of pixels of a real image for which separate metrics are computed.
 struct Region {
-    /// prefix of its metrics: "moving_boxes" gives "moving_boxes/depth_medae_m" and so on
+    /// Prefix of the region's metric names. For example, "moving_boxes" gives
+    /// "moving_boxes/depth_medae_m".
     std::string name;
     std::vector<bool> pixels;  ///< [rows*columns] true for pixels in the region
 };
@@ -86,23 +88,24 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
 /// @param moving [rows*columns] true for pixels whose return is in a moving box
 std::vector<Region> standard_regions(const RangeImage& real, const std::vector<bool>& moving);
 
-/// Returns which returns of a scan are in a moving box that the dataset labelled.
-/// @param sensor_offset  pose, in the frame of the log's sensor, of the sensor that made
-/// the scan
+/// Returns a flag for each ray: true if the return is in a moving box that the dataset
+/// labelled.
+/// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
+/// sensor
 /// @return [n] true for rays with such a return
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame,
                                  const Pose& sensor_offset = {});
-/// Returns which returns of a scan are in a moving box that was discovered without a
-/// label.
-/// @param sensor_offset  pose, in the frame of the log's sensor, of the sensor that made
-/// the scan
+/// Returns a flag for each ray: true if the return is in a moving box that was discovered
+/// without a label.
+/// @param sensor_offset  pose of the sensor that made the scan, in the frame of the log's
+/// sensor
 /// @return [n] true for rays with such a return
 std::vector<bool> discovered_returns(const Sequence& sequence, const Frame& frame,
                                      const Pose& sensor_offset = {});
 
 /// Computes the errors of points with the strict protocol: points/{depth_*,cd_*,f_*}. The
-/// points are those of point cloud files, whose ranges can differ from the ranges of the
-/// image.
+/// points are those that are written to point cloud files. Their ranges can differ from
+/// the ranges of the image.
 /// @throws DataError like evaluate()
 MetricRow evaluate_points(const RangeImage& rendered, const RangeImage& real,
                           const MetricOptions& options = {});
@@ -112,34 +115,36 @@ struct Comparison {
     const RangeImage* rendered = nullptr;
     const RangeImage* real = nullptr;
     std::vector<Region> regions;
-    /// [rows*columns] ranges of the points of `rendered`, or empty
+    /// [rows*columns] ranges at which the points of `rendered` are placed. Empty if
+    /// points are not scored.
     std::vector<float> point_range_m = {};
 };
-/// Scores many frames in parallel on all cores. Calls evaluate(), evaluate_regions() and,
-/// if a comparison has points, evaluate_points().
+/// Computes the metrics of many frames in parallel on all cores. Calls evaluate() and
+/// evaluate_regions() for each frame. If a comparison has points, also calls
+/// evaluate_points().
 /// @return [n] metrics of each comparison
 std::vector<MetricRow> evaluate_all(const std::vector<Comparison>& comparisons,
                                     const MetricOptions& options = {});
 
-/// What the baseline does with points in moving boxes. `stay`: the points stay where they
-/// were measured. `follow`: the points move with their boxes, and are left out if the box
-/// is no longer present.
+/// Selects what the baseline does with points in moving boxes. `stay`: the points stay at
+/// their measured positions. `follow`: the points move with their boxes, and are left out
+/// if the box is no longer present.
 enum class BoxMotion { stay, follow };
 
-/// Computes the baseline: the returns of the nearest earlier and later training frame of
-/// the same LiDAR, moved into another sweep. Each point is moved to the time at which the
-/// head faces it:
+/// Computes the baseline. It moves the returns of the nearest earlier and later training
+/// frames of the same LiDAR into another sweep. Each point is moved to the time at which
+/// the head faces it:
 ///   p_sensor(t) = sensor_from_world(t) p_world,  t = facing_time(p_sensor)
-/// The result is not an image. It has a ray for each point, which starts at the sensor
+/// The result is not an image. It has one ray for each point, which starts at the sensor
 /// origin.
 /// @param position  index of the sweep in sequence.frames; its scan is not read
 /// @param train  indices of the training frames, with their scans
 /// @throws DataError if there is no training frame
 Scan neighbour_points(const Sequence& sequence, int position, const std::vector<int>& train, BoxMotion boxes);
 
-/// Bins points into a ray table. Each point is assigned to the ray with the smallest
-/// angle to it; each ray keeps its nearest point. Skips points that are more than half a
-/// beam spacing above the highest or below the lowest beam.
+/// Assigns each point to the ray of a table with the smallest angle to the point. Each
+/// ray keeps its nearest point. Skips points that are more than half a beam spacing above
+/// the highest or below the lowest beam.
 /// @return a scan of `rays`, with range_m along the direction of each ray
 /// @throws DataError if the rays are not in image order
 Scan bin_onto_rays(const RayTable& rays, const Scan& points);
@@ -152,8 +157,8 @@ struct LpipsWeights {
     std::array<std::vector<float>, 5> linear;  ///< [out] weights of the channels of each convolution
 };
 /// Reads the weights of LPIPS from a safetensors file, in half or single precision. The
-/// arrays are conv{0..4}.weight, conv{0..4}.bias and lin{0..4}.weight. The constructor of
-/// Lpips checks their sizes.
+/// arrays are conv{0..4}.weight, conv{0..4}.bias and lin{0..4}.weight. The sizes of the
+/// arrays are not checked here, but in the constructor of Lpips.
 /// @throws DataError if the file is damaged or an array is missing
 LpipsWeights read_lpips_weights(const std::filesystem::path& path);
 
@@ -169,17 +174,17 @@ public:
     /// @throws DataError if an array has another size or a value that is not finite
     explicit Lpips(LpipsWeights weights);
     ~Lpips();
-    /// Returns the distance for each layer.
+    /// Returns the distance between two images for each of the five layers.
     /// @param a [3,rows,columns] values intended for -1..1; other values are not clamped
     /// @param b [3,rows,columns] like `a`
     /// @throws DataError if the image is below 31 x 31 pixels, because the poolings then
     /// leave no pixel, or if an array has another size
     std::array<double, 5> by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows,
                                    int columns) const;
-    /// Returns the total distance of two images with a single channel. The channel is
-    /// repeated three times and mapped from 0..1 to -1..1 by x -> 2 x - 1, without
-    /// clamping, like `normalize` in the published code. Published tables for LiDAR pass
-    /// metres.
+    /// Returns the distance between two images with a single channel, summed over all
+    /// layers. The channel is repeated three times. Values are mapped from 0..1 to -1..1
+    /// by x -> 2 x - 1, without clamping, like `normalize` in the published code.
+    /// Published tables for LiDAR pass ranges in metres.
     /// @param a [rows*columns]
     /// @param b [rows*columns]
     double distance(const std::vector<double>& a, const std::vector<double>& b, int rows, int columns) const;
@@ -189,8 +194,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Returns the structural similarity with the defaults of scikit-image: uniform 7 x 7
-/// window, sample covariance, borders of 3 pixels cropped.
+/// Returns the structural similarity of two images with the defaults of scikit-image:
+/// uniform 7 x 7 window, sample covariance, borders of 3 pixels cropped.
 /// @param a [rows*columns]
 /// @param b [rows*columns]
 /// @throws DataError if the image is below 7 x 7 pixels or data_range is not positive
@@ -204,7 +209,7 @@ double ssim(const std::vector<double>& a, const std::vector<double>& b, int rows
 std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query,
                                       const std::vector<glm::dvec3>& target);
 
-/// Returns the mean of each metric over the frames that have it.
+/// Returns the mean of each metric. Frames that do not have the metric are ignored.
 MetricRow mean(const std::vector<MetricRow>& rows);
 
 }  // namespace relidar

@@ -14,28 +14,29 @@
 
 namespace relidar {
 
-/// A row of images in the report: real, rendered, error.
+/// A row of images in the report: the real image, the rendered image and their
+/// difference.
 struct ReportFigure {
     std::string title;
     std::vector<std::pair<std::string, Image>> images;  ///< caption and image
 };
 struct ReportCurve {
-    /// Name of the curve. Curves with the same part before '/' share a chart, for example
-    /// "loss/total" and "loss/depth".
+    /// Name of the curve. Curves with the same part before '/' are drawn in one chart,
+    /// for example "loss/total" and "loss/depth".
     std::string name;
     std::vector<double> x, y;
 };
 /// A point cloud in a 3D view of the report.
 struct ReportCloud {
     std::string name;  ///< name, for example "real"
-    /// [n] in the sensor frame: x forward, y left, z up. Points beyond 300 m are left
-    /// out.
+    /// [n] positions in the sensor frame: x forward, y left, z up, metres. Points beyond
+    /// 300 m are left out.
     std::vector<glm::vec3> position_m;
     std::vector<float> intensity;  ///< [n] 0..1
     std::vector<float> error_m;    ///< [n] range error; NaN if unknown
 };
-/// Point clouds side by side; the reader rotates all of them together. Large clouds are
-/// subsampled so that the page has at most 8 MB.
+/// Point clouds that are drawn side by side in 3D. The reader rotates all of them
+/// together. Large clouds are subsampled so that the page has at most 8 MB.
 struct ReportView {
     std::string title;
     std::vector<ReportCloud> clouds;
@@ -44,41 +45,44 @@ struct ReportView {
 struct ReportBars {
     struct Row {
         std::string name;           ///< name, for example "0 to 10 m"
-        double count = 0.0;         ///< number of samples; a row with 0 is left out
+        double count = 0.0;         ///< Number of samples in the row. A row without samples is left out.
         std::vector<double> share;  ///< [bands] fractions, 0..1
     };
     std::string title;
-    std::string note;                ///< a line of explanation
-    std::vector<std::string> bands;  ///< names of at most 5 bands, from good to bad
+    std::string note;                ///< One line of text that explains the chart.
+    std::vector<std::string> bands;  ///< Names of at most 5 bands, ordered from good to bad.
     std::vector<Row> rows;
 };
-/// An important metric, with a name for readers.
+/// An important metric that the report shows first, with a readable name.
 struct ReportKeyMetric {
     std::string metric;  ///< name of the metric, for example "strict/depth_medae_m"
     std::string name;    ///< name in the report, for example "Typical range error, m"
     std::string hint;    ///< a line that explains the metric
 };
 /// Contents of a self-contained HTML page, which needs no other file and no network. The
-/// summary, views, figures, curves, bars and key metrics come first; all other parts are
+/// summary, views, figures, curves, bars and key metrics come first. All other parts are
 /// collapsed. The page has a script only if it has views.
 struct Report {
     std::string title;
-    std::string summary;  ///< a sentence: what was done, the quality and the duration
+    /// One sentence about what was done, the quality of the result and the duration.
+    std::string summary;
     std::vector<ReportView> views;
     std::vector<ReportBars> bars;
-    /// metrics that are in no column of `metrics` are left out
+    /// Metrics to show first. A metric that is in no column of `metrics` is left out.
     std::vector<ReportKeyMetric> key_metrics;
     std::vector<std::pair<std::string, std::string>> facts;  ///< device, sizes, times
-    /// curves; the scale is logarithmic if all values are positive and span more than a
-    /// factor of 4
+    /// Curves to draw. The scale is logarithmic if all values are positive and span more
+    /// than a factor of 4.
     std::vector<ReportCurve> curves;
-    /// true: all columns of `metrics` score the same scans. false: the page does not mark
-    /// the best column.
+    /// True: all columns of `metrics` are computed on the same scans. False: the columns
+    /// cannot be compared, so the page does not mark the best column.
     bool same_scans = true;
-    /// title of the column and its values, which are grouped by the part before '/'
+    /// Columns of the table of metrics: the title of the column and its values. Values
+    /// are grouped by the part of their name before '/'.
     std::vector<std::pair<std::string, MetricRow>> metrics;
-    /// title of the table and the milliseconds of each kernel; percentages refer to
-    /// "total" or to the sum
+    /// Tables of kernel times: the title of the table and the milliseconds of each
+    /// kernel. Percentages refer to the entry "total", or to the sum if there is no such
+    /// entry.
     std::vector<std::pair<std::string, MetricRow>> timings_ms;
     std::vector<ReportFigure> figures;
 };

@@ -26,43 +26,43 @@ namespace relidar {
 struct Run;
 struct MountedSensor;
 
-/// A simulated scan: a range image with the ray of each pixel. A ray is in the sensor's
-/// frame at the ray's firing time.
+/// A simulated scan: a range image with the ray of each pixel. Each ray is expressed in
+/// the sensor's frame at the firing time of that ray.
 struct RenderedScan {
     /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
     /// computed from the two drop logits, as their softmax. It is 1 if the ray hit nothing
     /// within the sensor's range limits.
     RangeImage image;
-    /// [n] Range of the dominant surface along the ray, in metres: the distance at which
-    /// the transmittance T falls below 0.5. If T never falls below 0.5, the range of the
-    /// image.
+    /// [n] Median range along the ray, in metres: the distance at which the transmittance
+    /// T falls below 0.5. If T never falls below 0.5, it is the range of the image.
     std::vector<float> median_range_m;
-    /// [n] Mean range along the ray, in metres, independent of `render.range`: the
-    /// blended depth D divided by the accumulated alpha W. Equal to the median range if
-    /// the transmittance T never falls below 0.5.
+    /// [n] Mean range along the ray, in metres: the blended depth D divided by the
+    /// accumulated alpha W. Equal to the median range if the transmittance T never falls
+    /// below 0.5. It does not depend on `render.range`.
     std::vector<float> mean_range_m;
-    std::vector<float> weight;  ///< [n] accumulated alpha W of the ray
-    /// [n] Instance that the ray hit: an index into Scene::instances, or -1 if the ray
-    /// hit nothing.
+    std::vector<float> weight;  ///< [n] alpha accumulated along the ray (W).
+    /// [n] Object that the ray hit, as an index into Scene::instances. -1 if the ray hit
+    /// nothing.
     std::vector<std::int32_t> instance;
-    /// [n] Firing time of each ray relative to `time_s`, in seconds. All 0 without a
-    /// rolling shutter.
+    /// [n] Firing time of each ray relative to `time_s`, in seconds. All times are 0 if
+    /// the sensor has no rolling shutter.
     std::vector<float> time_offset_s;
     std::vector<std::uint16_t> ring;  ///< [n] beam number of the ray; 0 is the highest beam
-    /// Second returns of the dominant surfaces, if `sensor.returns` is 2.
+    /// Second returns of the rays, computed with median ranges. Empty unless
+    /// `sensor.returns` is 2.
     std::vector<SecondReturn> second_returns = {};
     /// Optional channels with [n] values each: the channels of `render.channels`, and
-    /// `source` if weather is set. A channel that the run cannot compute is missing
-    /// ("seen" without a Coverage). A caller can append channels; they are joined,
+    /// `source` if weather is set. A channel that the run cannot compute is missing (for
+    /// example "seen" without a Coverage). A caller can append channels. They are joined,
     /// binned, merged and written like all others.
     std::vector<ScanChannel> channels = {};
-    /// Share of rays for which the log observed less than half of the ray's path. It is
-    /// computed from all rays or from about a thousand of them. Empty if the run has no
-    /// coverage.
+    /// Share of rays that leave the space observed by the log: the log observed less than
+    /// half of the ray's path. Computed from all rays or from about a thousand of them.
+    /// Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
-    /// Poses of the sensor during the scan, in the dataset's world frame. A single pose
-    /// if all rays are fired from the same pose.
+    /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
+    /// single pose if all rays are fired from the same pose.
     PoseTrack track;
     double time_s = 0.0;
     double trace_ms = 0.0;
@@ -72,17 +72,18 @@ struct RenderedScan {
     Pose world_from_firing(std::size_t ray) const;
 };
 
-/// Computes the pose of the sensor at the firing time of each ray of a scan, for use by
-/// one thread. Many sensors fire all rays of a column at the same time. The class
-/// therefore interpolates the pose only once per column.
+/// Computes the pose of the sensor at the firing time of each ray of a scan. Many sensors
+/// fire all rays of a column at the same time, so the pose is interpolated only once per
+/// column. Only one thread may use an object of this class.
 class FiringPoses {
 public:
-    /// Prepares the poses of a scan.
+    /// Stores references to a scan whose poses at() computes.
     /// @param scan must outlive this object
     /// @param target_from_dataset transform to the frame in which the poses are returned
     explicit FiringPoses(const RenderedScan& scan, const Pose& target_from_dataset = {});
-    /// Returns `target_from_dataset * scan.world_from_firing(ray)`. The reference is
-    /// valid until the next call.
+    /// Returns the sensor pose at the firing time of a ray, in the target frame:
+    /// `target_from_dataset * scan.world_from_firing(ray)`. The reference is valid until
+    /// the next call.
     const Pose& at(std::size_t ray);
 
 private:
@@ -93,27 +94,26 @@ private:
     const RenderedScan& scan_;
     const Pose target_from_dataset_;
     const bool moves_;
-    /// Last computed pose of each column. A single pose if the scan has one row or the
-    /// sensor does not move.
+    /// Last computed pose of each column. It has a single entry if the scan has one row
+    /// or the sensor does not move.
     std::vector<Made> made_;
 };
 
-/// If a larger share of the rays looks where no ray of the log passed
-/// (RenderedScan::unseen_share), the program prints a warning. For the log's own sensor
-/// on its recorded path the share is below 0.01; in the next lane it is a few hundredths.
+/// Limit for RenderedScan::unseen_share, the share of rays outside the space that the log
+/// observed. Above it, the program prints a warning. The share of the log's own sensor on
+/// its recorded path is below 0.01. In the next lane it is a few hundredths.
 inline constexpr double kMuchUnseen = 0.2;
 
-/// Returns the [n] ranges at which the points of a scan are placed, in metres. The
-/// setting `render.points` selects the range of the dominant surface or the range of the
-/// image.
+/// Returns the [n] ranges, in metres, at which the points of a scan are placed. The
+/// setting `render.points` selects the median range or the range of the image.
 const std::vector<float>& point_ranges(const RenderedScan& scan, const Config& config);
 
 /// Returns the [n] spread of the ranges along each ray, in metres: |mean range - median
-/// range|. It is near 0 on a single surface and large where a ray passes an edge. It is 0
-/// if the transmittance T never falls below 0.5.
+/// range|. The spread is near 0 on a single surface, and large where a ray passes an
+/// edge. It is 0 if the transmittance T never falls below 0.5.
 std::vector<float> range_spread(const RenderedScan& scan);
 
-/// Returns the inputs of a ray-drop network for a scan.
+/// Computes the inputs of a ray-drop network for a scan.
 /// @param scan should have the channel `incidence`; without it all cosines are 0
 /// @param channels inputs of the network, see drop_channel_names()
 /// @param first_origin_m [3] point that sensor positions are relative to, in the
@@ -125,43 +125,43 @@ DropImage drop_image(const RenderedScan& scan, const std::vector<std::string>& c
 /// @return [3] metres
 glm::dvec3 first_origin(const Sequence& sequence);
 
-/// Returns the rendered intensities of a scan, with the values of each ray that their
-/// random scatter depends on.
+/// Returns the rendered intensities of a scan. Also returns the values from which random
+/// intensities are drawn: range, spread, incidence and elevation.
 RenderedIntensities rendered_intensities(const RenderedScan& scan);
 
 /// Replaces a scan of expected values by one random sample. A ray returns with
-/// probability 1 - drop_prob, independently of other rays. Noise is added to its range;
-/// the standard deviation depends on the range and on the angle of incidence, which is
-/// computed from neighbouring pixels. The intensity is drawn from the scatter of the
-/// LiDAR. Afterwards `drop_prob` is 0 or 1, and `image.range_m` equals `median_range_m`,
-/// the range of the dominant surface. Second returns keep their expected intensities. The
-/// result depends only on seed and time, not on the device.
+/// probability 1 - drop_prob, independently of other rays. Random noise is added to its
+/// range. The standard deviation depends on the range and on the angle of incidence,
+/// which is computed from neighbouring pixels. The intensity is drawn from the intensity
+/// model of the LiDAR. Afterwards `drop_prob` is 0 or 1, and `image.range_m` equals
+/// `median_range_m`. Second returns keep their expected intensities. The result depends
+/// only on seed and time, not on the device.
 /// @param scatter if empty, intensities keep their expected values
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
                     std::uint64_t seed);
 
-/// Effects of wet ground on a ray that hits it.
+/// Effects of wet ground on a ray that hits the ground.
 struct WetRay {
     double through_water = 1.0;  ///< brightness of the wet ground relative to the dry ground
-    Echo mirrored{};             ///< echo of the object that the ray hits after a reflection by the water
+    Echo mirrored{};  ///< Return of the object that the ray hits after it is reflected by the water.
 };
-/// Rays on which weather has special effects. An empty list means that no ray has the
-/// effect.
+/// Arrays with the rays on which weather has special effects. An empty array means that
+/// no ray has the effect.
 struct RaysInWeather {
-    /// [n] 1 for rays that an object at the sensor blocks, so that they do not sense the
-    /// air.
+    /// [n] 1 for rays that are blocked by an object at the sensor. Such a ray measures no
+    /// fog, rain or snow.
     std::span<const std::uint8_t> blind{};
     std::span<const WetRay> wet{};  ///< [n] effects of wet ground
-    /// [n] echoes of stray light from retro-reflectors in other directions
+    /// [n] returns caused by stray light from retro-reflectors in other directions.
     std::span<const Echo> stray{};
     std::span<const float> from_sun{};  ///< [n] angle between ray and sun, in radians
 };
 
-/// Adds the effects of weather to a scan. Surfaces become darker or are dropped. If a ray
-/// returns from the air, it gets the range and intensity of this echo, instance -1, and
-/// no values in channels that describe surfaces. The channel `source` stores the cause of
-/// each return; clear air changes nothing else. The result depends only on seed and time,
-/// not on the number of threads.
+/// Adds the effects of weather to a scan. Surfaces become darker or are dropped. If fog,
+/// rain, snow or noise causes the return of a ray, the ray gets the range and intensity
+/// of this return. The ray also gets instance -1, and no values in channels that describe
+/// surfaces. The channel `source` stores the cause of each return. Clear air changes
+/// nothing else. The result depends only on seed and time, not on the number of threads.
 /// @param response intensity that the sensor reports for the same surface as a function
 /// of range
 void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response,
@@ -169,20 +169,24 @@ void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& re
 
 /// The points of a scan without its other arrays.
 struct RenderedPoints {
-    Points points;                            ///< all returns, see place_points()
-    std::size_t n_rays = 0;                   ///< number of rays of the scan
-    std::optional<double> unseen_share = {};  ///< see RenderedScan::unseen_share
+    Points points;           ///< all returns, see place_points()
+    std::size_t n_rays = 0;  ///< number of rays of the scan
+    /// Share of rays outside the space that the log observed, see
+    /// RenderedScan::unseen_share.
+    std::optional<double> unseen_share = {};
 };
 
 /// The sensor to simulate.
 struct SensorChoice {
-    RayTable rays;  ///< rays of a sweep; empty for a Rosette, whose rays differ in every scan
-    /// grid into which the simulated points are binned after rendering
+    RayTable rays;  ///< Rays of a sweep. Empty for a Rosette, because its rays differ in every scan.
+    /// Range grid into which the simulated points are binned after rendering.
     std::optional<RangeGrid> grid = {};
-    bool is_own = false;  ///< true for a LiDAR of the log; then the ray-drop of this sensor applies
+    /// True for a LiDAR of the log. The drop probabilities that the sensor itself causes
+    /// then apply.
+    bool is_own = false;
     /// True if `rays` are the nominal rays of the log's LiDAR. A scan at the time of a
-    /// recorded sweep then uses the azimuths of that sweep (find_azimuth_shift()), unless
-    /// a ScanRequest sets the poses.
+    /// recorded sweep then uses the measured azimuths of that sweep. This does not apply
+    /// if a ScanRequest sets the poses.
     bool follows_sweeps = false;
     /// Calibration of the beams: range offsets, intensity gains and offsets. If empty,
     /// the measured values are not changed.
@@ -193,88 +197,92 @@ struct SensorChoice {
     RangeLimits limits = {};  ///< limits of measured ranges
     std::string name = "";
     int lidar = 0;  ///< index of the log's LiDAR that this sensor is or replaces
-    /// Returns per ray: 1 or 2. With 2, each ray is split into 9 sub-rays if the
-    /// configuration has 1. The value 0 means `sensor.returns` of the configuration.
+    /// Number of returns per ray: 1 or 2. With 2, each ray is split into 9 sub-rays if
+    /// the configuration has only 1. The value 0 means `sensor.returns` of the
+    /// configuration.
     int returns = 0;
-    /// If false, all rays are fired at the scan's time, as in a motion-compensated log.
-    /// See has_rolling_shutter().
+    /// False: all rays are fired at the scan's time, as in a motion-compensated log. See
+    /// has_rolling_shutter().
     bool rolling_shutter = true;
 };
 
-/// Returns true if the sensor fires its rays at different times:
-/// SensorChoice::rolling_shutter, unless `sensor.rolling_shutter` is `no`. In scans
-/// without a rolling shutter all time offsets are 0, and all points are in the sensor's
+/// Returns true if the sensor fires its rays at different times. The setting
+/// `sensor.rolling_shutter` = `no` overrides SensorChoice::rolling_shutter. Without a
+/// rolling shutter, all time offsets of a scan are 0. All points are then in the sensor's
 /// frame at the scan's time.
 bool has_rolling_shutter(const SensorChoice& sensor, const Config& config);
 
-/// Returns the sensor with the azimuths of the log's sweep at this time, if the sensor
-/// follows the sweeps of the log. At any other time, and for any other sensor, returns
-/// the sensor unchanged. ScanRenderer calls this function for scans without a
-/// ScanRequest.
+/// Returns a copy of the sensor with the measured azimuths of the log's sweep at this
+/// time. Returns the sensor unchanged if it does not follow the sweeps of the log, or if
+/// the log has no sweep at this time. ScanRenderer calls this function for scans without
+/// a ScanRequest.
 /// @param frames frames of the log with their azimuth shifts
 SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> frames,
                              std::span<const Lidar> lidars, double time_s);
 
-/// Returns the sensor of the setting `sensor.grid`: a LiDAR of the log, or a grid. The
-/// setting `sensor.grid_method` selects whether the rays of the grid are cast, or the
-/// points of the LiDAR are binned into the grid. The range limits of the LiDAR are
-/// intersected with those of the dataset settings. If the log stores only scans of a
-/// LiDAR, `rays` is empty and the caller must set the rays of a scan.
+/// Returns the sensor that the setting `sensor.grid` selects: a LiDAR of the log, or a
+/// grid. With a grid, the setting `sensor.grid_method` selects how the image is made.
+/// Either the rays of the grid are cast, or the points of the LiDAR are binned into the
+/// grid. The range limits of the LiDAR are intersected with those of the dataset
+/// settings. If the log stores only scans of a LiDAR, `rays` is empty and the caller must
+/// set the rays of a scan.
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar = 0);
-/// Returns a sensor for "native", the name of a sensor, a CSV file or the name of a grid.
-/// "kitti360" follows the setting `sensor.grid_method`.
+/// Returns the sensor with a name or from a file: "native", the name of a sensor, a CSV
+/// file or the name of a grid. "kitti360" follows the setting `sensor.grid_method`.
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar = 0);
 
-/// Returns a choice that replaces a LiDAR of the log by another sensor.
+/// Creates a SensorChoice for a sensor that replaces a LiDAR of the log.
 SensorChoice sensor_choice(const SensorModel& sensor, int lidar = 0);
-/// Returns a choice for a sensor of a rig, with its number of returns.
+/// Creates a SensorChoice for a sensor of a rig, with its number of returns.
 SensorChoice sensor_choice(const MountedSensor& mounted, int lidar = 0);
 
 /// Merges scans of all sensors of a rig into one scan without image order. Rays are in
-/// the frame of the rig, which is the sensor of the merged scan. Ring numbers continue
-/// from one scan to the next. A channel that a scan lacks has the value `none` there.
+/// the frame of the rig, as if the rig were a single sensor. Ring numbers continue from
+/// one scan to the next. If a scan lacks a channel, its rays get the channel's value
+/// `none`.
 /// @param scans scans at the same time
 /// @param rig_from_sensor [scans] mounting pose of each sensor
 /// @throws UsageError if two channels have the same name and different types
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor);
 
 /// Request for a scan with explicit poses of the sensor, for example from a trajectory
-/// file or a traffic simulator. Poses are in the dataset's world frame. Times are those
-/// of the log (Frame::time_s).
+/// file or a traffic simulator. Poses are in the dataset's world frame. Times are in the
+/// time of the log (Frame::time_s).
 struct ScanRequest {
     double time_s = 0.0;  ///< time at which the sensor head faces forward, in seconds
-    /// Poses of the sensor during the sweep. With a rolling shutter each ray is fired
-    /// from the pose at its firing time. With a single pose the sensor does not move.
+    /// Poses of the sensor during the sweep. With a rolling shutter, each ray is fired
+    /// from the pose at its firing time. If there is a single pose, the sensor does not
+    /// move.
     PoseTrack dataset_from_sensor;
-    /// Poses of all actors that are present. If not set, the tracks of the run give the
-    /// poses at the time of the scan.
+    /// Poses of all actors that are present. If not set, the poses are read from the
+    /// actors' tracks in the run, at the time of the scan.
     std::optional<ActorPoses> dataset_from_actor = {};
 };
 
 /// Renders scans of a trained scene. Only one thread may use a renderer, and renderers of
-/// the same device must not be used simultaneously. With ShDirection::surfel a model with
-/// n instances is stored n times (own_models), because each instance is lit from the
-/// direction of the sensor to it. ShDirection::ray needs only one copy.
+/// the same device must not be used simultaneously. With ShDirection::surfel, a model
+/// with n instances is stored n times (own_models). The reason is that spherical
+/// harmonics are evaluated for the direction from the sensor to each instance.
+/// ShDirection::ray needs only one copy.
 class ScanRenderer {
 public:
     /// Creates a renderer of a scene.
     /// @throws UsageError for unknown channels, and for channels that need normals if the
     /// primitives are 3D Gaussians, which have no normals
     ScanRenderer(Device& device, const Scene& scene, const Config& config, const Sequence& sequence);
-    /// Creates a renderer of a run. It uses the run's coverage and its scatter of
-    /// intensities. It uses the ray-drop network if the run has one and `refine.enabled`
-    /// is set.
+    /// Creates a renderer of a run. It uses the coverage and the intensity model of the
+    /// run. It uses the ray-drop network if the run has one and `refine.enabled` is set.
     ScanRenderer(Device& device, const Run& run);
     ~ScanRenderer();
-    /// Hides instances in all following scans.
+    /// Hides instances of the scene in all following scans.
     /// @param shown [instances] false for an instance that is not rendered
     void show_only(const std::vector<bool>& shown);
-    /// Uses a network to correct the ray-drop of all following scans. An empty network
-    /// switches the correction off. A network for the sensor's rays needs scans in image
-    /// order with enough rows and columns; it runs before a scan is binned into a grid. A
-    /// network for the cells of a grid runs only on images of that grid. A ray whose drop
-    /// probability is 1 stays dropped.
+    /// Uses a network to correct the drop probabilities of all following scans. An empty
+    /// network switches the correction off. A network for the sensor's rays needs scans
+    /// in image order with enough rows and columns. It runs before a scan is binned into
+    /// a grid. A network for the cells of a grid runs only on images of that grid. A ray
+    /// whose drop probability is 1 stays dropped.
     /// @throws DataError if the arrays of the network do not fit its shape
     void refine_drops(const DropNetwork& network);
     /// Adds channels to all following scans, in addition to those of the setting
@@ -282,18 +290,17 @@ public:
     /// @throws UsageError for an unknown channel, and for a channel that needs normals if
     /// the primitives have none
     void want_channels(const std::string& names);
-    /// Computes RenderedScan::unseen_share for all following scans. An empty coverage
-    /// switches the computation off.
+    /// Compares all following scans with the space that the log observed, and sets
+    /// RenderedScan::unseen_share. An empty coverage switches the comparison off.
     void compare_with(const Coverage& coverage);
-    /// Sets the scatter of intensities for each LiDAR of the log, for all following
-    /// scans. Sampled scans draw intensities from it. Other scans round their intensities
-    /// to the log's steps.
+    /// Sets the statistical intensity model of each LiDAR of the log, for all following
+    /// scans. Sampled scans draw intensities from this model. Other scans round their
+    /// intensities to the quantisation steps of the log.
     /// @param scatter [lidars] if an entry is missing or empty, intensities are as
     /// rendered
     void scatter_intensities(const std::vector<IntensityScatter>& scatter);
-    /// Sets the weather of all following scans. The seed of a sampled scan is also the
-    /// seed of its weather; other scans use seed 0. Scans with weather have the channel
-    /// `source`.
+    /// Sets the weather of all following scans. A sampled scan uses the same seed for its
+    /// weather. Other scans use seed 0. Scans with weather have the channel `source`.
     /// @throws UsageError as check_weather(), and for weather if all intensities of the
     /// log are 0
     void set_weather(const Weather& weather);
@@ -312,15 +319,15 @@ public:
     /// @throws UsageError for an actor that is not in the scene
     RenderedScan render(const SensorChoice& sensor, const ScanRequest& request,
                         std::optional<std::uint64_t> sample = {});
-    /// Selects whether a requested scan is submitted to the device now or together with
-    /// the next request.
+    /// Selects when a requested scan is submitted to the GPU: now, or together with the
+    /// next request.
     enum class Send { now, with_next };
     /// Requests the points of a scan without waiting for them. The points are in the
-    /// sensor's frame at a time of its path. While the device renders this scan, the
-    /// caller can request more scans and collect earlier points. The device computes the
-    /// points if the scan needs only the sensor's rays, without sub-rays, grid, channels,
-    /// weather or sample. Otherwise place_points() computes them on the host. Both
-    /// results are bitwise equal.
+    /// sensor's frame at a time of the sensor's path. While the device renders this scan,
+    /// the caller can request more scans and collect earlier points. The device computes
+    /// the points if the scan needs only the sensor's rays, without sub-rays, grid,
+    /// channels, weather or sample. Otherwise place_points() computes the points on the
+    /// host. Both results are bitwise equal.
     /// @param points_at_s time of the sensor frame in which the points are expressed
     /// @param when with `with_next`, the scan is submitted together with the next
     /// request. Scans whose points the device computes are then rendered in parallel.
@@ -328,13 +335,13 @@ public:
     /// render()
     void ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
                     std::optional<std::uint64_t> sample = {}, Send when = Send::now);
-    /// Maximum number of requested scans that were not collected. Two pending scans are
-    /// enough to keep the device busy.
+    /// Maximum number of requested scans whose points are not collected yet. Two pending
+    /// scans are enough to keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
     /// Returns the maximum number of scans that the device renders in parallel. The
-    /// default is 4 on a GPU, because one scan does not occupy it fully, and 1 on a CPU.
-    /// For a scene in blocks it is 1. Each additional scan needs a copy of the scene on
-    /// the device. If device memory is exhausted, fewer scans run in parallel.
+    /// default is 4 on a GPU, because a single scan does not use the GPU fully, and 1 on
+    /// a CPU. For a scene in blocks it is 1. Each additional scan needs a copy of the
+    /// scene on the device. If device memory is exhausted, the number is reduced.
     int side_by_side() const;
     static int default_side_by_side(const Device& device);
     /// Sets the maximum number of scans that the device renders in parallel.
@@ -350,7 +357,7 @@ private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
 
-    /// Sets the path of the sensor from a request.
+    /// Sets the path of the sensor to the poses of a request.
     /// @return poses of the instances at the time of the scan
     std::vector<InstancePose> drive(const SensorChoice& sensor, const ScanRequest& request);
     /// Renders a scan after the path of the sensor was set.
@@ -359,14 +366,15 @@ private:
 };
 
 /// Bins a simulated scan into a grid, in the same way as the dataset bins its real
-/// points. Points lie on the dominant surfaces of the rays. The nearest returned point
-/// wins a cell. A cell is dropped if all its rays are dropped. Its drop probability is
-/// the smallest of its rays, because neighbouring rays are dropped for the same reason; a
-/// product would assume independent drops. Empty cells are dropped.
+/// points. Points are placed at the median ranges of the rays. A cell holds its nearest
+/// returned point. A cell is dropped if it is empty or if all its rays are dropped. The
+/// drop probability of a cell is the smallest probability of its rays. A product of
+/// probabilities would assume independent drops, but neighbouring rays are dropped for
+/// the same reason.
 RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid);
 
-/// Returns the real image of a frame on the pixels of the configured sensor, for
-/// comparison with a rendering. The native grid returns the scan unchanged. Any other
+/// Returns the real image of a frame with the pixels of the configured sensor. It can be
+/// compared with a rendered image. The native grid returns the scan unchanged. Any other
 /// grid bins the points of the scan.
 RangeImage real_image(const Config& config, const Scan& scan);
 

@@ -42,45 +42,53 @@ enum class PointFrame { sensor, world };
 struct ScanFormat {
     std::vector<std::string> formats{"npz"};  ///< names of formats, see scan_formats()
     PointFrame frame = PointFrame::sensor;
-    /// Only for the sensor frame. true: all points use the sensor frame at the scan's
-    /// reference time. false: each point uses the sensor frame at its ray's firing time.
+    /// Only for the sensor frame. True: all points are in the sensor frame at the scan's
+    /// reference time. False: each point is in the sensor frame at its ray's firing time.
     bool deskew = false;
     std::vector<std::string> instance_names;  ///< names by instance: "background" or the track
-    std::vector<std::string> only;        ///< tracks that were rendered alone; empty: everything was rendered
-    std::optional<std::uint64_t> sample;  ///< random seed of a sampled scan; empty: the most likely scan
+    /// Tracks of the only actors that were rendered. Empty if everything was rendered.
+    std::vector<std::string> only;
+    /// Random seed of a sampled scan. Empty if the scan has the most likely values.
+    std::optional<std::uint64_t> sample;
     Weather weather = {};
     std::string run;  ///< folder of the run
     std::string sensor;
     RangeLimits limits;
-    Pose offset;  ///< pose of the simulated sensor in the frame of the log's sensor or of its trajectory
-    /// mounting of the log's sensor, because recordings also contain the vehicle frame
+    /// Pose of the simulated sensor in the frame of the log's sensor, or of the
+    /// trajectory.
+    Pose offset;
+    /// Mounting of the log's sensor on the vehicle. Needed because recordings also
+    /// contain the vehicle frame.
     Pose vehicle_from_lidar;
-    /// Rays are fired at different times. See has_rolling_shutter().
+    /// True if rays are fired at different times, see has_rolling_shutter().
     bool rolling_shutter = true;
     /// Topic of the sensor's point clouds in recordings. The names of its other topics
     /// begin with this topic.
     std::string topic = "/lidar/points";
     std::string frame_id = "lidar";  ///< frame id of the sensor in recordings
-    /// tracks of the actors in relidar's world frame; written as boxes in recordings
+    /// Tracks of the actors in relidar's world frame. Recordings store them as boxes.
     std::vector<BoxTrack> actors;
-    glm::dvec3 world_offset_m{0.0};  ///< see Sequence::world_offset_m
-    /// trajectory file that moved the sensor; empty: it followed the log's sensor
+    /// Offset from relidar's world to the dataset's world, see Sequence::world_offset_m.
+    glm::dvec3 world_offset_m{0.0};
+    /// Trajectory file that set the poses of the sensor. Empty if the poses are those of
+    /// the log's sensor.
     std::string trajectory;
     Config config;
 };
 /// Returns the default format for scans of a run: npz in the sensor frame, with the
 /// sensor at the poses of the log's sensor.
 ScanFormat scan_format(const Run& run, const SensorChoice& sensor);
-/// Returns true if all points of a scan share one frame. This is the world frame, or the
-/// sensor frame at the scan's time (in recordings: at the stamp). It is true if the
-/// points are converted or if all rays are fired at that time.
+/// Returns true if all points of a scan share one frame: the world frame, or the sensor
+/// frame at the scan's time (in recordings: at the time stamp of the message). This is
+/// the case if the points are converted or if all rays are fired at that time.
 bool is_deskewed(const ScanFormat& format);
 /// Sets the topic and the frame id of a sensor in recordings. The topic is
 /// /lidar/NAME/points, with topic_word(NAME), and the frame id is NAME. An empty name
-/// gives /lidar/points and lidar.
+/// gives the topic /lidar/points and the frame id lidar.
 /// @param name  name of the log's LiDAR or of the rig's sensor
 void name_in_recordings(ScanFormat& format, const std::string& name);
-/// Converts a name to a word of a topic. Characters that topics do not allow become _.
+/// Converts a name to a part of a topic name. Replaces characters that topics do not
+/// allow by _.
 std::string topic_word(const std::string& name);
 
 /// Writes recordings: a file for each recording format, with all scans of a sensor or
@@ -151,14 +159,14 @@ private:
 /// Recordings contain all scans and are completed after the last one, see ScanRecordings.
 class ScanFolder {
 public:
-    /// Creates the folder if it does not exist, and removes the files of an earlier
-    /// rendering from it.
-    /// @throws UsageError for an unknown format; the message suggests the most similar
-    /// one
+    /// Creates the folder if it does not exist. Removes the files of an earlier rendering
+    /// from the folder.
+    /// @throws UsageError for an unknown format. The message suggests the most similar
+    /// known format.
     /// @throws DataError if the folder cannot be written
     ScanFolder(std::filesystem::path folder, ScanFormat format);
-    /// Opens a folder that another process has created, to write some of the scans of the
-    /// same rendering. Removes no files.
+    /// Opens a folder that another process has created for the same rendering. This
+    /// process then writes some of the scans. Removes no files.
     /// @throws UsageError for a recording, because only one process can write it;
     /// otherwise like the constructor
     static ScanFolder joining(std::filesystem::path folder, ScanFormat format);
@@ -166,13 +174,13 @@ public:
     /// @param frame  number of the frame
     /// @throws DataError like write_atomically()
     void write(int frame, const RenderedScan& scan);
-    /// Writes scans.json and gives recordings their final names. Call it after the last
-    /// scan.
+    /// Writes scans.json and gives the recordings their final names. Must be called after
+    /// the last scan.
     void finish();
     const std::filesystem::path& path() const { return folder_; }
     /// Returns the entries of scans.json for the scans written so far. Each entry is JSON
-    /// without line breaks. set_entries() replaces them, for example by entries that
-    /// other processes have written.
+    /// without line breaks. set_entries() replaces these entries, for example by entries
+    /// that other processes have written.
     const std::vector<std::string>& entries() const { return entries_; }
     void set_entries(std::vector<std::string> entries) { entries_ = std::move(entries); }
 
@@ -184,8 +192,8 @@ private:
     ScanFormat format_;
     std::vector<std::string> entries_;
     std::vector<ChannelInfo> channels_;  ///< channels of the scans, in addition to the basic ones
-    /// A shared pointer, so that a ScanFolder can be moved. Null in a process that uses
-    /// joining().
+    /// Recordings of the scans. A shared pointer allows a ScanFolder to be moved. Null in
+    /// a process that joined an existing folder.
     std::shared_ptr<ScanRecordings> recordings_;
 
     /// returns true if `format` is one of ScanFormat::formats
@@ -197,22 +205,22 @@ private:
 /// @param frame  number of the frame
 std::vector<NamedArray> scan_arrays(const RenderedScan& scan, int frame, const ScanFormat& format);
 
-/// Returns the names of the files of an earlier rendering in a folder. Creating a
-/// ScanFolder there would remove them.
+/// Returns the paths of files in a folder that an earlier rendering has written. Creating
+/// a ScanFolder for the folder would remove these files.
 std::vector<std::filesystem::path> scans_in(const std::filesystem::path& folder);
 
-/// Returns a picture of an image. range_picture() uses false colours, scaled by the
-/// square root of the range so that near objects have more contrast. Intensities and drop
-/// probabilities are gray. Pixels without a return are dark gray.
+/// Returns a picture of the ranges of an image in false colours. The colour scale uses
+/// the square root of the range, so that near objects have more contrast. The pictures of
+/// intensities and drop probabilities are gray. Pixels without a return are dark gray.
 Image range_picture(const RangeImage& image, double max_range_m);
 Image intensity_picture(const RangeImage& image);
 Image drop_picture(const RangeImage& image);
-/// Returns range, intensity and drop probability stacked in a single picture.
+/// Returns a single picture with range, intensity and drop probability below each other.
 Image scan_picture(const RenderedScan& scan);
-/// Returns the factor by which stack() enlarges an image vertically. The rows of a LiDAR
-/// are farther apart than its columns.
+/// Returns the factor by which stack() enlarges an image vertically. The factor is needed
+/// because the rows of a LiDAR are farther apart than its columns.
 int picture_stretch(const RangeImage& image);
-/// Returns [rows*columns] 1 for returned pixels, otherwise 0.
+/// Returns [rows*columns] values: 1 for pixels with a return, 0 for all others.
 std::vector<float> returned_pixels(const RangeImage& image);
 
 }  // namespace relidar

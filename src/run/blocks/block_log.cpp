@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Extracts the part of a log on which a block is trained.
+// Creates the part of a log that is used to train one block of a scene.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -13,11 +13,10 @@
 namespace relidar {
 namespace {
 
-// maximum distance of a box from the sensor; boxes farther away have hardly any returns
+// Maximum distance of a box from the sensor. Boxes farther away have hardly any returns.
 constexpr double kSeen_m = 100.0;
 
-/// Returns the training frames of a block, and those of its own frames that are held out,
-/// in the order of the log.
+/// Returns the training frames and the test frames of a block, in the order of the log.
 std::vector<int> frames_of(const Block& block, const Split& split) {
     std::vector<int> frames = block.train;
     for (const int position : block.own)
@@ -28,7 +27,8 @@ std::vector<int> frames_of(const Block& block, const Split& split) {
 }
 
 /// Returns the poses at the times of some frames, and the poses directly before and after
-/// each. With these neighbours, a sweep next to a gap moves as in the full log.
+/// each frame. With these additional poses, the motion during a sweep next to a gap is
+/// the same as in the full log.
 PoseTrack poses_around(const Sequence& sequence, const std::vector<int>& frames) {
     const PoseTrack& all = sequence.world_from_vehicle;
     std::vector<bool> is_used(all.time_s.size(), false);
@@ -50,8 +50,9 @@ bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector
                        [&](int position) { return is_within(box, sequence, position, kSeen_m); });
 }
 
-/// Keeps the entries of a list of tracks that name an existing box. If none is left, also
-/// clears the classes, because the user has selected only tracks of other blocks.
+/// Removes tracks that have no box in this part of the log from the list of actors. If
+/// the list becomes empty, also clears the actor classes, because the user has selected
+/// only tracks of other blocks.
 void keep_known(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the positions of a log's vehicle at its frames.
+// Computes the position of the vehicle at each frame of a log.
 #include "run/blocks/frame_places.hpp"
 
 namespace relidar {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Positions of a log's vehicle at its frames.
+// Computes the position of the vehicle at each frame of a log.
 #pragma once
 
 #include <vector>
@@ -10,11 +10,12 @@
 
 namespace relidar {
 
-/// Returns the positions of the vehicle at the frames of a log.
+/// Returns the position of the vehicle at each frame of a log.
 /// @return [frames] metres, world frame
 std::vector<glm::dvec3> frame_places(const Sequence& sequence);
 
-/// Returns true if a box is present at a frame and is within a distance of the vehicle.
+/// Returns true if a box is present at the time of a frame and is within `metres` of the
+/// vehicle.
 bool is_within(const BoxTrack& box, const Sequence& sequence, int position, double metres);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Joins trained blocks into one run.
+// Joins the separately trained blocks of a scene into one run.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -16,18 +16,18 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// maximum distance of a box from the sensor; boxes farther away have few returns
+// Maximum distance of a box from the sensor. Boxes farther away have few returns.
 constexpr double kWellSeen_m = 60.0;
 
-/// Returns the number of training frames of a block in which a box is near enough for
-/// training.
+/// Returns the number of training frames of a block in which a box is near enough to be
+/// trained.
 std::size_t count_sightings(const BoxTrack& box, const Sequence& sequence, const Block& block) {
     return std::size_t(std::count_if(block.train.begin(), block.train.end(), [&](int position) {
         return is_within(box, sequence, position, kWellSeen_m);
     }));
 }
 
-/// Returns the background surfels of a block, with their bounding box.
+/// Returns the background surfels of a block and their bounding box.
 SceneBlock background_of(const Scene& scene, const fs::path& file) {
     SceneBlock block{file, scene.models.front().count, glm::vec3(0.0f), glm::vec3(0.0f)};
     for (std::uint32_t i = 0; i < block.count; ++i) {
@@ -40,8 +40,8 @@ SceneBlock background_of(const Scene& scene, const fs::path& file) {
     return block;
 }
 
-/// Weighted mean of the drop tables of blocks. The weight of a block is its number of
-/// training frames.
+/// Computes the weighted mean of the sensor's drop probabilities over all blocks. The
+/// weight of a block is its number of training frames.
 class MeanDrop {
 public:
     void add(const DropTable& table, std::size_t n_frames) {
@@ -63,7 +63,8 @@ private:
     std::size_t n_frames_ = 0;
 };
 
-/// An actor as trained in one of the blocks.
+/// An actor as it was trained in one block. Several blocks can contain the same actor,
+/// and one of them is selected.
 struct Candidate {
     std::size_t sightings = 0;
     Model model;
@@ -71,8 +72,8 @@ struct Candidate {
     BoxTrack box;
 };
 
-/// Replaces actors by those of another block if more of its training frames show the
-/// actor.
+/// Replaces an actor by the same actor of another block if more training frames of that
+/// block show the actor.
 void update_best_actors(const Run& part, const Sequence& sequence, const Block& block,
                         std::map<std::string, Candidate>& best) {
     for (const Instance& instance : part.scene.instances) {
@@ -89,14 +90,15 @@ void update_best_actors(const Run& part, const Sequence& sequence, const Block& 
     }
 }
 
-/// Copies the poses of a block's own sweeps from its trained run.
+/// Copies the poses of the sweeps that belong to a block from the trained run of this
+/// block.
 void copy_poses(const Run& part, const Sequence& sequence, const Block& block, PoseTrack& track) {
     for (const int position : block.own) {
         const double time_s = sequence.frames[std::size_t(position)].time_s;
         const PoseTrack& part_track = part.sequence.world_from_vehicle;
         const auto from = std::lower_bound(part_track.time_s.begin(), part_track.time_s.end(), time_s);
         const auto to = std::lower_bound(track.time_s.begin(), track.time_s.end(), time_s);
-        // the frame is not used by one of the two tracks
+        // Skips a frame whose time is missing in one of the two tracks.
         if (from == part_track.time_s.end() || *from != time_s || to == track.time_s.end() || *to != time_s)
             continue;
         track.pose[std::size_t(to - track.time_s.begin())] =
@@ -122,7 +124,8 @@ void join_blocks(Run& run, const std::vector<Block>& blocks, const std::vector<f
     }
     scene.sensor_drop = drop.mean();
     run.sequence.world_from_vehicle = std::move(poses);
-    for (BoxTrack& box : run.sequence.boxes) {  // keeps the order of the log, like a scene without blocks
+    // Iterates over the boxes to keep the order of the log, like a scene without blocks.
+    for (BoxTrack& box : run.sequence.boxes) {
         const auto entry = actors.find(box.id);
         if (entry == actors.end()) continue;
         Candidate& actor = entry->second;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Divides a log into blocks: which sweeps each block has, and which surfels, namely those
-// nearest to its sweeps.
+// Divides a log into blocks, which are trained separately. Selects the sweeps of each
+// block. A surfel belongs to the block with the nearest sweeps.
 #include <relidar/run/blocks.hpp>
 
 #include <algorithm>
@@ -16,7 +16,7 @@
 namespace relidar {
 namespace {
 
-/// Returns the distance driven up to each position, in metres.
+/// Returns the distance in metres that the vehicle has driven up to each position.
 std::vector<double> driven(const std::vector<glm::dvec3>& places) {
     std::vector<double> metres(places.size(), 0.0);
     for (std::size_t i = 1; i < places.size(); ++i)
@@ -24,8 +24,8 @@ std::vector<double> driven(const std::vector<glm::dvec3>& places) {
     return metres;
 }
 
-/// Divides the route into sections of equal length, with the sweeps in each section.
-/// Leaves out sections without sweeps.
+/// Divides the route into sections of equal length. Returns a block with the sweeps of
+/// each section. Leaves out sections without sweeps.
 std::vector<Block> cut(const std::vector<double>& metres, double length_m) {
     const double way_m = metres.back();
     const double n = std::max(1.0, std::ceil(way_m / length_m - 1e-9));

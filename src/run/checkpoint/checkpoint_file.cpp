@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes a checkpoint as a safetensors file. A checksum over all arrays and
-// texts detects any flipped bit.
+// texts detects damaged files.
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>
@@ -26,10 +26,12 @@ constexpr const char* kChecksum = "crc32";
 class Crc32 {
 public:
     void add(const void* bytes, std::size_t n) {
-        // zlib would restart the checksum for a null pointer
+        // Skips empty arrays. Their pointer can be null, and zlib restarts the checksum
+        // for a null pointer.
         if (n > 0) crc_ = ::crc32_z(crc_, static_cast<const Bytef*>(bytes), n);
     }
-    // includes the terminating zero, so that adjacent texts are separated
+    // Adds the terminating zero too. Otherwise "ab","c" and "a","bc" would have the same
+    // checksum.
     void add(const std::string& text) { add(text.c_str(), text.size() + 1); }
     std::string hex() const { return fmt::format("{:08x}", crc_); }
 
@@ -53,8 +55,8 @@ std::string checksum(const Texts& texts, const std::vector<NamedArray>& arrays) 
     return crc.hex();
 }
 
-/// Removes an entry from the metadata and returns its value. These entries are needed
-/// only by the file format.
+/// Removes an entry from the metadata and returns its value. Only the file format needs
+/// such an entry, not the caller.
 std::string extract_text(Texts& texts, const std::string& key) {
     const auto it = texts.find(key);
     if (it == texts.end()) throw DataError(fmt::format("metadata {}: missing, expected it", key));
@@ -91,7 +93,8 @@ Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
     return checkpoint;
 }
 
-/// Returns the iteration in the name of a checkpoint file, or nothing for any other file.
+/// Returns the iteration number in the name of a checkpoint file. Returns nothing if the
+/// file is not a checkpoint.
 std::optional<int> iteration_in_name(const std::filesystem::path& path) {
     const std::string name = path.filename().string(), start = "iteration_", end = ".safetensors";
     if (!name.starts_with(start) || !name.ends_with(end) || name.size() < start.size() + end.size())
@@ -137,7 +140,7 @@ std::vector<std::filesystem::path> list_checkpoints(const std::filesystem::path&
 
 void save_checkpoint(const std::filesystem::path& folder, const Checkpoint& checkpoint, int keep) {
     std::error_code failed;
-    // if this fails, writing the file reports the error
+    // Ignores an error here, because writing the file then reports an error.
     std::filesystem::create_directories(folder, failed);
     const std::filesystem::path path =
         folder / fmt::format("iteration_{:08}.safetensors", checkpoint.iteration);
@@ -172,7 +175,9 @@ std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& fo
 void remove_checkpoints(const std::filesystem::path& folder) {
     std::error_code failed;
     for (const std::filesystem::path& path : list_checkpoints(folder)) std::filesystem::remove(path, failed);
-    std::filesystem::remove(folder, failed);  // fails without an error if the folder contains other files
+    // Removes the folder if it is empty. If the folder contains other files, this call
+    // fails without an error.
+    std::filesystem::remove(folder, failed);
 }
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the training state to named arrays and back. Checks the type and the shape of
-// every array that is read.
+// Converts the training state to named arrays, and named arrays to a training state.
+// Checks the type and the shape of every array that is read.
 #include <relidar/run/checkpoint.hpp>
 
 #include <algorithm>
@@ -83,7 +83,7 @@ Surfels StateReader::surfels_of(const std::string& name, std::size_t n) const {
     const ParameterSet parameters = stored_parameters(
         checkpoint_.texts, name + "/" + kPrimitiveKey,
         [&](const char* group) { return find_array(checkpoint_.arrays, name + "/" + group) != nullptr; });
-    // checks all shapes before anything is allocated
+    // Checks the shapes of all arrays before memory is allocated.
     for (const ParameterGroup& group : groups_of(parameters))
         find(name + "/" + group.name, "f4", group.shape(n));
     Surfels host;

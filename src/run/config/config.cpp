@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads settings from text and TOML and writes them. All functions use the table of
-// settings in fields.hpp. The first part of a key is its TOML table.
+// Reads settings from text and TOML files, and writes them as TOML. All functions use the
+// table of settings in fields.hpp. The first part of a setting's name is its TOML table.
 #include <relidar/run/config.hpp>
 
 #include <algorithm>
@@ -32,8 +32,8 @@ using config_detail::is_text;
 using config_detail::to_text;
 using config_detail::visit;
 
-/// A value that was read: its text, and whether it was in quotes. A TOML file shows the
-/// quotes; a command line does not.
+/// Text of a value, and whether the value was in quotes. In a TOML file this is known. On
+/// a command line it is unknown, because the shell removes quotes.
 struct ParsedValue {
     std::string text;
     enum class Quotes { unknown, yes, no } quotes = Quotes::unknown;
@@ -88,7 +88,8 @@ ParsedValue parse_scalar(const toml::node& node, const std::string& key) {
         fmt::format("setting {}: found a TOML {}, expected a single value", excerpt(key), kind.str()));
 }
 
-/// Adds all values of a TOML table and its nested tables, sorted by key.
+/// Adds all values of a TOML table and its nested tables to `settings`, under their full
+/// names such as "table.key".
 void flatten(const toml::table& table, const std::string& prefix,
              std::map<std::string, ParsedValue>& settings) {
     for (const auto& [name, node] : table) {
@@ -98,7 +99,8 @@ void flatten(const toml::table& table, const std::string& prefix,
     }
 }
 
-/// Checks that a file contains every setting and no other key, as to_toml() writes it.
+/// Checks that a file contains every setting and no unknown key, like a file that
+/// to_toml() has written.
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_complete(const std::map<std::string, ParsedValue>& settings) {
     constexpr const char* kAdvice = "a run of another version of relidar must be trained again";
@@ -111,7 +113,7 @@ void check_complete(const std::map<std::string, ParsedValue>& settings) {
             throw UsageError(fmt::format("setting {}: missing, expected every setting; {}", key, kAdvice));
 }
 
-/// Returns text as a basic string of TOML, with quotes.
+/// Returns text as a TOML string, with quotes and escaped characters.
 std::string quoted(const std::string& text) {
     std::string result = "\"";
     for (const char c : text) {
@@ -147,13 +149,13 @@ void set_key(Config& config, const std::string& key, const std::string& value) {
 
 namespace {
 
-/// Reads a TOML file.
+/// Reads a TOML file and applies its settings to `config`.
 /// @param check  called with the settings of the file before they are applied
 template <class Check>
 void read_config(Config& config, const std::filesystem::path& path, const Check& check) {
     const std::string text = read_text(path);
     check_toml_depth(text, path.string());
-    Config result = config;  // a copy, so that an error leaves `config` unchanged
+    Config result = config;  // Changes a copy, so that `config` remains unchanged if an error is thrown.
     try {
         const toml::table table = toml::parse(text, path.string());
         std::map<std::string, ParsedValue> settings;
@@ -188,7 +190,7 @@ Config load_saved_config(const std::filesystem::path& path) {
 
 namespace {
 
-/// Returns the settings as TOML, by table, each with a comment.
+/// Returns the settings as TOML text, grouped by table. Each setting has a comment.
 /// @param is_shown  (key) returns true for settings to include
 template <class Shown>
 std::string toml_of(const Config& config, const Shown& is_shown) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the value of a setting to text and back. Numbers use the shortest decimal form
-// that gives the same value when read. Error messages say what the setting accepts.
-// Private to config.
+// Converts the value of a setting to text, and text to a value. Numbers use the shortest
+// decimal text that is read back as the same value. Error messages list the accepted
+// values of the setting. Private to config.
 #pragma once
 
 #include <algorithm>
@@ -19,7 +19,7 @@
 
 namespace relidar::config_detail {
 
-/// True if a TOML file has the values of a type in quotes.
+/// True if values of this type are written in quotes in a TOML file.
 template <class T>
 constexpr bool is_text = std::is_same_v<T, std::string> || std::is_enum_v<T>;
 
@@ -30,8 +30,8 @@ std::string to_text(const T& value, const Accepts& accepts) {
     else return fmt::format("{}", value);
 }
 
-/// Describes the accepted values: "a number >= 0", "an integer in 1..64", "one of ray,
-/// surfel".
+/// Returns a description of the values that a setting accepts, for example "a number >=
+/// 0", "an integer in 1..64" or "one of ray, surfel".
 template <class T>
 std::string describe(const Accepts& accepts) {
     if constexpr (std::is_same_v<T, bool>) return "true or false";
@@ -66,7 +66,7 @@ bool parse_number(const std::string& text, const Accepts& accepts, T& value) {
     return true;
 }
 
-/// Parses the value of a setting.
+/// Parses the text of a setting and stores the value.
 /// @return false if the text is not an accepted value; `value` is then unchanged
 template <class T>
 bool from_text(const std::string& text, const Accepts& accepts, T& value) {

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Table of all settings: key, value, accepted values, description. Keys, `--set`, TOML
 // files and `--help` are generated from this table. To add a setting, add a field in
-// <relidar/run/config.hpp> and a row here. A field without a row is a constant that each
-// preset sets. Loss weights have a separate table. Private to config.
+// <relidar/run/config.hpp> and a row in this table. A field without a row is a constant
+// whose value only the presets set. Loss weights have a separate table. Private to
+// config.
 #pragma once
 
 #include <limits>
@@ -15,14 +16,15 @@
 
 namespace relidar::config_detail {
 
-/// Accepted values of a setting.
+/// Values that a setting accepts: a range of numbers, or a list of texts.
 struct Accepts {
     double low = std::numeric_limits<double>::lowest();
     double high = std::numeric_limits<double>::max();
-    bool above_low = false;  ///< true: the value must be greater than `low`
-    /// Accepted texts. The value of an enum is its index in this list.
+    /// True: the value must be greater than `low`. False: the value may equal `low`.
+    bool above_low = false;
+    /// Accepted texts. An enum value is stored as the index of its text in this list.
     std::vector<std::string> choices;
-    bool several = false;  ///< any number of the choices, separated by commas
+    bool several = false;  ///< True: the value may contain several of the choices, separated by commas.
 };
 
 inline Accepts anything() { return {}; }
@@ -50,13 +52,14 @@ inline Accepts some_of(std::vector<std::string> names) {
 /// Description of a setting, and whether it is for experts.
 struct Help {
     const char* text;
-    bool expert = false;  ///< true: only useful with knowledge of the implementation
+    bool expert = false;  ///< True: the setting is only useful for users who know the implementation.
     Help(const char* words, bool is_expert = false) : text(words), expert(is_expert) {}
 };
 inline Help expert(const char* text) { return {text, true}; }
 
 inline constexpr double kMaxCount = 2147483647.0;
-// 2^53: a TOML integer and a double can store it exactly
+// Maximum seed, 2^53. A TOML integer and a double can both store integers exactly up to
+// this value.
 inline constexpr double kMaxSeed = 9007199254740992.0;
 
 template <class C, class Visitor>
@@ -214,7 +217,7 @@ void visit_training(C& c, Visitor&& f) {
       "train also where more than 5 % of the scans did not find their place; false: an error");
 }
 
-/// Calls f for the settings of logging and checkpoints during training.
+/// Calls f for each setting of logging and checkpoints during training.
 template <class C, class Visitor>
 void visit_keeping(C& c, Visitor&& f) {
     f("train.frame_memory_mib", c.train.frame_memory_mib, between(0, kMaxCount),

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the settings of a run to the options of tracing and of the backward pass.
+// Converts the settings of a run to the options of ray tracing and of the backward pass.
 #include <relidar/run/stage_options.hpp>
 
 namespace relidar {
@@ -25,7 +25,8 @@ TraceOptions training_trace_options(const Config& config) {
 
 TraceOptions rendering_trace_options(const Config& config) {
     TraceOptions options = trace_options(config);
-    options.normals = kind_of(config.image.primitive).has_normals;  // of channels and of ray-drop networks
+    // Computes normals, because channels and ray-drop networks can use them.
+    options.normals = kind_of(config.image.primitive).has_normals;
     if (config.render.range == "mode")
         options.mode_gap_m = static_cast<float>(config.sensor.return_separation_m);
     return options;

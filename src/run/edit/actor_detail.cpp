@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the number of surfels of an actor with the number of rays that hit its box at
-// the closest approach to a LiDAR.
+// Measures whether an actor has enough surfels. Compares the number of its surfels with
+// the number of rays that hit its box at the shortest distance from a LiDAR.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-/// Returns true if the line of a ray intersects a box at the origin of its frame.
+/// Returns true if the line through a ray intersects a box that is centred at the origin.
 bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const glm::dvec3& size_m) {
     double begin = 0.0, end = std::numeric_limits<double>::infinity();
     for (int axis = 0; axis < 3; ++axis) {
@@ -30,8 +30,8 @@ bool meets_box(const glm::dvec3& origin_m, const glm::dvec3& direction, const gl
     return begin <= end;
 }
 
-/// Returns true if the line of a ray intersects the bounding sphere of a box. This fast
-/// test rejects most rays.
+/// Returns true if the line through a ray intersects the bounding sphere of a box. This
+/// test is fast and rejects most rays before the exact test.
 bool comes_near(const glm::vec3& origin_m, const glm::vec3& direction, const glm::vec3& centre_m,
                 float radius_m) {
     const glm::vec3 to_centre = centre_m - origin_m;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads trajectories of actors from CSV files, for planning tools.
+// Reads trajectories of actors from CSV files, which planning tools write.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -17,17 +17,20 @@ namespace relidar {
 namespace {
 
 enum Field { kTime, kX, kY, kZ, kYaw, kPitch, kRoll, kYawRad, kPitchRad, kRollRad, kFieldCount };
-constexpr std::size_t kUnnamed = 7;  // number of fields in a file without a header, in this order
+// Number of fields in a file without a header. Its columns are the first fields, in this
+// order.
+constexpr std::size_t kUnnamed = 7;
 constexpr std::size_t kNeeded = 5;
-// limit for metres in any world frame, for degrees, and for seconds since 1970
+// Largest accepted number, in metres in any world frame, in degrees, or in seconds since
+// 1970.
 constexpr double kLargest = 1e10;
 const std::vector<std::string> kNames{"time_s",    "x",        "y",       "z",         "yaw_deg",
                                       "pitch_deg", "roll_deg", "yaw_rad", "pitch_rad", "roll_rad"};
 
-/// Column of each field, or -1.
+/// Column index of each field. The index is -1 if the file does not have the field.
 using FieldPlaces = std::vector<int>;
 
-/// Returns the columns of a file with a header.
+/// Reads the header of a file and returns the column index of each field.
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
 FieldPlaces places_of_header(const std::vector<std::string_view>& header, const std::string& where) {
     FieldPlaces at = find_columns(header, kNames, where);
@@ -44,8 +47,8 @@ FieldPlaces places_of_header(const std::vector<std::string_view>& header, const 
     return at;
 }
 
-/// Returns the columns of a file without a header.
-/// @throws DataError if there are too few or too many
+/// Returns the column index of each field for a file without a header.
+/// @throws DataError if there are too few or too many columns
 FieldPlaces places_without_header(std::size_t n_cells, const std::string& where) {
     if (n_cells < kNeeded || n_cells > kUnnamed)
         throw DataError(
@@ -57,8 +60,8 @@ FieldPlaces places_without_header(std::size_t n_cells, const std::string& where)
     return at;
 }
 
-/// Returns the values of a line. A field without a column is 0. A line may end before
-/// pitch and roll.
+/// Reads the values of a line. A field that the file does not have is 0. A line may end
+/// before pitch and roll.
 /// @throws DataError naming the column that is not a number
 std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& cells, const FieldPlaces& at,
                                          const std::string& where) {

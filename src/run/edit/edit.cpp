@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits instances and tracks of a scene. The surfels of a model are copied only to a
-// scene that does not contain them. They are removed when no instance uses the model any
-// more.
+// Edits the objects and tracks of a scene. The surfels of a model are copied to another
+// scene only if that scene does not contain them. The surfels of a model are removed when
+// no instance uses the model any more.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -17,8 +17,8 @@ namespace relidar {
 
 namespace {
 
-/// Returns an error message for a labelled box that cannot be edited: the reason, and the
-/// setting that makes it editable.
+/// Returns an error message for a labelled box that has no surfels and cannot be edited.
+/// The message contains the reason, and the setting that makes the box editable.
 std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
     return fmt::format(
@@ -29,7 +29,7 @@ std::string without_surfels(const std::string& track, std::vector<std::string> a
         track, fmt::join(actors, ","));
 }
 
-/// Returns the index of the instance with a track.
+/// Returns the index of the instance that has this track.
 std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
     std::vector<std::string> known;
     for (std::size_t i = 0; i < driving.scene.instances.size(); ++i) {
@@ -53,7 +53,7 @@ BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
         "editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
 }
 
-/// Removes models that no instance uses, except the background.
+/// Removes models that no instance uses. The model of the background is kept.
 void drop_unused_models(Scene& scene) {
     Surfels surfels;
     std::vector<Model> models;
@@ -73,7 +73,8 @@ void drop_unused_models(Scene& scene) {
     scene.surfels = std::move(surfels);
 }
 
-/// Removes the actors for which `keep` returns false, and their boxes.
+/// Removes the actors for which `keep` returns false. Also removes the boxes of these
+/// actors.
 template <class Keep>
 void keep_instances(DrivingScene& driving, const Keep& keep) {
     std::vector<Instance> kept;
@@ -96,8 +97,8 @@ std::string free_id(const DrivingScene& driving, const std::string& stem) {
     return fmt::format("{}-{}", stem, n);
 }
 
-/// Returns a track that moves straight ahead at constant speed, with a pose for each
-/// frame.
+/// Returns a track that moves straight ahead at constant speed. It has one pose for each
+/// frame of the log.
 PoseTrack straight_track(const Sequence& sequence, const Start& start) {
     PoseTrack track;
     for (const Frame& frame : sequence.frames) {
@@ -128,8 +129,9 @@ void check_trajectory(const PoseTrack& track, const std::string& id) {
     }
 }
 
-/// Returns the same trajectory with entries at most one step apart. The tolerance of half
-/// a step at its ends is then at most half a sweep.
+/// Returns the same trajectory with additional poses, so that poses are at most one step
+/// apart. The box then exists at most half a sweep before the first and after the last
+/// pose.
 PoseTrack refined(const PoseTrack& track, double step_s) {
     PoseTrack fine;
     for (std::size_t i = 0; i + 1 < track.pose.size(); ++i) {
@@ -145,7 +147,7 @@ PoseTrack refined(const PoseTrack& track, double step_s) {
     return fine;
 }
 
-/// Adds an instance of a model, with a new track.
+/// Adds an instance of a model to the scene, with a new track.
 void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
     box.world_from_box = straight_track(driving.sequence, start);
     box.n_before = box.n_after = 0;
@@ -173,7 +175,9 @@ DrivingScene retime_track(DrivingScene driving, const std::string& track, double
 
 std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
     const BoxTrack* box = find_box(edited, before.id);
-    std::set<int> lost;  // a set, because LiDARs that sweep together share a frame number
+    // A set without duplicates, because LiDARs that sweep at the same time share a frame
+    // number.
+    std::set<int> lost;
     for (const Frame& frame : edited.frames)
         if (box && before.present(frame.time_s) && !box->present(frame.time_s)) lost.insert(frame.index);
     if (lost.empty()) return "";

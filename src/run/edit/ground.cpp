@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the ground below a position from the surfels of the background. The ground is the
-// plane that contains most of the level surfels under a box. Candidate planes come from
-// random samples of three surfels, scored by distance as in MSAC (Torr and Zisserman
-// 2000), and are refined by least squares.
+// Computes the ground plane below a position from the surfels of the background. The
+// ground is the plane that contains most of the level surfels below a box. Candidate
+// planes are fitted to random samples of three surfels. Their scores depend on the
+// distances of the other surfels, as in MSAC (Torr and Zisserman 2000). The best plane is
+// refined by least squares.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -22,34 +23,39 @@
 namespace relidar {
 namespace {
 
-// Minimum |z| of the normal of a level surfel: 41 degrees, which includes the noise of
-// normals.
+// Minimum |z| of the normal of a level surfel. It allows 41 degrees, because normals are
+// noisy.
 constexpr double kLevelSurfel = 0.75;
-constexpr double kLevelPlane = 0.85;  // minimum z of the ground's normal: 32 degrees
-constexpr double kFaintLogit = -3.0;  // an opacity of 0.05; fainter surfels do not form a surface
-// Maximum slope of streets: the height of the ground above the sensor, divided by the
-// distance.
+// Minimum z of the ground's normal, which allows a slope of 32 degrees.
+constexpr double kLevelPlane = 0.85;
+// Minimum opacity as a logit, for an opacity of 0.05. Fainter surfels do not form a
+// surface.
+constexpr double kFaintLogit = -3.0;
+// Maximum slope of a street: the height of the ground above the sensor, divided by the
+// distance from the sensor.
 constexpr double kSteepest = 0.25;
-// half the height of a kerb; surfels farther away belong to another surface
+// Maximum distance of a surfel from its plane, half the height of a kerb. Surfels farther
+// away belong to another surface.
 constexpr double kOnPlane_m = 0.1;
-// Distance for the least-squares fit: includes the noise of a street's surfels and
-// excludes the foot of a wall.
+// Maximum distance of surfels from the plane for the least-squares fit. It is larger than
+// the noise of surfels on a street, and small enough to exclude the foot of a wall.
 constexpr double kFitted_m = 0.05;
-// margins around the box; rings of a sweep are a metre apart at long range
+// Margins by which the search area around the box is enlarged, one after another. They
+// are needed because rings of a sweep are a metre apart at long range.
 constexpr std::array kMargins_m{0.25, 0.5, 1.0};
-// Minimum half edge of the area below an actor. The area below a pedestrian is too small
-// to measure a slope.
+// Minimum half edge of the area below an actor. The area below a pedestrian alone is too
+// small to measure a slope.
 constexpr double kSmallestBelow_m = 0.75;
-constexpr std::size_t kFewestOnPlane = 8;  // minimum number of surfels on a plane
-// Minimum standard deviation along the narrow side of the surfels, because a single ring
-// of a sweep cannot show a slope.
+constexpr std::size_t kFewestOnPlane = 8;  // Minimum number of surfels on a ground plane.
+// Minimum standard deviation of the surfels along the narrow side of the area. A single
+// ring of a sweep is narrower and cannot show a slope.
 constexpr double kNarrowest_m = 0.15;
 constexpr int kDraws = 200;
-// maximum number of positions at which the height of an actor above the ground is
-// measured
+// Maximum number of positions along a track at which the height of an actor above the
+// ground is measured.
 constexpr int kOwnPlaces = 16;
 
-/// Plane through a point, with its upward normal.
+/// A plane, stored as a point on the plane and its upward normal.
 struct GroundPlane {
     glm::dvec3 origin_m{0.0};
     glm::dvec3 normal{0.0, 0.0, 1.0};
@@ -60,7 +66,8 @@ struct GroundPlane {
     double above(const glm::dvec3& p) const { return glm::dot(normal, p - origin_m); }
 };
 
-/// Area below a box: a rectangle in the x-y plane around its centre.
+/// Area on the ground below a box: a rectangle in the x-y plane around the centre of the
+/// box.
 struct Footprint {
     glm::dvec2 centre_m{0.0};
     double yaw_rad = 0.0;
@@ -90,8 +97,8 @@ glm::dvec3 surfel_normal(const glm::vec4& wxyz) {
     return glm::normalize(glm::dquat(wxyz.x, wxyz.y, wxyz.z, wxyz.w)) * glm::dvec3(0.0, 0.0, 1.0);
 }
 
-/// Level surfels of a background. If the background consists of blocks, only blocks near
-/// some positions are loaded.
+/// The level surfels of a background. If the background consists of blocks, only the
+/// blocks near the given positions are loaded.
 class LevelSurfels {
 public:
     LevelSurfels(const DrivingView& driving, const std::vector<glm::dvec2>& places)
@@ -119,7 +126,8 @@ public:
         return {};
     }
 
-    /// Returns a text with the distance of the nearest level surfel.
+    /// Returns a text with the distance from a position to the nearest level surfel, for
+    /// an error message.
     std::string nearest(const glm::dvec2& xy) const {
         if (points_.empty()) return "it has no level surfel at all";
         double nearest_m = std::numeric_limits<double>::infinity();
@@ -143,8 +151,9 @@ private:
         return on;
     }
 
-    /// Returns the plane with the highest score: it goes through three random points, and
-    /// most points are close to it.
+    /// Returns the plane on which most points lie. Candidates are planes through three
+    /// random points. The score of a plane depends on the distances of all points from
+    /// the plane.
     static GroundPlane most_common(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
@@ -154,7 +163,8 @@ private:
             const glm::dvec3 a = any(), b = any(), c = any();
             glm::dvec3 normal = glm::cross(b - a, c - a);
             const double length = glm::length(normal);
-            // rejects planes that are too steep, and three points on a line
+            // Rejects a plane that is too steep, or three points on a line, which define
+            // no plane.
             if (!(std::abs(normal.z) > kLevelPlane * length)) continue;
             normal *= (normal.z > 0.0 ? 1.0 : -1.0) / length;
             const GroundPlane plane{a, normal};
@@ -182,7 +192,7 @@ private:
             const glm::dvec2 beside = glm::abs(footprint.local(plane.origin_m));
             if (fit.variance[1] < kNarrowest_m * kNarrowest_m || plane.normal.z < kLevelPlane) return {};
             // Rejects the plane if the centre of its surfels is far from the centre of
-            // the box, because then the surfels end below the box.
+            // the box. The surfels then cover only a part of the area below the box.
             const glm::dvec2 middle_m = 0.5 * (footprint.half_m + margin_m);
             if (beside.x > middle_m.x || beside.y > middle_m.y) return {};
         }
@@ -203,13 +213,14 @@ Footprint footprint_of(const glm::dvec2& centre_m, double yaw_rad, const glm::dv
 }
 
 const BoxTrack& box_of_actor(const DrivingView& owner, const std::string& track) {
-    // throws an error with the reason if the track is not an actor
+    // Throws an error with the reason if the track does not belong to an actor.
     (void)move_track(DrivingScene{layout_of(owner.scene), owner.sequence}, track, {});
     return *find_box(owner.sequence, track);
 }
 
-/// Returns the ground plane below an actor of the log whose box covers a position. Such a
-/// box hides the road from the sensor. Returns nothing if no actor covers the position.
+/// Returns the ground plane below an actor of the log whose box covers a position. The
+/// actor hides the road at this position from the sensor, so the plane is computed from
+/// the box. Returns nothing if no actor covers the position.
 /// @param clearance_m  returns the height of the bottom of a box above the ground
 std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& sequence,
                                           const std::function<double(const BoxTrack&)>& clearance_m) {
@@ -229,7 +240,8 @@ std::optional<GroundPlane> below_actor_at(const glm::dvec2& xy, const Sequence& 
     return GroundPlane{at.translation - (0.5 * nearest->size_m.z + clearance_m(*nearest)) * up, up};
 }
 
-/// Returns the median height of a box's bottom above the ground along its track.
+/// Measures the height of a box's bottom above the ground at positions along its track,
+/// and returns the median.
 std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box) {
     std::vector<glm::dvec2> places;
     const std::vector<Pose>& poses = box.world_from_box.pose;
@@ -248,7 +260,8 @@ std::optional<double> clearance_of(const DrivingView& owner, const BoxTrack& box
     return heights_m[heights_m.size() / 2];
 }
 
-/// Returns the rotation of an actor that stands on a plane and faces a heading.
+/// Returns the rotation of an actor that stands on a plane and faces in the direction of
+/// a yaw angle.
 glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
     const glm::dvec2 level(std::cos(yaw_rad), std::sin(yaw_rad));
     const double climb = -(plane.normal.x * level.x + plane.normal.y * level.y) / plane.normal.z;

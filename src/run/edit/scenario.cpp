@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads trajectories from OpenSCENARIO XML 1.x: FollowTrajectoryActions of entities with
-// a bounding box, along polylines of timed world positions.
+// Reads trajectories of actors from OpenSCENARIO XML 1.x. Supports
+// FollowTrajectoryActions of entities with a bounding box, along polylines whose vertices
+// have a time and a world position.
 #include <relidar/run/edit.hpp>
 
 #include <algorithm>
@@ -16,10 +17,12 @@
 namespace relidar {
 namespace {
 
-constexpr double kMost = 1e10;     // limit for metres in any world frame, for radians and for seconds
-constexpr double kSlack_s = 1e-6;  // tolerance for times that were written with few digits
+// Largest accepted number, in metres in any world frame, in radians, or in seconds.
+constexpr double kMost = 1e10;
+// Tolerance for comparing times, because files often store times with few digits.
+constexpr double kSlack_s = 1e-6;
 
-/// An XML document and the parameters that its attributes can refer to.
+/// An XML document and its parameters. Attributes can refer to a parameter by "$name".
 struct Source {
     std::string file;
     std::map<std::string, std::string> parameters;
@@ -28,8 +31,8 @@ struct Source {
                            const std::string& expected) const {
         throw DataError(fmt::format("{}: {}: found {}, expected {}", file, where, found, expected));
     }
-    /// Returns the value of an attribute. "$name" is replaced by the value of a parameter
-    /// of the scenario.
+    /// Returns the value of an attribute. If the value is "$name", returns the value of
+    /// this parameter of the scenario.
     std::string text(const pugi::xml_node& node, const char* name, const std::string& where) const {
         const std::string value = node.attribute(name).value();
         if (!value.starts_with('$')) return value;
@@ -51,8 +54,9 @@ struct Source {
     }
 };
 
-/// Returns the time at which a start trigger fires: 0 if it has no condition, or a fixed
-/// simulation time. Returns nothing if the time depends on the simulation.
+/// Returns the time at which a start trigger fires. This is 0 if the trigger has no
+/// condition, or a fixed simulation time. Returns nothing if the time depends on the
+/// simulation.
 std::optional<double> trigger_time(const Source& source, const pugi::xml_node& trigger,
                                    const std::string& where) {
     const pugi::xml_node group = trigger.child("ConditionGroup"), condition = group.child("Condition");
@@ -64,9 +68,9 @@ std::optional<double> trigger_time(const Source& source, const pugi::xml_node& t
     return source.number(time, "value", where) + source.number(condition, "delay", where, 0.0);
 }
 
-/// An action of an entity, and its start time if it is known.
+/// An action of an entity. Also stores the start time of the action, if it is known.
 struct Action {
-    pugi::xml_node node;  ///< a PrivateAction element
+    pugi::xml_node node;  ///< A PrivateAction element of the XML document.
     std::optional<double> start_s;
 };
 using ActionsOf = std::map<std::string, std::vector<Action>>;
@@ -102,7 +106,7 @@ ActionsOf find_actions(const Source& source, const pugi::xml_node& storyboard) {
     return actions;
 }
 
-/// Offset and scale of an action's time.
+/// Offset and scale that convert the times of an action to times of the scenario.
 struct Timing {
     double offset_s = 0.0, scale = 1.0;
 };
@@ -137,7 +141,8 @@ Pose read_position(const Source& source, const pugi::xml_node& vertex, const std
 
 PoseTrack read_polyline(const Source& source, const Action& action, const std::string& where) {
     const pugi::xml_node follow = action.node.child("RoutingAction").child("FollowTrajectoryAction");
-    // first the location since version 1.1, then the location of version 1.0
+    // The trajectory is a child of TrajectoryRef since version 1.1, and a direct child in
+    // version 1.0.
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
     if (!trajectory) source.fail(where, "no Trajectory", "one in the file itself, not of a catalog");

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the coverage of a run as safetensors.
+// Reads and writes the coverage of a run, which is the observed space, as a safetensors
+// file.
 #include "run/files/coverage_file.hpp"
 
 #include <cstring>
@@ -19,7 +20,8 @@ constexpr const char* kCoverageFormat = "relidar coverage";
 constexpr const char* kCoverageVersion = "1";
 constexpr const char* kCell = "cell_m";
 
-/// Returns an array with a given number of columns.
+/// Returns an array of the file by its name, and checks its type and its number of
+/// columns.
 /// @throws DataError if the file has no such array of this type and width
 const NamedArray& table(const std::vector<NamedArray>& arrays, const char* name, const char* dtype,
                         std::size_t width, const std::string& file) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes coverage.safetensors: the space that the training scans of a run have
-// observed. Private to run.
+// Reads and writes coverage.safetensors, which stores the space that the training scans
+// of a run have observed. Private to run.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,11 @@
 
 namespace relidar::run_detail {
 
-/// Writes the arrays `place` [blocks,3] i4, in units of blocks, and `cells` [blocks,32]
-/// u2 (Coverage::Cells). Writes no file if the set is empty.
+/// Writes the blocks of cells of a coverage to a file. The arrays are `place` [blocks,3]
+/// i4, in units of blocks, and `cells` [blocks,32] u2 (Coverage::Cells). Writes no file
+/// if the coverage is empty.
 void save_coverage(const std::filesystem::path& path, const Coverage& coverage);
-/// Reads the file.
+/// Reads the coverage of a run from a file.
 /// @throws DataError for missing arrays, wrong shapes, or cells of another size
 Coverage load_coverage(const std::filesystem::path& path);
 

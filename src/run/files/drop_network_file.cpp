@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores a ray-drop network as safetensors: its parameters as arrays, its architecture in
-// the metadata.
+// Reads and writes a ray-drop network as a safetensors file. The parameters are arrays,
+// and the architecture is text in the metadata.
 #include <cmath>
 
 #include <fmt/format.h>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks the format and version of the safetensors files of a run.
+// Checks the format name and the version of the safetensors files of a run.
 #pragma once
 
 #include <map>
@@ -11,7 +11,7 @@
 
 namespace relidar::run_detail {
 
-/// Checks the format and version in the metadata of a file.
+/// Checks the format name and the version in the metadata of a safetensors file.
 /// @throws DataError naming the format or version of the file if it is not the expected
 /// one
 inline void check_format(const std::map<std::string, std::string>& metadata, const std::string& file,

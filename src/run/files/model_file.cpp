@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes model.safetensors: the parameters of all surfels of a scene, an array
-// for each parameter group. JSON in the metadata lists the models, their ranges of
-// surfels, and the instances. All values are checked when the file is read, because users
-// may have edited a run.
+// Reads and writes model.safetensors, which stores the parameters of all surfels of a
+// scene. Each parameter group is one array. JSON in the metadata lists the models, the
+// range of surfels of each model, and the instances. All values are checked when the file
+// is read, because users may have edited the file.
 #include <relidar/run/run.hpp>
 
 #include <algorithm>
@@ -58,14 +58,15 @@ void read_group(const ParameterGroup& group, const NamedArray& array, Surfels& s
     check_finite(group, surfels, file);
 }
 
-/// Reads the half size of a model's box. Zeros mean that it is unbounded.
+/// Reads the half size of a model's box. If all values are 0, the model has no bounds.
 glm::vec3 read_half_size(const JsonField& model) {
     const std::array<double, 3> v = model.at("half_size_m").numbers<3>();
     for (std::size_t k = 0; k < 3; ++k) model.at("half_size_m").at(k).number(0.0, 1e6);
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the stride of a model that deforms, or returns 0.
+/// Reads the stride length of a model that deforms. Returns 0 if the model does not
+/// deform.
 float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e3)) : 0.0f;
 }
@@ -105,8 +106,8 @@ void check_metadata(const std::map<std::string, std::string>& metadata, const st
 
 constexpr const char* kBlocks = "blocks";
 
-/// Returns the blocks of the background as JSON. Their file names are relative to the
-/// model's folder.
+/// Converts the list of background blocks to JSON. File names are relative to the model's
+/// folder.
 std::string blocks_to_json(const Scene& scene, const std::filesystem::path& folder) {
     nlohmann::ordered_json json = nlohmann::ordered_json::array();
     for (const SceneBlock& b : scene.blocks)
@@ -123,7 +124,7 @@ glm::vec3 read_corner(const JsonField& field) {
     return {float(v[0]), float(v[1]), float(v[2])};
 }
 
-/// Reads the blocks of the background.
+/// Reads the list of background blocks from JSON.
 /// @param folder  folder of the model; the files of the blocks must be inside it
 void read_blocks_json(const std::string& text, const std::string& where, const std::filesystem::path& folder,
                       Scene& scene) {
@@ -143,7 +144,8 @@ void read_blocks_json(const std::string& text, const std::string& where, const s
 
 constexpr const char* kSensorDrop = "sensor_drop";
 
-/// Reads the optional table of sensor-level ray-drop, [channels, bins].
+/// Reads the table of the sensor's drop probabilities, [channels, bins], if the file has
+/// one.
 void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const std::string& file) {
     const auto it =
         std::find_if(arrays.begin(), arrays.end(), [](const NamedArray& a) { return a.name == kSensorDrop; });
@@ -214,8 +216,8 @@ Scene load_model(const std::filesystem::path& path) {
                                     fmt::join(mean.shape, ", ")));
     const ParameterSet parameters = stored_parameters(
         metadata, kPrimitiveKey, [&](const char* name) { return find_array(arrays, name) != nullptr; });
-    // Checks the row counts first, so that no memory is allocated for an inconsistent
-    // file.
+    // Checks the number of rows of each array first, so that no memory is allocated for
+    // an inconsistent file.
     for (const ParameterGroup& group : groups_of(parameters)) {
         const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])

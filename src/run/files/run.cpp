@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads and writes run folders. A new folder is written under a temporary name and then
-// renamed. In an existing folder, all files are written to a temporary subfolder and then
-// renamed. config.toml is renamed last, because load_run() rejects a folder without it.
-// Every error message of load_run() names the file.
+// renamed. In an existing folder, all files are first written to a temporary subfolder
+// and then moved to the folder. config.toml is moved last, because load_run() rejects a
+// folder without this file. Every error message of load_run() names the file.
 #include <relidar/run/run.hpp>
 
 #include <cerrno>
@@ -45,7 +45,8 @@ void make_folder(const fs::path& folder) {
                                     failed ? failed.message() : "something else has that name"));
 }
 
-/// Creates a hard link to a file, or copies the file if that fails.
+/// Creates a hard link to a file. Copies the file if the file system cannot create the
+/// link.
 void link_or_copy(const fs::path& from, const fs::path& to) {
     make_folder(to.parent_path());
     std::error_code failed;
@@ -59,7 +60,8 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
     });
 }
 
-/// Writes the blocks as files below `folder`.
+/// Links or copies the files of the background blocks to `folder`. Returns the blocks
+/// with their new file names.
 /// @param keep  skip files that the run's folder already contains
 std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool keep) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
@@ -73,9 +75,9 @@ std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool 
     return blocks;
 }
 
-/// Writes the settings. Throws an error if an option that is not a setting differs from
-/// the preset, because the file cannot store it. The run could then not be rendered again
-/// in the same way.
+/// Writes the settings of a run to config.toml. Some options are not settings, so the
+/// file cannot store them. Throws an error if such an option differs from the preset,
+/// because the run could not be rendered again in the same way.
 void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
@@ -89,14 +91,16 @@ void save_config(const Run& run, const fs::path& folder) {
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
     if (run.scene.blocks.empty()) return save_model(folder / kModelFile, run.scene);
-    Scene scene = run.scene;  // run.scene has only the actors in memory
+    // Copy of the scene of the run. If the background consists of blocks, only the actors
+    // are in memory.
+    Scene scene = run.scene;
     scene.blocks = own_blocks(run, folder, keep_blocks);
     save_model(folder / kModelFile, scene);
 }
 
 void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
-    // Writes the text files first, so that values that cannot be written are detected
-    // before the large files.
+    // Writes the text files before the large files, so that values that cannot be written
+    // are detected early.
     write_text(folder / kSceneFile, run_detail::to_scene_json(run));
     save_config(run, folder);
     save_scene(run, folder, keep_blocks);
@@ -106,8 +110,8 @@ void write_files(const Run& run, const fs::path& folder, bool keep_blocks) {
     run_detail::save_scatter(folder / kScatterFile, run.intensity_scatter);
 }
 
-/// Writes the files. Replaces names of temporary files in error messages by names in the
-/// run's folder.
+/// Writes all files of a run to a temporary folder. In error messages, replaces the
+/// temporary file names by the final names in the run's folder.
 void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks) {
     try {
         write_files(run, staged, keep_blocks);
@@ -120,7 +124,7 @@ void write_staged_files(const Run& run, const fs::path& staged, bool keep_blocks
     }
 }
 
-/// A temporary folder that is deleted with its contents.
+/// A temporary folder. The destructor deletes the folder and its contents.
 struct TemporaryFolder {
     fs::path path;
 
@@ -143,13 +147,13 @@ void rename_file(const fs::path& from, const fs::path& to) {
             fmt::format("writing '{}': renaming the temporary file: {}", to.string(), failed.message()));
 }
 
-/// Returns true if a file has exactly these contents.
+/// Returns true if a file exists and its contents equal `bytes`.
 bool holds(const fs::path& file, const std::string& bytes) {
     return path_exists(file) && read_file(file) == bytes;
 }
 
-/// Moves the files of `staged` to the run's folder. Does not touch config.toml if it is
-/// unchanged, so that a training can be resumed even if the process is killed at any
+/// Moves the files of `staged` to the run's folder. If config.toml is unchanged, it is
+/// not replaced. A training can then be resumed even if the process is killed at any
 /// time.
 void move_files(const fs::path& staged, const fs::path& folder, const std::function<void()>& remove_earlier) {
     const bool same_config = holds(folder / kConfigFile, read_file(staged / kConfigFile));
@@ -186,7 +190,7 @@ void replace_run(const Run& run, const std::function<void()>& remove_earlier) {
         write_staged_files(run, staged.path(), false);
         return staged.finish_new();
     }
-    make_folder(run.folder);  // throws an error with the reason if the path is a file
+    make_folder(run.folder);  // Throws an error with the reason if the path is a file and not a folder.
     const TemporaryFolder staged(run.folder);
     write_staged_files(run, staged.path, !remove_earlier);
     move_files(staged.path, run.folder, remove_earlier);
@@ -239,8 +243,9 @@ bool is_run(const fs::path& path) {
 
 void check_writable(const fs::path& folder) {
     make_folder(folder);
-    // The name contains the process id, because several processes may test the folder
-    // simultaneously. If a process is killed here, remove_temporaries() deletes its file.
+    // The name contains the process id, because several processes may test the folder at
+    // the same time. If the process is killed here, remove_temporaries() deletes the file
+    // later.
     const std::string probe = (folder / fmt::format(".probe.tmp-{}-0", ::getpid())).string();
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0)

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes the intensity models of a run's LiDARs as safetensors.
+// Reads and writes the statistical intensity models of a run's LiDARs as a safetensors
+// file.
 #include "run/files/scatter_file.hpp"
 
 #include <algorithm>
@@ -48,13 +49,13 @@ void add_arrays(std::vector<NamedArray>& arrays, std::size_t lidar, const Intens
     arrays.push_back(array_of(name("step"), std::vector{scatter.step}));
 }
 
-/// Reads the arrays of a LiDAR.
+/// Reads the arrays of the intensity model of one LiDAR.
 struct ScatterArrays {
     const std::vector<NamedArray>& arrays;
     const std::string& file;
     const std::size_t lidar;
 
-    /// Returns an array [n] of finite values. n = 0 accepts any length.
+    /// Reads an array of n finite numbers. If n is 0, the array may have any length.
     std::vector<double> read(const char* what, const char* dtype, std::size_t n = 0) const {
         const std::string name = fmt::format("{}.{}", lidar, what);
         const NamedArray* array = find_array(arrays, name);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loads the blocks of a background from their files when they are needed.
+// Loads the blocks of a scene's background from their files when the blocks are needed.
 #include <relidar/run/run.hpp>
 
 #include <numeric>

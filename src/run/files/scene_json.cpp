@@ -22,11 +22,13 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSceneFormat = "relidar scene";
 constexpr int kSceneVersion = 3;
-// maximum of lengths and times in a log; larger values mean a damaged file
+// Maximum absolute value of lengths and times in a log. Larger values mean that the file
+// is damaged.
 constexpr double kHuge = 1e12;
-// maximum distance from the world origin, which is the sensor in the middle frame
+// Maximum distance from the world origin, which is the position of the sensor in the
+// middle frame.
 constexpr double kFarthest_m = 1e6;
-// maximum distance of the world origin from the origin of the dataset's world
+// Maximum distance between the world origin and the origin of the dataset's world.
 constexpr double kFarthestWorld_m = 1e9;
 constexpr std::int64_t kMaxInt = 2147483647, kMaxFrame = 99999999;
 constexpr const char* kUnits = "metres, seconds, radians";
@@ -91,7 +93,7 @@ Json frames_json(const Sequence& sequence, const Split& split) {
     return frames;
 }
 
-/// Checks that numbers are within a limit.
+/// Checks that all numbers of a field are within a limit.
 /// @throws DataError if a number is larger than the limit
 void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
@@ -106,7 +108,8 @@ Pose read_pose(const JsonField& field) {
     if (std::abs(length - 1.0) > 1e-6)
         field.fail(fmt::format("found a quaternion of length {}", length), "expected 1");
     check_within(field, {v[0], v[1], v[2]}, kFarthest_m);
-    return {q, {v[0], v[1], v[2]}};  // not normalised again, because that would change the last digit
+    // The quaternion is not normalised again, because that would change its last digit.
+    return {q, {v[0], v[1], v[2]}};
 }
 
 glm::dvec3 read_vector(const JsonField& field, double limit) {
@@ -140,7 +143,8 @@ std::vector<Lidar> read_lidars(const JsonField& root) {
     return lidars;
 }
 
-/// Reads the intensity response. Runs whose intensities do not depend on range have none.
+/// Reads the dependence of the intensity on range and incidence. If the field is missing,
+/// the intensities of the run do not depend on the range.
 IntensityResponse read_intensity_response(const JsonField& field) {
     const IntensityResponse r{field.at("range_m").numbers(), field.at("factor").numbers(),
                               field.at("incidence").number(0.0, 1.0)};
@@ -154,7 +158,8 @@ IntensityResponse read_intensity_response(const JsonField& field) {
     return r;
 }
 
-/// Reads the pose of a frame. Frames at the same time share one pose.
+/// Reads the pose of a frame and appends it to the track. Frames at the same time share
+/// one pose.
 void read_pose_of(const JsonField& entry, double time_s, PoseTrack& track) {
     const Pose pose = read_pose(entry.at("world_from_vehicle"));
     if (!track.time_s.empty() && track.time_s.back() == time_s) return;
@@ -213,14 +218,15 @@ BoxTrack read_box(const JsonField& field) {
     return box;
 }
 
-/// Reads the list of edits. A run has none directly after training.
+/// Reads the list of edits of a scene. A run that was not edited after training has no
+/// such list.
 void read_edits(const JsonField& field, SceneFile& scene) {
     for (std::size_t i = 0; i < field.size(); ++i)
         scene.edits.push_back({field.at(i).at("run").text(), field.at(i).at("edit").text()});
 }
 
-/// Compares the stored counts with the lengths of the lists. Detects lists that were
-/// shortened by hand or by a wrong merge.
+/// Compares the counts in the file with the lengths of the lists. This detects lists that
+/// were shortened by hand or by a wrong merge.
 void check_counts(const JsonField& root, const SceneFile& scene) {
     const auto check = [&](const char* name, std::size_t n) {
         const JsonField count = root.at("counts").at(name);
@@ -262,8 +268,8 @@ std::string to_scene_json(const Run& run) {
     if (!run.refined_poses.empty()) json["refined_poses"] = run.refined_poses;
     for (const RunEdit& e : run.edits) json["edits"].push_back({{"run", e.run}, {"edit", e.edit}});
     const std::string text = json.dump(1, ' ', false, Json::error_handler_t::replace);
-    // Parses the text before it is written, so that values that cannot be read back (for
-    // example a NaN pose) are rejected.
+    // Parses the text before it is written. This rejects values that cannot be read
+    // again, for example a NaN pose.
     parse_scene_json(text, "writing scene.json");
     return text + "\n";
 }

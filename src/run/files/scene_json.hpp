@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes scene.json: the log of a run without its scans. Private to run.
+// Reads and writes scene.json, which stores the log of a run without its scans. Private
+// to run.
 #pragma once
 
 #include <string>
@@ -8,7 +9,7 @@
 
 namespace relidar::run_detail {
 
-/// Returns the sequence and the split as JSON text.
+/// Converts the log of a run and its split into training and test frames to JSON text.
 /// @throws DataError if the sequence is inconsistent or not finite
 std::string to_scene_json(const Run& run);
 
@@ -22,7 +23,7 @@ struct SceneFile {
     std::size_t n_surfels = 0;
 };
 /// Parses the text of scene.json.
-/// @param file  name in error messages
+/// @param file  name of the file in error messages
 /// @throws DataError naming the file and the field
 SceneFile parse_scene_json(const std::string& text, const std::string& file);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes sweeps.safetensors: the measured azimuths of the head in each sweep of
-// a run's log (Frame::azimuth_shift_rad). Private to run.
+// Reads and writes sweeps.safetensors. The file stores the measured azimuths of the LiDAR
+// head in each sweep of a run's log (Frame::azimuth_shift_rad). Private to run.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,11 @@
 
 namespace relidar::run_detail {
 
-/// Writes an array [columns] f4, in radians, for each frame that has one. Its name is the
-/// index of the frame in scene.json. If no frame has an array, no file is written.
+/// Writes the azimuth corrections of each frame that has them, as an array [columns] f4
+/// in radians. The name of the array is the index of the frame in scene.json. If no frame
+/// has corrections, no file is written.
 void save_sweeps(const std::filesystem::path& path, const Sequence& sequence);
-/// Reads the arrays into the frames.
+/// Reads the azimuth corrections of all frames and stores them in the frames.
 /// @throws DataError for an array without a frame, with a wrong size, or with values
 /// outside -pi ... pi
 void load_sweeps(const std::filesystem::path& path, Sequence& sequence);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders or projects frames in batches, computes their metrics and averages them.
+// Renders frames in batches, computes their metrics and averages the metrics over all
+// frames. A baseline projects real scans instead of rendering.
 #include <relidar/score/evaluation.hpp>
 
 #include <algorithm>
@@ -21,12 +22,12 @@ namespace relidar {
 namespace {
 
 constexpr double kSameTime_s = 1e-3;
-// Frames whose metrics are computed in parallel. The images of this many frames are in
-// memory.
+// Number of frames whose metrics are computed in parallel. The images of these frames are
+// in memory at the same time.
 constexpr std::size_t kScoredAtOnce = 16;
 
-/// Returns the sensor that config.sensor names. With the native grid, its rays are those
-/// of the scan.
+/// Returns the sensor that config.sensor selects for a frame. With the native grid, the
+/// rays of the sensor are the rays of the scan.
 /// @param frame  the frame, with its scan
 SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, const Frame& frame) {
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
@@ -35,8 +36,8 @@ SensorChoice sensor_of_frame(const Config& config, const Sequence& sequence, con
     return sensor;
 }
 
-/// Returns the pixels of some returns. The flags are binned like points, in place of the
-/// intensities.
+/// Converts flags of returns to flags of pixels. The flags are stored as intensities of
+/// the scan and are binned into the image together with its points.
 std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& config, const Frame& frame) {
     Scan flags = frame.scan;
     std::copy(returns.begin(), returns.end(), flags.intensity.begin());
@@ -47,9 +48,10 @@ std::vector<bool> pixels_of(const std::vector<bool>& returns, const Config& conf
 /// A frame that was rendered but not scored yet.
 struct RenderedFrame {
     ScoredFrame frame;
-    std::vector<bool> moving;  ///< [n] true for pixels whose return is in a labelled, moving box
+    /// [n] true for pixels whose return is in a labelled box of a moving object.
+    std::vector<bool> moving;
     /// [n] true for pixels whose return is in a discovered box. Empty if the run has no
-    /// such boxes.
+    /// discovered boxes.
     std::vector<bool> discovered;
 
     std::vector<Region> regions() const {
@@ -82,7 +84,7 @@ RenderedFrame render_frame(ScanRenderer& renderer, const Config& config, const S
     return result;
 }
 
-/// Loads LPIPS if a file with weights is set, otherwise returns null.
+/// Loads the LPIPS network if a file with weights is set. Returns null otherwise.
 std::unique_ptr<Lpips> load_lpips() {
     const std::string file = lpips_weights_file();
     return file.empty() ? nullptr : std::make_unique<Lpips>(read_lpips_weights(file));
@@ -119,7 +121,7 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
         frame.metrics.merge(tail_shares(rendered, frame.real, sequence, sweep));
-        // empty for a baseline
+        // The array is empty for a baseline, because a baseline has no point ranges.
         const std::vector<float>& points_m = point_ranges(frame.rendered, config);
         frame.metrics.merge(people_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
                                           frame.real, sequence, sweep));
@@ -152,8 +154,8 @@ void drop_images(ScoredFrame& frame) {
     frame.real = {};
 }
 
-/// Parameters of an evaluation of many frames. A few frames at a time are rendered and
-/// scored; then their images are freed.
+/// Parameters of an evaluation of many frames. The frames are rendered and scored in
+/// small batches. The images of a batch are freed before the next batch, to limit memory.
 struct ManyFrames {
     const std::vector<int>& positions;  ///< indices into sequence.frames
     const Sequence& sequence;
@@ -162,7 +164,7 @@ struct ManyFrames {
     const SeeFrame& see;
 };
 
-/// Renders and scores all frames in batches of kScoredAtOnce.
+/// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
 /// @param what  description for the progress
 /// @param render  renders the frame at a position
 std::vector<ScoredFrame> score_all(const ManyFrames& many, const char* what,
@@ -222,7 +224,8 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const std::vector<int>& positions, const Progress& progress, const SeeFrame& see) {
-    // Reports show the drop probability with and without the correction by the network.
+    // Adds the drop probability before the correction by the network, because reports
+    // show both probabilities.
     if (see && renderer.refines(configured_sensor(config, sequence)))
         renderer.want_channels("surfel_drop_prob");
     std::vector<ScoredFrame> scored = score_all(

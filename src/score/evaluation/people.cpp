@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the measured and simulated points of people and cyclists in their box frames.
+// Compares the measured and simulated points of people and cyclists in the frames of
+// their boxes.
 #include "score/evaluation/people.hpp"
 
 #include <algorithm>
@@ -13,13 +14,14 @@ namespace relidar {
 namespace {
 
 constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
-// height above the bottom of a box below which points belong to the ground
+// Height above the bottom of a box. Points below this height belong to the ground.
 constexpr double kFloor_m = 0.15;
 constexpr double kNear_m = 0.03;
-constexpr double kSweep_m = 2.0;     // maximum distance that a box moves within a sweep
-constexpr std::size_t kFewest = 10;  // minimum number of real points
+constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
+// Minimum number of real points of a person. People with fewer points are not scored.
+constexpr std::size_t kFewest = 10;
 
-/// A box in a scan. Converts points from the sensor frame to the box frame.
+/// A box at the time of a scan. Converts points from the sensor frame to the box frame.
 struct InScan {
     const Sequence& sequence;
     const SweepMoment& seen;
@@ -36,8 +38,9 @@ struct InScan {
         return sequence.world_from_vehicle.at(t_s,
                                               sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
     }
-    /// Converts a point to the frame of the box, with both poses at the time at which the
-    /// point is seen. Returns nothing if the point is far from the box.
+    /// Converts a point to the frame of the box. Uses the poses of sensor and box at the
+    /// time at which the head faces the point. Returns nothing if the point is far from
+    /// the box.
     std::optional<glm::dvec3> in_box(const glm::dvec3& in_sensor) const {
         if (glm::distance(in_sensor, centre_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
             return std::nullopt;
@@ -97,7 +100,7 @@ MetricRow people_scores(const RangeImage& rendered, const std::vector<float>& po
         if (p.real_m.size() < kFewest) continue;
         both += double(p.n_both);
         either += double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
-        if (p.simulated_m.empty()) continue;  // without simulated points, only people_f1 can be computed
+        if (p.simulated_m.empty()) continue;  // Without simulated points, only people_f1 can be computed.
         const std::vector<double> to_real = nearest_distances(p.simulated_m, p.real_m);
         chamfer_m.push_back(mean_of(to_real) + mean_of(nearest_distances(p.real_m, p.simulated_m)));
         for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metrics for people and cyclists. They have so few points that averages over a scan do
-// not show their errors.
+// Metrics for people and cyclists. Separate metrics are needed because people have so few
+// points that averages over a scan do not show their errors.
 #pragma once
 
 #include <vector>
@@ -11,8 +11,8 @@
 
 namespace relidar {
 
-/// Returns metrics of all moving people and cyclists with at least ten real points. Uses
-/// people_points().
+/// Computes metrics of all moving people and cyclists with at least ten real points in
+/// their boxes.
 ///   actors/people_cd_m   Chamfer distance: sum of both directions, mean over people
 ///   actors/people_3cm    fraction of the simulated points with a real point within 3 cm
 ///   actors/people_f1     F1 score of the rays that return from them (silhouettes)

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts the points in comet tails: where a box was or will be, but is not now.
+// Counts the points in comet tails: points at a position where a moving box was or will
+// be, but is not now.
 #include "score/evaluation/tails.hpp"
 
 #include <algorithm>
@@ -9,10 +10,12 @@
 namespace relidar {
 namespace {
 
-constexpr double kNowMargin_m = 0.3;  // labels fit loosely: points just outside the box belong to it
+// Margin of the current boxes. Labelled boxes do not fit exactly, so points just outside
+// a box belong to it.
+constexpr double kNowMargin_m = 0.3;
 constexpr double kGround_m = 0.3;
 
-/// A moving box with all poses at which it was labelled.
+/// A moving box with the poses of all its labels.
 struct Swept {
     const BoxTrack* box;
     std::vector<Pose> box_from_world;
@@ -47,8 +50,8 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
     });
 }
 
-/// Number of points, and how many of them are in a volume that a box occupies at another
-/// time but not now.
+/// Number of all points, and number of points in comet tails: a box is there at another
+/// time, but not now.
 struct Tail {
     std::size_t n_points = 0, n_tail = 0;
     Tail& operator+=(const Tail& other) {
@@ -60,7 +63,8 @@ struct Tail {
 
 double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept,
              const SweepMoment& seen) {
-    constexpr std::size_t kRays = 2048;  // rays per work item
+    // Number of rays that one work item of the parallel loop processes.
+    constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
     const Tail all = parallel_reduce(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         Tail part;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Metric for comet tails: points at places where a moving actor was earlier or will be
-// later, but is not now.
+// Metric for comet tails: wrong points at a position where a moving actor was earlier or
+// will be later, but is not now.
 #pragma once
 
 #include <relidar/log/range_image.hpp>
@@ -9,10 +9,10 @@
 
 namespace relidar {
 
-/// Returns the fraction of all returned points in comet tails. A tail is the
-/// volume that moving boxes sweep during the log, without the volume that they occupy
-/// now. The current boxes are enlarged by 0.3 m. The lowest 0.3 m of the swept boxes
-/// counts as ground. Each point is tested at the time at which the head faces it.
+/// Returns the fraction of all returned points that lie in comet tails. The tail of a
+/// moving box is the volume that the box occupies at other times of the log, but not now.
+/// The current boxes are enlarged by 0.3 m. The lowest 0.3 m of the boxes counts as
+/// ground. Each point is tested at the time at which the head faces it.
 /// @return actors/tail_share of the rendered image and actors/tail_share_real; empty if
 /// no box moves
 MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence,

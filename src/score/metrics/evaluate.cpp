@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the two metric protocols of docs/method.md section 8 for a pair of range
-// images.
-//   peer    all pixels, dropped ones at 0, clamped; used by published tables
+// Computes the metrics of both protocols of docs/method.md section 8 for a rendered and a
+// real range image.
+//   peer    all pixels, dropped pixels set to 0, values clamped; used by published tables
 //   strict  only pixels returned in both images; ray-drop has its own metrics
-// Chamfer distance and F-score use only the points of returned pixels. The script that
-// the peer released places dropped pixels at the origin, which lowers the Chamfer
-// distance and raises the F-score.
+// Chamfer distance and F-score use only the points of returned pixels. The published
+// script of the peer protocol instead places dropped pixels at the origin, which lowers
+// the Chamfer distance and raises the F-score.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -23,12 +23,16 @@ namespace {
 using namespace metrics_detail;
 using Positions = std::vector<glm::dvec3>;
 
-constexpr double kMinSquaredError = 1e-20;  // limits the PSNR of identical images to a finite value
+// Minimum mean squared error, so that the PSNR of identical images is finite.
+constexpr double kMinSquaredError = 1e-20;
 constexpr double kFineThreshold_m = 0.05;
-// sqrt(0.05), because the peer compares the squared distance with 0.05
+// Threshold of the F-score in the peer protocol. It is sqrt(0.05), because the peer
+// protocol compares the squared distance with 0.05.
 constexpr double kPeerThreshold_m = 0.22360679774997896964;
 constexpr int kSsimWindow = 7;
-constexpr int kLpipsEdge = 31;  // in smaller images, the poolings leave no pixel
+// Minimum edge length of an image for LPIPS. In smaller images, the pooling layers leave
+// no pixel.
+constexpr int kLpipsEdge = 31;
 
 Positions points(const RangeImage& image, const Mask& mask) {
     Positions result;
@@ -39,14 +43,15 @@ Positions points(const RangeImage& image, const Mask& mask) {
     return result;
 }
 
-/// A full rendered image and the real image with which it is compared.
+/// A full rendered image and the full real image with which it is compared.
 struct ImagePair {
     Values rendered, real;
     int rows, columns;
     double peak;
 };
 
-/// Returns the images for a drop threshold: all pixels, dropped ones at 0.
+/// Returns both images with all pixels. Pixels that are dropped at the given threshold
+/// are 0.
 ImagePair depth_pair(const RangeImage& rendered, const RangeImage& real, double threshold,
                      double max_range_m) {
     return {masked(rendered.range_m, not_dropped(rendered, threshold), max_range_m),
@@ -60,7 +65,7 @@ ImagePair intensity_pair(const RangeImage& rendered, const RangeImage& real, dou
 }
 
 /// Computes errors, PSNR, SSIM and LPIPS of full images. Leaves out SSIM if it is
-/// undefined: the image is smaller than the window, or the real image is constant.
+/// undefined, because the image is smaller than the window or the real image is constant.
 void add_image(MetricRow& row, const std::string& prefix, const std::string& unit, const ImagePair& image,
                const Lpips* lpips) {
     const double squared = add_errors(row, prefix, unit, image.rendered, image.real);
@@ -78,7 +83,8 @@ double share_below(const Values& distances, double threshold) {
     return double(n) / double(distances.size());
 }
 
-/// Distances to the nearest point between two clouds, in both directions.
+/// Distances from each point of a cloud to the nearest point of the other cloud, in both
+/// directions.
 struct CloudDistances {
     Values to_truth, to_rendered;
 
@@ -90,7 +96,8 @@ struct CloudDistances {
     bool defined() const { return !to_truth.empty(); }
     double chamfer() const { return mean_of(to_truth) + mean_of(to_rendered); }
     double chamfer_squared() const { return mean_square(to_truth) + mean_square(to_rendered); }
-    /// Returns the harmonic mean of precision and recall, or 0 if a cloud is empty.
+    /// Returns the F-score: the harmonic mean of precision and recall. Returns 0 if a
+    /// cloud is empty.
     double f_score(double threshold_m) const {
         if (!defined()) return 0.0;
         const double precision = share_below(to_truth, threshold_m),
@@ -114,8 +121,8 @@ void add_peer(MetricRow& row, const RangeImage& rendered, const RangeImage& real
     row["peer/f_score"] = distances.f_score(kPeerThreshold_m);
 }
 
-/// Returns the root mean square difference between drop probabilities and real drops,
-/// over all pixels. It uses no threshold.
+/// Returns the root mean square difference over all pixels between the rendered drop
+/// probability and the real drop (0 or 1). No threshold is applied.
 double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     Values error(real.drop_prob.size());
     for (std::size_t i = 0; i < error.size(); ++i)
@@ -123,7 +130,8 @@ double drop_rmse(const RangeImage& rendered, const RangeImage& real) {
     return std::sqrt(mean_square(error));
 }
 
-/// Computes ray-drop metrics of a binary classification; positive = dropped.
+/// Computes ray-drop metrics of a binary classification, in which a dropped pixel is
+/// positive.
 void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     std::size_t hits = 0, false_drops = 0, missed_drops = 0, equal = 0;
     for (std::size_t i = 0; i < real.size(); ++i) {
@@ -141,8 +149,8 @@ void add_drop(MetricRow& row, const Mask& rendered, const Mask& real) {
     row["strict/drop_f1"] = ratio(2 * hits, 2 * hits + false_drops + missed_drops);
 }
 
-/// Computes range errors of pixels returned in both images, and distances between the
-/// clouds of returned points.
+/// Computes range errors over the pixels that are returned in both images. Also computes
+/// distances between the clouds of returned points.
 void add_points(MetricRow& row, const std::string& prefix, const RangeImage& rendered, const RangeImage& real,
                 const MetricOptions& options) {
     const Mask kept = returned(rendered, options.strict_drop_threshold),

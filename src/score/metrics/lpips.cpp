@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // LPIPS (Zhang et al., "The Unreasonable Effectiveness of Deep Features as a Perceptual
 // Metric", CVPR 2018) with AlexNet features. Each of the five convolutions is a matrix
-// product of unrolled windows (columns) and filters (rows). It runs on the CPU, which is
-// fast enough. The weights are read from a file, because they are not part of the
-// program.
+// product of unrolled windows (columns) and filters (rows). The code runs on the CPU,
+// which is fast enough. The weights are read from a file, because they are not part of
+// the program.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -21,12 +21,15 @@ namespace {
 using Matrix = Eigen::Matrix<float, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>;
 
 constexpr int kLayers = 5;
-constexpr int kMinEdge = 31;  // an edge of 31 pixels becomes 7, 3 and then 1
+// Minimum edge length of an image. The layers reduce an edge of 31 pixels to 7, 3 and
+// then 1.
+constexpr int kMinEdge = 31;
 constexpr double kNormFloor = 1e-10;
 constexpr float kColourShift[3] = {-0.030f, -0.088f, -0.188f};
 constexpr float kColourScale[3] = {0.458f, 0.448f, 0.450f};
 
-/// A convolution of AlexNet. `pooled`: a 3 x 3 max-pooling with stride 2 precedes it.
+/// A convolution of AlexNet. If `pooled` is set, a 3 x 3 max-pooling with stride 2 is
+/// applied before it.
 struct Layer {
     int out, in, edge, stride, padding;
     bool pooled;
@@ -69,7 +72,7 @@ Matrix unroll(const Features& image, const Layer& layer, int rows, int columns) 
     return windows;
 }
 
-/// Applies a convolution and ReLU.
+/// Applies a convolution and a ReLU to feature images.
 Features convolve(const Features& image, const Layer& layer, const std::vector<float>& weight,
                   const std::vector<float>& bias) {
     Features result;
@@ -83,7 +86,7 @@ Features convolve(const Features& image, const Layer& layer, const std::vector<f
     return result;
 }
 
-/// Applies a 3 x 3 max-pooling with stride 2.
+/// Applies a 3 x 3 max-pooling with stride 2 to feature images.
 Features pool(const Features& image) {
     Features result{(image.rows - 3) / 2 + 1, (image.columns - 3) / 2 + 1, {}};
     result.values.resize(image.values.rows(), Eigen::Index(result.rows) * result.columns);
@@ -97,8 +100,8 @@ Features pool(const Features& image) {
     return result;
 }
 
-/// Returns the mean over pixels of the weighted squared difference between features of
-/// unit length.
+/// Normalises both features of each pixel to unit length, and computes their weighted
+/// squared difference. Returns the mean over all pixels.
 double distance_of(const Features& a, const Features& b, const std::vector<float>& linear) {
     const Eigen::ArrayXXd fa = a.values.cast<double>().array(), fb = b.values.cast<double>().array();
     const Eigen::ArrayXd weight =

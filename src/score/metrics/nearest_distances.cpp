@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact nearest neighbours between two point clouds, for Chamfer distance and F-score.
-// Uses a k-d tree over the targets and processes the queries in parallel. Distances are
-// in double precision, because the points of a log can be far from the origin.
+// Computes exact nearest neighbours between two point clouds, for Chamfer distance and
+// F-score. Builds a k-d tree of the target points and processes the query points in
+// parallel. Distances are in double precision, because the points of a log can be far
+// from the origin.
 #include <relidar/score/metrics.hpp>
 
 #include <cmath>
@@ -16,8 +17,8 @@
 namespace relidar {
 namespace {
 
-/// Adapter from a point list to the container interface of nanoflann, which defines the
-/// member names.
+/// Adapter that gives nanoflann access to a list of points. nanoflann defines the names
+/// of the members.
 struct TargetCloud {
     const std::vector<glm::dvec3>& points;
 

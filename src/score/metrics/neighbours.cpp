@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The baseline for rendering: the two neighbouring real scans, moved by the poses into
-// another sweep and binned into its image. It does not know surfaces and does not fill
-// holes. But if the sensor has hardly moved, its result is close to the real scan.
+// Baseline for rendering. It moves the two neighbouring real scans into another sweep and
+// bins their points into the image of that sweep. The baseline does not know surfaces and
+// does not fill holes. But if the sensor has hardly moved, the result is close to the
+// real scan.
 #include <relidar/score/metrics.hpp>
 
 #include <algorithm>
@@ -15,12 +16,12 @@
 namespace relidar {
 namespace {
 
-// Maximum distance in columns between a ray and the column of its azimuth. In logs of an
-// HDL-64E it is up to 2.8.
+// Maximum number of columns between a ray and the column of its azimuth. In logs of an
+// HDL-64E the distance is up to 2.8 columns.
 constexpr int kColumnSearch = 4;
 
-/// Returns the nearest training frames of the same LiDAR before and after a position, or
-/// only one if the other does not exist.
+/// Returns the nearest training frames of the same LiDAR before and after a position.
+/// Returns a single frame if there is none on one side.
 std::vector<int> neighbours_of(const Sequence& sequence, int position, const std::vector<int>& train) {
     const auto lidar_of = [&](int p) { return sequence.frames[std::size_t(p)].lidar; };
     int before = -1, after = -1;
@@ -39,7 +40,8 @@ std::vector<int> neighbours_of(const Sequence& sequence, int position, const std
     return neighbours;
 }
 
-/// Returns the moving box that contains a point in the world frame at a time, or null.
+/// Returns the moving box that contains a point in the world frame at a time. Returns
+/// null if no box contains the point.
 const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dvec3& point_m, double time_s) {
     const auto it = std::find_if(moving.begin(), moving.end(), [&](const BoxTrack* box) {
         return box->present(time_s) && box->holds(point_m, time_s, 0.0);
@@ -48,7 +50,7 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
 }
 
 /// Converts a point from the world frame to the sensor frame, at the time in the sweep at
-/// which the LiDAR's head faces the point.
+/// which the LiDAR faces the point.
 glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
@@ -74,8 +76,8 @@ struct Place {
 
 double elevation_of(const glm::dvec3& v) { return std::asin(std::clamp(v.z / glm::length(v), -1.0, 1.0)); }
 
-/// A table of rays, with functions for binning. All of them use double precision, because
-/// the cosine of 0.02 degrees rounds to 1 in float.
+/// A table of rays with functions that assign points to rays. All functions use double
+/// precision, because the cosine of 0.02 degrees rounds to 1 in float.
 struct Beams {
     const RayTable& rays;
 
@@ -87,7 +89,7 @@ struct Beams {
         return glm::dvec3(point_m) - glm::dvec3(rays.origin[at(p)]);
     }
     glm::dvec3 direction(Place p) const { return rays.direction[at(p)]; }
-    /// Returns the elevation of a point above a beam, as an angle.
+    /// Returns the angle between a beam and a point above the beam.
     double above(Place p, const glm::vec3& point_m) const {
         return elevation_of(from_origin(p, point_m)) - elevation_of(direction(p));
     }
@@ -95,8 +97,9 @@ struct Beams {
         const glm::dvec3 v = from_origin(p, point_m);
         return glm::dot(v, direction(p)) / glm::length(v);
     }
-    /// Returns the ray nearest to a point: finds the beam with the nearest elevation,
-    /// then the nearest direction among its rays and those of its neighbours.
+    /// Returns the ray with the smallest angle to a point. First finds the beam with the
+    /// nearest elevation. Then compares the rays of this beam and of its neighbouring
+    /// beams.
     Place nearest(const glm::vec3& point_m) const {
         const double azimuth = std::atan2(double(point_m.y), double(point_m.x));
         const int column = int(std::lround((1.0 - azimuth / kPi) / 2.0 * rays.columns));
@@ -111,8 +114,8 @@ struct Beams {
                 if (const double cos = cosine({r, c}, point_m); cos > most) most = cos, best = {r, c};
         return best;
     }
-    /// Returns true if a point is outside the field of view: beyond the outermost beam by
-    /// more than half the spacing to the next beam.
+    /// Returns true if a point is outside the vertical field of view: it is beyond the
+    /// outermost beam by more than half the spacing to the next beam.
     bool outside(Place p, const glm::vec3& point_m) const {
         const double half_spacing =
             0.5 * std::abs(elevation_of(direction(p)) -
@@ -136,13 +139,14 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
         for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
             WorldReturn w = world_return(sequence, frame, ray);
-            // Uses the measured range, including the range offset of the beam.
+            // Moves the point to the measured range, which includes the range offset of
+            // the beam.
             w.point_m +=
                 double(frame.scan.range_m[ray] - surface_return(sequence, frame, ray).range_m) * w.direction;
             glm::dvec3 world_m = w.point_m;
             if (const BoxTrack* box = box_of(moving, w.point_m, w.time_s)) {
-                // The other sweep sees the box at about the same time after its reference
-                // time.
+                // Both sweeps measure the box at about the same time after their
+                // reference times.
                 const double then_s = sweep.time_s + (w.time_s - frame.time_s);
                 if (!box->present(then_s)) continue;
                 world_m =

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes errors over the selected pixels of a pair of range images.
+// Computes errors over selected pixels of a rendered and a real range image.
 #include "pixel_errors.hpp"
 
 #include <algorithm>
@@ -12,12 +12,13 @@
 namespace relidar::metrics_detail {
 namespace {
 
-// lower limit of the clamp in the peer protocol, for depth and intensity
+// Lower limit to which the peer protocol clamps ranges and intensities.
 constexpr double kClampLow = 1e-6;
 
 double clamped(float value, double high) { return std::clamp(double(value), kClampLow, high); }
 
-/// Returns the median. For an even count, it is the mean of the two middle values.
+/// Returns the median of some values. For an even number of values, it is the mean of the
+/// two middle values.
 double median(Values values) {
     const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
     std::nth_element(values.begin(), middle, values.end());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects pixels of range images by masks and computes errors over them. Private to
-// metrics.
+// Selects pixels of range images by masks and computes errors over these pixels. Private
+// to metrics.
 #pragma once
 
 #include <string>
@@ -14,24 +14,26 @@ namespace relidar::metrics_detail {
 using Mask = std::vector<bool>;
 using Values = std::vector<double>;
 
-inline constexpr double kRealDropThreshold = 0.5;  // drop probabilities of a real image are 0 or 1
+// Drop threshold for real images. Their drop probabilities are 0 or 1.
+inline constexpr double kRealDropThreshold = 0.5;
 inline constexpr double kMaxIntensity = 1.0;
 
-/// Checks a rendered and a real image.
+/// Checks that a rendered and a real image can be compared.
 /// @throws DataError if the images are empty, differ in shape, or contain a value that is
 /// not finite
 void check_pair(const RangeImage& rendered, const RangeImage& real);
 
-/// Returns the pixels whose drop probability is below the threshold.
+/// Returns a mask of the pixels whose drop probability is below the threshold.
 Mask not_dropped(const RangeImage& image, double threshold);
-/// Returns the pixels whose drop probability is below the threshold and whose range is
-/// above 0. A ray that hit nothing counts as dropped, whatever its drop probability is.
+/// Returns a mask of the pixels whose drop probability is below the threshold and whose
+/// range is above 0. A ray that hit nothing counts as dropped, even if its drop
+/// probability is low.
 Mask returned(const RangeImage& image, double threshold);
 
-/// Returns all pixels, clamped to [1e-6, high]. Pixels outside the mask are set to 0
-/// before clamping.
+/// Returns the values of all pixels, clamped to [1e-6, high]. Pixels outside the mask are
+/// set to 0 before the clamp.
 Values masked(const std::vector<float>& values, const Mask& mask, double high);
-/// Returns only the pixels in the mask, clamped to [1e-6, high].
+/// Returns only the values of pixels in the mask, clamped to [1e-6, high].
 Values selected(const std::vector<float>& values, const Mask& mask, double high);
 
 double mean_of(const Values& values);

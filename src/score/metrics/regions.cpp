@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Errors in the regions that users examine: moving boxes, all other pixels, and bands of
-// range. Pixels with a real return are compared with the rendered value, even if the
-// rendered pixel counts as dropped, because drops must not improve the score of a region.
-// The fraction of rendered returns is a separate metric.
+// Computes errors for regions that users examine: moving boxes, all other pixels, and
+// bands of range. Pixels with a real return are compared with the rendered value, even if
+// the rendered pixel counts as dropped. Otherwise more drops would improve the score of a
+// region. The fraction of rendered returns is a separate metric.
 #include <relidar/log/range_image.hpp>
 #include <relidar/score/metrics.hpp>
 
@@ -34,11 +34,11 @@ Region range_band(const RangeImage& real, double low_m, double high_m) {
     return region;
 }
 
-/// Returns which returns of a frame are in a moving box.
+/// Returns a mask of the returns of a frame that are in a moving box.
 Mask returns_in_moving(std::vector<BoxTrack> boxes, const Sequence& sequence, const Frame& frame,
                        const Pose& sensor_offset) {
     const PoseTrack track = moved_track(sequence.world_from_sensor(frame.lidar), sensor_offset);
-    // moves() is expensive, so it is evaluated once for each box
+    // Evaluates moves() once for each box, because it is expensive.
     std::erase_if(boxes, [](const BoxTrack& box) { return !box.moves(); });
     Mask moving(frame.scan.range_m.size());
     for (std::size_t ray = 0; ray < moving.size(); ++ray) {
@@ -90,8 +90,8 @@ std::vector<Region> standard_regions(const RangeImage& real, const std::vector<b
 std::vector<bool> moving_returns(const Sequence& sequence, const Frame& frame, const Pose& sensor_offset) {
     std::vector<BoxTrack> labelled = sequence.boxes;
     std::erase_if(labelled, [](const BoxTrack& box) { return box.category == kDiscoveredCategory; });
-    // Without the poses that discover_tracks() added, so that the same returns are
-    // compared with and without discovered boxes.
+    // Removes the poses that discover_tracks() added. The same returns are then compared
+    // with and without discovered boxes.
     for (BoxTrack& box : labelled) box = box.labelled_part();
     return returns_in_moving(std::move(labelled), sequence, frame, sensor_offset);
 }

@@ -3,7 +3,7 @@
 // use: uniform 7 x 7 window, sample covariance (divided by 48), K1 = 0.01, K2 = 0.03,
 // mean over the pixels whose window is inside the image.
 //   S = (2 ma mb + C1) (2 cov + C2) / ((ma^2 + mb^2 + C1) (va + vb + C2)),   C1 = (K1 L)^2, C2 = (K2 L)^2
-// The sums over a window are separable: along rows first, then along columns. Prefix sums
+// The sums over a window are computed along rows first, then along columns. Prefix sums
 // would be faster but less precise.
 #include <relidar/score/metrics.hpp>
 
@@ -18,7 +18,7 @@ namespace {
 
 constexpr int kWindow = 7;
 
-/// Sums of a, b, aa, bb and ab over a window.
+/// Sums over a window of the pixels of two images: a, b, aa, bb and ab.
 struct Moments {
     std::array<double, 5> sum{};
 
@@ -41,7 +41,7 @@ double similarity(const Moments& window, double c1, double c2) {
     return (2.0 * ma * mb + c1) * (2.0 * cov + c2) / ((ma * ma + mb * mb + c1) * (va + vb + c2));
 }
 
-/// Returns the sums over 7 neighbours within each row.
+/// Returns the sums over 7 adjacent pixels within each row.
 /// @return [rows * (columns - 6)]
 std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vector<double>& b, int rows,
                                     int columns) {

@@ -17,12 +17,15 @@
 namespace relidar::export_detail {
 namespace {
 
-// Margins in SVG units; the labels must fit into them.
+// Margins of a chart in SVG units. The labels must fit into the margins.
 constexpr double kLeft = 58, kRight = 14, kTop = 10, kBottom = 30;
-constexpr std::size_t kManyPoints = 250;  // longer curves look noisy, so their running mean is drawn
-constexpr std::size_t kBuckets = 500;     // horizontal resolution of a drawn curve
+// Curves with more points look noisy, so the running mean of such a curve is drawn.
+constexpr std::size_t kManyPoints = 250;
+// Number of horizontal intervals into which a drawn curve is divided. Each interval is
+// drawn with at most two points.
+constexpr std::size_t kBuckets = 500;
 
-/// Data interval of an axis and its position on the page.
+/// Value range of an axis and its position on the page.
 struct Axis {
     double low = 0.0, high = 1.0;
     double at_low = 0.0, at_high = 1.0;
@@ -45,7 +48,8 @@ struct Extent {
     bool empty() const { return low > high; }
 };
 
-/// Returns true if a point is finite and small enough that the axis does not overflow.
+/// Returns true if point i of a curve is finite and small enough that the axis does not
+/// overflow.
 bool drawable(const ReportCurve& curve, std::size_t i) {
     return std::abs(curve.x[i]) < 1e100 && std::abs(curve.y[i]) < 1e100;
 }
@@ -66,8 +70,9 @@ std::vector<double> linear_ticks(const Axis& axis, int n_ticks) {
     return ticks;
 }
 
-/// Returns ticks at powers of ten, with fewer ticks if there are many decades. For few
-/// decades, the ticks are at 1, 2 and 5 times each power.
+/// Returns the ticks of a logarithmic axis, at powers of ten. Leaves out some ticks if
+/// there are many powers. If there are few powers, also returns ticks at 2 and 5 times
+/// each power.
 std::vector<double> log_ticks(const Axis& axis) {
     const int first = int(std::floor(std::log10(axis.low))), last = int(std::ceil(std::log10(axis.high)));
     const int every = std::max(1, (last - first) / 6);
@@ -110,16 +115,16 @@ Axis make_x_axis(const Extent& extent, double at_low, double at_high) {
     return axis;
 }
 
-/// Returns the indices of a subsampled curve: at most two points for each bucket, its
-/// minimum and its maximum, so that spikes remain visible. Points that are not finite
-/// become gaps.
+/// Returns the indices of the points to draw. Each interval of the x axis keeps at most
+/// two points. They are the minimum and the maximum, so that spikes remain visible.
+/// Points that are not finite become gaps.
 std::vector<std::size_t> thinned(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), width = std::max<std::size_t>(1, n / kBuckets);
     std::vector<std::size_t> kept;
     for (std::size_t first = 0; first < n; first += width) {
         std::size_t low = first, high = first;
         for (std::size_t i = first; i < std::min(n, first + width); ++i) {
-            // keeps a point that is not finite, which shows as a gap
+            // Keeps a point that is not finite, so that the curve has a gap there.
             if (!drawable(curve, i)) low = high = i;
             else if (drawable(curve, low) && curve.y[i] < curve.y[low]) low = i;
             else if (drawable(curve, high) && curve.y[i] > curve.y[high]) high = i;
@@ -130,21 +135,23 @@ std::vector<std::size_t> thinned(const ReportCurve& curve) {
     return kept;
 }
 
-/// Returns the running mean of a curve at a few hundred points. It averages the finite
-/// values in a centred window of 1/40 of the curve.
+/// Returns the running mean of a curve at a few hundred points. Each mean is over the
+/// finite values in a centred window, whose width is 1/40 of the curve.
 ReportCurve running_mean(const ReportCurve& curve) {
     const std::size_t n = curve.y.size(), half = n / 80, n_places = std::min(n, kBuckets);
     ReportCurve result{curve.name, {}, {}};
     for (std::size_t place = 0; place < n_places; ++place) {
         const std::size_t middle = place * (n - 1) / (n_places - 1);
-        // The window is symmetric up to the ends of the curve, because otherwise the mean
-        // would lag there.
+        // The window remains symmetric near the ends of the curve, because otherwise the
+        // mean would lag there.
         const std::size_t reach = std::min({half, middle, n - 1 - middle});
         double sum = 0.0, count = 0.0;
         for (std::size_t i = middle - reach; i <= middle + reach; ++i)
             if (drawable(curve, i)) sum += curve.y[i], ++count;
         result.x.push_back(curve.x[middle]);
-        result.y.push_back(sum / count);  // NaN if the window has no finite value, which shows as a gap
+        // If the window has no finite value, the mean is NaN, so that the curve has a
+        // gap.
+        result.y.push_back(sum / count);
     }
     return result;
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Line charts as inline SVG for the report. Private to the report.
+// Draws line charts as inline SVG for the report. Private to the report.
 #pragma once
 
 #include <string>
@@ -9,16 +9,18 @@
 
 namespace relidar::export_detail {
 
-/// Number of colours before a chart repeats them; style classes c0 ... c7.
+/// Number of different curve colours. If a chart has more curves, colours repeat. The
+/// style classes of the colours are c0 ... c7.
 inline constexpr int kChartColours = 8;
 
-/// Returns curves with common axes as SVG. The y axis is logarithmic if all values are
-/// positive and span more than a factor of 4. Values that are not finite leave gaps. Long
-/// curves are drawn faint, with their running mean as a solid line.
+/// Draws curves in one chart with common axes, and returns the chart as SVG. The y axis
+/// is logarithmic if all values are positive and span more than a factor of 4. Values
+/// that are not finite leave gaps. Long curves are drawn faint, with their running mean
+/// as a solid line.
 /// @throws DataError if x and y of a curve differ in length
 std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, int height);
 
-/// Returns true if svg_chart() draws a running mean for any of these curves.
+/// Returns true if svg_chart() draws a running mean for at least one of these curves.
 bool has_running_mean(const std::vector<const ReportCurve*>& curves);
 
 }  // namespace relidar::export_detail

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text for HTML pages. Base64 follows RFC 4648 with padding.
+// Converts texts, numbers and images to text for HTML pages. Base64 follows RFC 4648 with
+// padding.
 #include "html.hpp"
 
 #include <algorithm>

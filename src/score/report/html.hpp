@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text for HTML pages: escaping, readable numbers, images as data URLs. Private to the
-// report.
+// Converts texts, numbers and images to text for HTML pages: escaped text, readable
+// numbers, data URLs. Private to the report.
 #pragma once
 
 #include <string>
@@ -10,7 +10,7 @@
 
 namespace relidar::export_detail {
 
-/// Escapes text for use inside an element or inside a quoted attribute.
+/// Escapes text so that it can be written inside an HTML element or a quoted attribute.
 std::string escape_html(std::string_view text);
 
 /// Formats a number with four significant digits, for example 6.458, 0.03402 or 1.2e-07.
@@ -20,7 +20,7 @@ std::string format_number(double value);
 /// Encodes bytes as base64 (RFC 4648, with padding).
 std::string base64(const std::vector<std::uint8_t>& bytes);
 
-/// Returns an image as a URL of the form data:image/png;base64,...
+/// Encodes an image as PNG and returns it as a URL of the form data:image/png;base64,...
 std::string png_data_url(const Image& image);
 
 }  // namespace relidar::export_detail

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes the report as a single HTML page that needs no other file and no network. All
-// external text is escaped. The page contains a script only if it has views. Curves with
-// the same part before '/' share a chart; metrics are grouped in the same way.
+// text from outside the program is escaped. The page contains a script only if it has 3D
+// views. Curves whose names have the same part before '/' share a chart. Metrics are
+// grouped in the same way.
 #include <relidar/base/files.hpp>
 #include <relidar/score/metrics.hpp>
 #include <relidar/score/report.hpp>
@@ -26,8 +27,8 @@ namespace {
 using export_detail::escape_html;
 using export_detail::format_number;
 
-// Wider images, for example 66 x 1030, are stretched vertically so that their rows remain
-// visible.
+// Maximum width of an image divided by its height. Wider images, for example 66 x 1030,
+// are stretched vertically so that their rows remain visible.
 constexpr double kMaxAspect = 10.0;
 
 std::string section(const std::string& title, const std::string& body) {
@@ -35,7 +36,7 @@ std::string section(const std::string& title, const std::string& body) {
                         : fmt::format("<section>\n<h2>{}</h2>\n{}</section>\n", escape_html(title), body);
 }
 
-/// Returns a section that is collapsed until the reader opens it.
+/// Returns a section of the page that is collapsed until the reader opens it.
 std::string folded(const std::string& title, const std::string& body) {
     return body.empty()
                ? ""
@@ -57,8 +58,9 @@ std::string facts(const Report& report) {
     return "<dl>\n" + body + "</dl>\n";
 }
 
-/// Splits "peer/depth_rmse_m" into "peer" and "depth_rmse_m". A name without '/' has an
-/// empty group.
+/// Splits a metric's name into its group and the remainder, for example
+/// "peer/depth_rmse_m" into "peer" and "depth_rmse_m". A name without '/' has an empty
+/// group.
 std::pair<std::string, std::string> split_group(const std::string& name) {
     const std::size_t slash = name.find('/');
     if (slash == std::string::npos) return {"", name};
@@ -66,7 +68,7 @@ std::pair<std::string, std::string> split_group(const std::string& name) {
 }
 
 /// Returns +1 if larger values of a metric are better, -1 if smaller values are better,
-/// and 0 if the name does not show it.
+/// and 0 if this is unknown.
 int better_direction(const std::string& metric) {
     const auto has = [&](std::string_view part) { return metric.find(part) != std::string::npos; };
     for (const char* part : {"rmse", "mae", "medae", "cd_", "lpips"})
@@ -81,8 +83,8 @@ std::optional<double> value_of(const MetricRow& row, const std::string& name) {
     return it == row.end() ? std::nullopt : std::optional(it->second);
 }
 
-/// Returns the best value of a metric. Returns nothing if fewer than two columns have the
-/// metric or the better direction is unknown.
+/// Returns the best value of a metric among all columns. Returns nothing if fewer than
+/// two columns have the metric, or if it is unknown whether larger values are better.
 std::optional<double> best_value(const Report& report, const std::string& name) {
     const int direction = better_direction(name);
     std::optional<double> best;
@@ -107,7 +109,8 @@ std::string metric_cells(const Report& report, const std::string& name) {
 }
 
 std::string metrics(const Report& report) {
-    std::set<std::string> names;  // a sorted set keeps the metrics of a group together
+    // A sorted set of names, so that the metrics of a group are next to each other.
+    std::set<std::string> names;
     for (const auto& [column, row] : report.metrics)
         for (const auto& [name, value] : row) names.insert(name);
     if (names.empty()) return "";
@@ -134,7 +137,7 @@ std::string metrics(const Report& report) {
     return table(head, rows) + note;
 }
 
-/// Returns the table of key metrics with their explanations.
+/// Returns a table with the key metrics and their explanations.
 std::string key_metrics(const Report& report) {
     std::string head = "<th>What</th>", rows;
     for (const auto& [column, row] : report.metrics) head += fmt::format("<th>{}</th>", escape_html(column));
@@ -158,7 +161,7 @@ std::string chart(const std::string& title, const std::vector<const ReportCurve*
 }
 
 std::string curves(const Report& report) {
-    // charts in the order in which their curves appear
+    // Charts with their curves, in the order in which the curves appear in the report.
     std::vector<std::pair<std::string, std::vector<const ReportCurve*>>> charts;
     bool means = false;
     for (const ReportCurve& curve : report.curves) {
@@ -178,8 +181,9 @@ std::string curves(const Report& report) {
                   : "");
 }
 
-/// Returns a table row for a kernel: its time, its percentage of `total_ms`, and a bar
-/// whose length is its fraction of `longest`. There is no bar if `longest` is 0.
+/// Returns a table row for the time of a kernel: the time, its percentage of `total_ms`,
+/// and a bar. The length of the bar is proportional to the time divided by `longest`. If
+/// `longest` is 0, no bar is drawn.
 std::string timing_row(const std::string& name, double ms, double total_ms, double longest) {
     const bool known = std::isfinite(ms) && ms >= 0.0;
     const std::string share =
@@ -191,8 +195,9 @@ std::string timing_row(const std::string& name, double ms, double total_ms, doub
                        escape_html(name), ms, share, bar);
 }
 
-/// Returns a table of kernels, the longest time first. Percentages refer to the entry
-/// "total", or to the sum if there is no such entry. That row is the last one.
+/// Returns a table of kernel times, the longest time first. The last row is the total:
+/// the entry "total", or the sum if there is no such entry. Percentages refer to the
+/// total.
 std::string timing_table(const MetricRow& timings) {
     std::vector<std::pair<std::string, double>> rows;
     double longest = 0.0, sum = 0.0;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes stacked bars of the report as an HTML table.
+// Writes the stacked bars of the report as an HTML table.
 #include "report_parts.hpp"
 
 #include <algorithm>

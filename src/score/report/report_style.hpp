@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Style sheet of the report: a column of cards, with a light and a dark theme. Curve
-// colours differ in lightness as well as hue, so that they can be distinguished by
-// colour-blind readers and in print. Private to the report.
+// colours differ in lightness as well as hue. Colour-blind readers can therefore
+// distinguish them, also in print. Private to the report.
 #pragma once
 
 #include <string_view>

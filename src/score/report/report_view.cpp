@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packs the points of a view into 8 bytes each, little-endian: x, y, z in centimetres
-// (int16), intensity in steps of 1/255, and the range error in steps of 4 mm up to 1 m,
-// or 255 if it is unknown. points/report.js reads them.
+// Writes the 3D views of the report. Packs each point of a view into 8 bytes,
+// little-endian: x, y, z in centimetres (int16), intensity in steps of 1/255, and the
+// range error. The range error has steps of 4 mm up to 1 m, and 255 means unknown.
+// points/report.js reads the points.
 #include "report_parts.hpp"
 
 #include <algorithm>
@@ -16,13 +17,15 @@
 
 namespace relidar {
 
-// defined in a file that cmake/Assets.cmake generates
+// Returns the names and texts of all JavaScript modules. cmake/Assets.cmake generates the
+// file that defines this function.
 std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();
 
 namespace export_detail {
 namespace {
 
-constexpr std::size_t kMaxPoints = 500'000;  // maximum for a page: 5.3 MB as base64
+// Maximum number of points on a page, which take 5.3 MB as base64.
+constexpr std::size_t kMaxPoints = 500'000;
 constexpr float kFarthest_m = 300.0f;
 constexpr float kErrorStep_m = 0.004f;
 
@@ -50,8 +53,8 @@ std::vector<std::uint8_t> pack(const ReportCloud& cloud, std::size_t max_points)
     return bytes;
 }
 
-/// Returns the text of a JavaScript module as part of a single script: removes its
-/// imports and the keyword `export`.
+/// Converts a JavaScript module to a part of a single script. Removes imports and the
+/// keyword `export`.
 std::string inlined(std::string_view module) {
     std::string script;
     while (!module.empty()) {

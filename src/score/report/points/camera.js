@@ -1,16 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// A camera for scenes with z up. It orbits a point, flies freely, or follows a moving
-// object.
+// A camera for scenes whose z axis points up. The camera orbits a point, flies freely, or
+// follows a moving object.
 import { add, look, multiply, normalize, cross, perspective, scale } from './matrix.js';
 
 const ANGLE = (50 * Math.PI) / 180;
-const STEEPEST = 1.55;   // radians; straight up or down, left and right would be undefined
+const STEEPEST = 1.55;   // maximum pitch, radians; at pi/2, left and right would be undefined
 
 export class Camera {
   constructor() {
     this.mode = 'follow';
     this.target = [0, 0, 0];
-    this.yaw = 0;          // radians; in mode "follow" relative to the heading of the object
+    this.yaw = 0;          // radians; in mode "follow", relative to the heading of the object
     this.pitch = -0.42;
     this.distance = 26;
     this.heading = 0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws points and lines on a canvas with WebGL 2. Point clouds and line sets have names;
-// a new one replaces an old one with the same name.
+// Draws points and lines on a canvas with WebGL 2. Point clouds and line sets have names.
+// A new cloud or line set replaces the old one with the same name.
 
 const POINTS = `#version 300 es
 uniform mat4 clip_from_world;

@@ -46,7 +46,7 @@ function channelColouring(colouring, scan) {
   const channel = channelOf(colouring, scan);
   if (!channel || channel.components === 3 || channel.isInteger) return { label, unit: '', map: null };
   let low = 0;
-  let high = 1;   // most channels are fractions
+  let high = 1;   // default maximum, because most channels are fractions
   for (const v of channel.values) if (Number.isFinite(v)) [low, high] = [Math.min(low, v), Math.max(high, v)];
   return { label, unit: '', map: 'turbo', ends: () => [low, high], share: (v, [a, b]) => (v - a) / (b - a) };
 }
@@ -86,7 +86,7 @@ export function coloursOf(scan, colouring, options) {
   const limits = ends ? ends(options) : null;
   const value = valueReader(scan, colouring, options);
   for (let i = 0; i < n; ++i) {
-    if (!options.shown(i)) continue;   // alpha 0: not drawn
+    if (!options.shown(i)) continue;   // keeps alpha 0, so that the point is not drawn
     let colour;
     if (!map && channel) {
       colour = channelColour(channel, i);

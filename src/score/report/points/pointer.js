@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Mouse control of a view. Dragging rotates the camera, dragging with the right or middle
-// button or with Ctrl moves it sideways, and the wheel zooms.
+// Mouse control of a view. Dragging rotates the camera. Dragging with the right or middle
+// button, or with Ctrl, moves the camera sideways. The wheel zooms.
 
-const LONGEST_CLICK = 4;   // maximum movement of a click in pixels
+const LONGEST_CLICK = 4;   // maximum movement in pixels that still counts as a click
 
 /**
  * @param onChange called after each change of the camera

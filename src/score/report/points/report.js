@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws the views of the report: point clouds side by side with one camera.
+// Draws the 3D views of the report: point clouds side by side, with a common camera.
 // src/score/report/report_view.cpp packs the points.
 import { Camera } from './camera.js';
 import { CloudView } from './cloud_view.js';
