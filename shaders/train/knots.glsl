@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interpolates the poses before and after a ray. Include after shared/train.h.
+// Interpolates between the sensor poses before and after the firing time of a ray.
+// Include after shared/train.h.
 #ifndef RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 
