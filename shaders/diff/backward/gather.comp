@@ -15,7 +15,7 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-/// Adds the gradient of a hit to the sums.
+/// Adds the gradient of a hit to the local sums.
 /// @return the instance of the hit
 uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
@@ -33,10 +33,9 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     return h.instance;
 }
 
-/// Adds the block's sum of a row, or stores it as a part. Kernel backward/gather_heads
-/// then adds the full row in one step. The rows of two placements of a model add to the
-/// same coefficients. Two sums added to 0 give the same bits in either order, but four
-/// sums do not.
+/// Adds a block's sum of a row to the result, or stores it if the row continues in
+/// another block. Kernel backward/gather_heads then adds the stored sums. Adding in a
+/// fixed order gives the same bits in every run.
 void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
     if (begins_here && !goes_on) {
         add_to_row(row, instance);

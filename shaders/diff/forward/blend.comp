@@ -20,15 +20,14 @@
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
-/// Returns hit k of a list, or the last hit if k is too large.
+/// Returns hit k of a sorted list, or the last hit if k is too large.
 Hit listed_hit(uint list, uint k, uint n) {
     return params.lists.hits.at[list_entry(params.lists.room, list, min(k, n - 1u))];
 }
 
-/// Blends the n > 0 hits of a list. The address of a hit is known from the list, but the
-/// address of its channels is known only from the hit. So the loop loads hits two
-/// iterations ahead and channels one iteration ahead, and no load waits for another.
-/// @return true if the ray has ended
+/// Blends the n > 0 hits of a list. Loads hits two iterations ahead and their channels
+/// one iteration ahead, so that no load waits for another.
+/// @return true if the transmittance fell below the limit within the list
 bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
     Hit next = listed_hit(list, 0u, n), after_next = listed_hit(list, 1u, n);
     vec3 next_channels = channels_of(params.scene, ray, next);
