@@ -34,8 +34,9 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
 }
 
 /// Adds a block's sum of a row to the result, or stores it if the row continues in
-/// another block. Kernel backward/gather_heads then adds the stored sums. Adding in a
-/// fixed order gives the same bits in every run.
+/// another block. Kernel backward/gather_heads adds the stored sums in one step. This
+/// matters because two instances of a model add to the same coefficients: the result is
+/// repeatable for two additions, but not for four.
 void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
     if (begins_here && !goes_on) {
         add_to_row(row, instance);

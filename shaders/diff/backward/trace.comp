@@ -55,10 +55,10 @@ struct BlendedHit {
     float behind;  // Sum of weight times shade over the hits behind this hit, including the background.
 };
 
-/// Computes the gradient of one hit and adds the gradient of the ray. Writes a record of
-/// the hit, or adds with atomics. If rows are exchanged, the caller adds with
-/// add_gradient().
-/// @param d  output, for add_gradient()
+/// Computes the gradient of one hit and adds it to the gradient of the ray. Writes a
+/// record of the hit, or adds the gradient of the surfel with atomics. If lanes exchange
+/// rows, the caller must add it with add_gradient().
+/// @param d  output: gradient for add_gradient()
 /// @return row for add_gradient(), or kNoRow
 uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     uint first_surfel = scene.instances.at[b.instance].first_surfel;
