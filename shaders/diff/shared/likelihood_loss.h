@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the likelihood loss (docs/method.md M12). Weights, rays and targets as in
-// loss.h.
+// Parameters of the likelihood loss (docs/method.md M12). The meaning of weights, rays
+// and targets is the same as in loss.h.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_LIKELIHOOD_LOSS_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_LIKELIHOOD_LOSS_H
 #include "loss.h"

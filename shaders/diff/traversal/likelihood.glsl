@@ -19,7 +19,7 @@ void take_measured(TraceScene scene, uint ray) {
 }
 
 /// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of a hit at t, where z is the
-/// measured range and s its scale.
+/// measured range and s its scale. Returns 0 if no range was measured.
 float range_kernel(float t) {
     if (!(measured_range > 0.0)) return 0.0;
     float d = (t - measured_range) * measured_per_scale;
