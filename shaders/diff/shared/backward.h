@@ -78,8 +78,8 @@ struct PoseBlock {
 };
 RELIDAR_POINTER(PoseBlocks, PoseBlock);
 
-// Parameters of the kernel that computes force, torque about the model's origin and
-// dL/d(view origin), in the model frame.
+// Number of floats of a sum: force, torque about the model's origin and dL/d(view
+// origin), all in the model frame.
 #define RELIDAR_POSE_SUMS 9
 
 struct PoseBlocksParams {

@@ -15,7 +15,7 @@ namespace relidar::refine {
 namespace {
 
 constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
-// Rows of an image that a subgroup of diff/network/conv_weights sums.
+// Number of image rows over which one subgroup sums the gradient of the weights.
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // limit of the memory for partial sums, in floats
 

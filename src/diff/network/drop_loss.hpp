@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Drop probabilities of the network's logits, their cross-entropy and its derivative.
+// Computes drop probabilities from the network's logits, their cross-entropy, and its
+// derivative.
 #pragma once
 
 #include "diff/network/tensor.hpp"
@@ -13,7 +14,8 @@ struct DropScore {
     double accuracy = 0.0;  ///< share of pixels whose more likely class is correct
 };
 
-/// Arrays [n] that DropLoss reads and writes. All except the logits may be null.
+/// Arrays of n pixels that DropLoss reads and writes. All arrays except the logits may be
+/// null.
 struct DropLossArrays {
     Address<float, shared::DropLogits> logit;
     Address<float, shared::StartLogits> start = {};              ///< added to the logits
@@ -26,11 +28,12 @@ class DropLoss {
 public:
     DropLoss(Device& device, std::size_t n_pixels);
 
-    /// Records the loss of n pixels.
-    /// @param known  number of known pixels, the divisor of the derivative's mean
+    /// Submits the kernel that computes the loss of n pixels.
+    /// @param known  number of pixels with a known target, by which the derivative is
+    /// divided
     void run(Stream& stream, std::size_t n, const DropLossArrays& arrays, std::size_t known);
-    /// Returns the score of the last finished run.
-    /// @param known  number of known pixels
+    /// Returns loss and accuracy of the last finished run.
+    /// @param known  number of pixels with a known target
     DropScore score(std::size_t known) const;
 
 private:
