@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocking copies between host and device, for code that is not performance-critical.
-// Uses one command buffer, and one staging buffer per direction, which are created at the
-// first copy. Thread-safe.
+// Blocking copies between host and device, for code that need not be fast. Creates one
+// command buffer and one staging buffer per direction at the first copy. Thread-safe.
 #pragma once
 
 #include <memory>
