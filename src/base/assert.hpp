@@ -4,8 +4,8 @@
 // (RELIDAR_ASSERTS). Mistakes in files or of callers throw an Error instead.
 #pragma once
 
-/// RELIDAR_ASSERT_LE(a, b) checks a <= b, RELIDAR_ASSERT_EQ(a, b) checks a == b. Both
-/// print a and b if the check fails.
+/// RELIDAR_ASSERT_LE(a, b) checks that a <= b. RELIDAR_ASSERT_EQ(a, b) checks that a ==
+/// b. Both macros print a and b if the check fails.
 #define RELIDAR_ASSERT_LE(a, b) RELIDAR_ASSERT_THAT(a, <=, b)
 #define RELIDAR_ASSERT_EQ(a, b) RELIDAR_ASSERT_THAT(a, ==, b)
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the angle of incidence of the rays of a range image from neighbouring pixels.
+// Estimates the angle between the rays of a range image and the surface normals. Uses the
+// points of neighbouring pixels.
 #pragma once
 
 #include <cmath>
@@ -9,7 +10,7 @@
 
 namespace relidar {
 
-/// Rays and ranges of a range image in row order. The columns cover a full turn.
+/// Rays and ranges of a range image, row by row. The columns cover a full turn.
 struct ImageRays {
     int rows, columns;
     /// Origins and unit directions of the rays, [rows*columns].
@@ -30,7 +31,8 @@ inline constexpr std::size_t kIncidenceColumns = 4;
 /// missing or lies on another surface.
 inline double incidence_cosine(const ImageRays& image, std::size_t i) {
     constexpr std::size_t kColumns = kIncidenceColumns;
-    // Maximum difference of ranges on one surface, relative to the range.
+    // Largest difference between the ranges of two pixels on one surface, relative to the
+    // range.
     constexpr double kSameSurface = 0.2;
     const auto columns = std::size_t(image.columns), row = i / columns, column = i % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) ||

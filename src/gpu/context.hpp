@@ -62,8 +62,9 @@ struct Missing {
     }
 };
 
-/// Optional device features that make kernels more robust. Without them, the Vulkan
-/// specification does not guarantee some behaviour of subgroups and memory accesses.
+/// Optional device features that make kernels more robust. Without these features, the
+/// Vulkan specification does not guarantee the behaviour of subgroups that the kernels
+/// rely on.
 struct OptionalFeatures {
     /// True if the subgroup size varies and a kernel can request subgroups of
     /// DeviceInfo::subgroup_size lanes.

@@ -139,9 +139,10 @@ public:
         });
     }
 
-    /// Returns true if the branch from block `from` to block `left` can be removed. The
-    /// branch must stay if a phi instruction in the target names block `from`, or if the
-    /// block would no longer end its loop correctly.
+    /// Returns true if the module stays valid without the branch from block `from` to
+    /// block `left`. A phi instruction must name all blocks that lead to it, so its block
+    /// must stay reachable as before. Unreachable blocks must not end or continue an
+    /// enclosing loop.
     /// @param merge block in which both paths of the branch join
     bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
         if (left == merge) return !with_phi_.contains(merge);
