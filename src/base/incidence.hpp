@@ -15,7 +15,7 @@ struct ImageRays {
     int rows, columns;
     /// Origins and unit directions of the rays, [rows*columns].
     std::span<const glm::vec3> origin, direction;
-    std::span<const float> range_m;  ///< Ranges, [rows*columns]; 0 for dropped rays.
+    std::span<const float> range_m;  ///< Measured ranges, [rows*columns]. 0 for rays without a return.
 
     glm::dvec3 point(std::size_t i) const {
         return glm::dvec3(origin[i]) + double(range_m[i]) * glm::dvec3(direction[i]);

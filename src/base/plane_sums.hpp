@@ -12,7 +12,9 @@ namespace relidar {
 struct PlaneFit {
     glm::dvec3 mean{0.0};
     glm::dvec3 variance{0.0};  ///< Variances along the axes, ascending.
-    glm::dvec3 axes[3];        ///< Unit axes; the first is the normal.
+    /// Principal axes of the points, unit length. The first axis is the normal of the
+    /// plane.
+    glm::dvec3 axes[3];
 };
 
 struct PlaneSums {

@@ -17,7 +17,7 @@ inline std::uint64_t hash64(std::uint64_t x) {
     return x ^ (x >> 31);
 }
 
-/// Returns a hash of a pair; the order matters.
+/// Returns a hash of two numbers. Exchanging the numbers changes the hash.
 inline std::uint64_t hash64(std::uint64_t a, std::uint64_t b) {
     return hash64(hash64(a) ^ (b * 0xD6E8FEB86659FD93ull));
 }

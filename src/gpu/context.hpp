@@ -145,14 +145,15 @@ struct Device::Impl {
     /// Buffer of zeros. A kernel receives its address instead of an array that the launch
     /// omits.
     std::unique_ptr<Buffer::Impl> nothing;
-    std::uint64_t memory_limit_bytes = 0;  ///< Limit for device memory; 0 = no limit.
+    std::uint64_t memory_limit_bytes = 0;  ///< Limit for the device memory in bytes. 0 means no limit.
     bool compile_only = false;
     ForcedWays forced;  ///< Behaviour that tests have forced.
     /// If true, pipelines are compiled when their kernels are created. If false (CPU), a
     /// pipeline is compiled at its first launch.
     bool compiles_ahead = false;
     bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
-    /// Statistics of compiled pipelines; used only with compile_only.
+    /// Statistics of compiled pipelines. Collected only if kernels are compiled but not
+    /// run.
     std::vector<PipelineStatistics> compiled;
     std::atomic<std::uint64_t> allocated{0};  ///< Bytes allocated by arrays.
     std::atomic<std::uint64_t> peak{0};

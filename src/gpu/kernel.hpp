@@ -54,7 +54,8 @@ constexpr std::string_view params_of_kernel(std::string_view name) {
 /// Returns the name of a struct without its namespaces.
 template <class Struct>
 consteval std::string_view name_of_struct() {
-    // Example: "... [with Struct = relidar::shared::AdamParams; ...]".
+    // Text that contains the name of the struct, for example "... [with Struct =
+    // relidar::shared::AdamParams; ...]".
     std::string_view text = __PRETTY_FUNCTION__;
     const std::size_t begin = text.find("Struct = ") + 9;
     text = text.substr(begin, text.find_first_of(";]", begin) - begin);

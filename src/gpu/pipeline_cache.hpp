@@ -22,7 +22,8 @@ public:
     PipelineCache& operator=(const PipelineCache&) = delete;
 
     VkPipelineCache handle() const { return handle_; }
-    /// Path of the file; empty without a file.
+    /// Returns the path of the cache file. Returns an empty path if the cache has no
+    /// file.
     const std::filesystem::path& path() const { return path_; }
     /// Returns the number of bytes read from the cache file. Returns 0 if the file was
     /// missing.

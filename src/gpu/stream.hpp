@@ -55,11 +55,11 @@ struct Stream::Impl {
         std::size_t block = 0, block_bytes = 0;  ///< Position of the next host value.
         /// Buffers kept alive until the submission is done.
         std::vector<std::shared_ptr<const Buffer::Impl>> kept;
-        std::uint64_t ticket = 0;  ///< Ticket of the submission; 0 = never submitted.
+        std::uint64_t ticket = 0;  ///< Ticket (number) of the submission. 0 if nothing was submitted.
     };
 
     using Command = std::function<void(VkCommandBuffer)>;
-    /// Commands of a strand between two barriers.
+    /// Commands between two barriers in one of several concurrent sequences ("strands").
     struct Step {
         std::string name;  ///< Name of the first command.
         std::vector<Command> commands;
@@ -77,7 +77,7 @@ struct Stream::Impl {
     /// True if commands were recorded in the current scope, so that a barrier is needed
     /// at its end.
     bool owes_barrier = false;
-    std::vector<Strand> strands = {};  ///< Strands of the current Strands scope.
+    std::vector<Strand> strands = {};  ///< Concurrent sequences of commands of the current Strands scope.
     std::size_t strand = 0;            ///< Index of the selected strand.
     bool timed = false;                ///< True if timestamps measure the launch that is being recorded.
     /// True if the next barrier must also make device writes visible to the host.

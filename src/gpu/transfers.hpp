@@ -28,7 +28,8 @@ private:
     VkCommandPool pool_ = VK_NULL_HANDLE;
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence done_ = VK_NULL_HANDLE;
-    std::unique_ptr<Buffer::Impl> upload_, download_;  ///< Staging buffers; null until the first copy.
+    /// Staging buffers for both directions. Null until the first copy.
+    std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void make_commands();
     Buffer::Impl& staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes);

@@ -21,7 +21,9 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
-    entered_instance = kNoInstance;  // the cached ray is a different one
+    // Forces enter_instance() to transform this ray, because the cached ray is a
+    // different one.
+    entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
     if (LIKELIHOOD != 0u) take_measured(scene, h.ray);
     HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,

@@ -43,15 +43,15 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     }
 }
 
-/// A hit with its values during blending.
+/// A hit with the values that blending computes for it.
 struct BlendedHit {
     uint slot;  // slot of its record
     uint instance;
     uint surfel;
-    float alpha;          // sigma G, the opacity at the hit
+    float alpha;          // Opacity at the hit, sigma G, before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    float shade;          // g . c minus the shift
+    float shade;          // Derivative of the loss with respect to the blending weight, minus the shift.
     float behind;  // Sum of weight times shade over the hits behind this hit, including the background.
 };
 

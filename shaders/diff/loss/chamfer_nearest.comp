@@ -43,7 +43,7 @@ void visit_point(uint i, inout Nearest best) {
 
 /// A rectangle of items in an image: the points of a tile, or the tiles of a group.
 struct Cells {
-    uvec2 begin, end;  // first and one past the last row and column
+    uvec2 begin, end;  // First row and column, and the row and column after the last.
     uint across;       // items per row of the image
 };
 

@@ -25,8 +25,10 @@ RELIDAR_PARAMS(ConvParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
            kHeld = (kOut + LANES - 1u) / LANES;
-const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;  // one more for the neighbours of the last lane
-shared float tile[kIn * 9 * kOut];                      // weights of a tile, indexed [in, tap, out]
+// Number of loads per lane. A 3x3 convolution needs one more load for the neighbours of
+// the last lane.
+const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
+shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
 /// Copies the weights from some input channels to the output channels of this workgroup
 /// into shared memory. Indices beyond the last channel are clamped, and their values are

@@ -33,13 +33,15 @@ struct BackwardParams {
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
-    RELIDAR_OF(Uints, FirstHits) first_hit;  // input [n_rays] slot of each ray's first hit (gather)
-    HitRecords hits;                         // output [capacity] (gather)
-    RELIDAR_OF(Uints, HitRows) rows;         // output [capacity] (gather)
+    // Input [n_rays]: record slot of each ray's first hit. Used only if hit records are
+    // summed without atomics.
+    RELIDAR_OF(Uints, FirstHits) first_hit;
+    HitRecords hits;                  // output [capacity] (gather)
+    RELIDAR_OF(Uints, HitRows) rows;  // output [capacity] (gather)
     // Input [ceil(n/2),n_kept,2]: hits of n threads in the order in which the forward
     // pass blended them.
     Hits kept;
-    uint n_kept;  // hits stored per ray; later hits are searched again
+    uint n_kept;  // Number of hits stored per ray. The backward pass searches later hits again.
     // Number of slots of `hits`. The gradients of hits in later slots are added with
     // atomics.
     uint capacity;

@@ -30,8 +30,9 @@ struct ObserveParams {
     // Input [n,3]: gradient with respect to the mean. Undefined for surfels without a
     // gradient in this batch.
     RELIDAR_OF(Floats, Means) d_mean;
-    RELIDAR_OF(Uints, TouchedSurfels) touched;      // input [n]
-    RELIDAR_OF(Floats, GradientSums) gradient_sum;  // accumulated [n] norms of the gradient
+    RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n]
+    // Accumulated [n]: sum of the norms of the gradient over all batches.
+    RELIDAR_OF(Floats, GradientSums) gradient_sum;
     // Accumulated [n]: number of batches in whose frame the surfel is visible.
     RELIDAR_OF(Uints, SeenBatches) n_seen;
     // Accumulated [n,n_words]: one bit per training frame. The bit is set if the surfel
@@ -40,7 +41,7 @@ struct ObserveParams {
     uint n_surfels;
     uint n_words;
     uint frame;        // frame of the batch
-    uint whole_frame;  // 1: the batch holds all rays of the frame
+    uint whole_frame;  // 1: the batch contains all rays of the frame.
 };
 
 /// Parameters of the kernel that chooses the action (drop, keep, clone or split) for each

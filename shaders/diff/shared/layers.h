@@ -6,7 +6,7 @@
 #define RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #include "images.h"
 
-#define RELIDAR_CONV_OUT 8  // channels that a subgroup of network/conv or network/conv_weights computes
+#define RELIDAR_CONV_OUT 8  // Number of output channels that a subgroup of a convolution kernel computes.
 // Number of input channels whose weights a workgroup of network/conv holds at a time.
 // Also the number of input channels that a subgroup of network/conv_weights processes for
 // 1x1 convolutions.
@@ -30,7 +30,7 @@ struct ConvParams {
     // 1: computes the derivative with respect to the input, with swapped channels and
     // mirrored taps.
     uint transposed;
-    uint accumulate;  // 1: adds to the stored values
+    uint accumulate;  // 1: adds the result to the stored values instead of overwriting them.
 };
 
 struct ConvWeightsParams {
@@ -96,7 +96,7 @@ struct NormFinishParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint training;
-    float momentum;  // weight of the new batch in `running`
+    float momentum;  // Weight of the new batch when the running mean and variance are updated.
     float epsilon;
 };
 
@@ -110,7 +110,7 @@ struct NormParams {
     // Key of the random dropout mask. The mask depends only on this key and on the
     // position of a value.
     uint dropout_key;
-    float dropout;  // share of dropped values; 0: no dropout
+    float dropout;  // Share of values that dropout sets to 0. 0 means no dropout.
 };
 
 struct NormVjpParams {
@@ -125,13 +125,13 @@ struct NormVjpParams {
     uint n_channels;
     uint dropout_key;
     float dropout;
-    uint accumulate;  // 1: adds to the stored values
+    uint accumulate;  // 1: adds the result to the stored values instead of overwriting them.
 };
 
 struct ResampleParams {
     ImageSlice from;    // input
     ImageSlice to;      // output; in place for network/pool_vjp
-    ImageSlice pooled;  // input of the pooling; only for network/pool_vjp
+    ImageSlice pooled;  // Input images of the max pooling. Only the derivative of the pooling reads them.
     uint n_images;
     uint n_channels;
     uint rows;  // size of the larger images

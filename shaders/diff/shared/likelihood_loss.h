@@ -13,7 +13,7 @@ struct LikelihoodLossParams {
     RayGradients upstream;                // accumulated [n_rays]
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated
     float weight;
-    float likelihood_floor;  // share of returns that may have any range
+    float likelihood_floor;  // Share of returns that may have any range, whatever the hits are.
     uint n_rays;
     uint first_ray;
     uint ray_stride;

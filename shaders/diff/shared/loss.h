@@ -24,12 +24,15 @@ struct ImageLossParams {
     float depth_weight;
     float intensity_weight;
     float drop_weight;
-    float opacity_weight;   // of (1 - W)^2 on pixels with a return
-    float intensity_delta;  // threshold of the Huber loss; 0: L1
+    // Weight of the loss (1 - W)^2 on pixels with a return, where W is the blended
+    // weight.
+    float opacity_weight;
+    float intensity_delta;  // Threshold of the Huber loss of the intensity. 0 selects the L1 loss.
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    uint normalised_depth;  // 1: compare D / W, 0: compare D (paper)
+    // 1: the loss compares the measured range with D / W. 0: with D (as in the paper).
+    uint normalised_depth;
 };
 
 // Number of floats per pixel: derivatives with respect to the mean, the variance (times
@@ -45,7 +48,7 @@ struct SsimParams {
     RELIDAR_OF(Floats, SsimStatistics) statistics;
     RayGradients upstream;                // [rows,columns] accumulated by ssim_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by ssim
-    float weight;                         // weight of 1 - S of one pixel
+    float weight;                         // Weight of the loss 1 - S of one pixel, where S is the similarity.
     uint first_ray;
     uint ray_stride;
     uint rows;

@@ -5,7 +5,7 @@
 #define RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #include "layers.h"
 
-#define RELIDAR_MATMUL_ROWS 8  // rows that a subgroup of network/matmul computes
+#define RELIDAR_MATMUL_ROWS 8  // Number of matrix rows that a subgroup of network/matmul computes.
 
 RELIDAR_SHARED_BEGIN
 
@@ -14,8 +14,8 @@ RELIDAR_SHARED_BEGIN
 struct MatrixView {
     Floats values;
     uint first;
-    uint batch;  // stride from one b to the next
-    uint head;   // stride from one h to the next
+    uint batch;  // Distance in floats between the matrices of two consecutive batch entries.
+    uint head;   // Distance in floats between the matrices of two consecutive heads.
     uint row;
     uint column;
     // Pads the struct to 32 bytes, so that later fields have the same offset in C++ and

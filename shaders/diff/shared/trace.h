@@ -38,7 +38,7 @@ struct TraceScene {
     float alpha_min;
     float alpha_max;
     float transmittance_min;
-    float likelihood_scale_m;  // scale of the kernel around a measured range
+    float likelihood_scale_m;  // Scale of the likelihood around a measured range, m.
     uint n_instances;
     uint n_moving;  // 0 in the software traversal
     uint sh_degree;
@@ -58,7 +58,9 @@ struct TraceScene {
 // Flag in the length of a hit list: the transmittance falls below the limit within the
 // list, so the ray ends there.
 #define RELIDAR_LIST_CLOSED 0x80000000u
-#define RELIDAR_LIST_UNFIT 0xffffffffu  // instead of a list's length: forward/trace renders the ray
+// Value of a list's length if the list cannot be used. Kernel forward/trace then renders
+// the ray.
+#define RELIDAR_LIST_UNFIT 0xffffffffu
 
 /// Hit lists, one for each tracing thread.
 struct HitLists {
@@ -86,7 +88,7 @@ struct ForwardParams {
     // normals or modes.
     RenderedSurfaces surfaces;
     uint n_kept;
-    uint kept_in_lists;  // 1: the kept hits are lists.hits
+    uint kept_in_lists;  // 1: the hits for the backward pass are stored in the same memory as lists.hits.
     // Minimum distance between two surfaces of a ray. Used only by kernels that are built
     // with modes.
     float surface_gap_m;

@@ -22,7 +22,7 @@ uint n_places;  // slots used so far
 // links the free slots.
 uint free_place;
 uint latest;       // slot of the hit that was inserted last
-float latest_t;    // -kFar if that hit was dropped
+float latest_t;    // Distance of the hit that was inserted last, or -kFar if this hit was removed.
 float farthest_t;  // distance of the farthest hit, if hits_closed
 // True if hits beyond the last hit cannot contribute in this pass, so that the search may
 // end there.
@@ -80,7 +80,7 @@ uint drop_farthest(float left) {
     return place;
 }
 
-/// Returns the transmittance of all hits except the farthest.
+/// Returns the transmittance of all hits in the buffer except the farthest hit.
 float left_before_farthest(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }

@@ -15,14 +15,14 @@
 HitLists listed;  // hit lists of the launch
 uint own_list;
 uint n_hits;       // Number of hits so far, including hits that do not fit into the list.
-bool hits_closed;  // hits behind end_t cannot contribute any more
+bool hits_closed;  // True if hits behind the distance end_t cannot contribute any more.
 float end_t;
 // Product of 1 - alpha over the hits since the far end of the list was last shortened.
 float set_transmittance;
 // Limit of the transmittance product. When the product falls below it, the far end of the
 // list is shortened.
 float least_transmittance;
-float farthest_t;  // farthest hit of the current set
+float farthest_t;  // Distance of the farthest hit since the far end of the list was last shortened.
 
 /// Returns the distance of the last hit that can contribute. Hits behind this distance
 /// are not added to a closed list.
@@ -44,7 +44,7 @@ float left_by(float alpha) {
 /// Appends a hit to the list.
 void insert(Key key, float alpha, float alpha_max) {
     uint slot = n_hits++;
-    if (slot >= listed.room) {  // the list is full; forward/trace renders this ray
+    if (slot >= listed.room) {  // The list is full, so forward/trace must render this ray.
         hits_closed = true;
         end_t = 0.0;
         return;

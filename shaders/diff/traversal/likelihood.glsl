@@ -6,7 +6,8 @@
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
 // Measurement of this thread's ray, if LIKELIHOOD is set.
-float measured_range = 0.0;      // measured range in m; 0: dropped or unknown
+// Measured range in m. 0 if the ray was dropped or its measurement is unknown.
+float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
 /// Loads the measurement of a ray of the batch.

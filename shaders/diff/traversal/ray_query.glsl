@@ -32,7 +32,9 @@ struct Search {
     vec3 origin;  // world, m
     vec3 direction;
     uint mask;
-    uint instance;  // the only instance whose candidates count; RELIDAR_NO_INSTANCE: all instances
+    // The query accepts only candidates of this instance. RELIDAR_NO_INSTANCE means all
+    // instances.
+    uint instance;
 };
 
 /// Initialises the query for one moving instance.

@@ -63,7 +63,7 @@ const float kNever = 1e30;
 const float kSlack = 5e-7;
 const float kLeastSlope = 1e-12;
 
-uint stack_entry[SLOTS];  // SLOTS is one more than the used size
+uint stack_entry[SLOTS];  // Traversal stack. SLOTS is one larger than the number of entries in use.
 // Distance at which the ray enters the node on the stack, or kNever if the ray misses the
 // node.
 float stack_t[SLOTS];
@@ -297,7 +297,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     BoxRay walked;
     walked.start = search_start(after);
     walked.end = kNever;
-    // instance whose model is walked; RELIDAR_BVH_NO_NODE: the top tree
+    // Instance whose model the ray traverses, or RELIDAR_BVH_NO_NODE for the top tree.
     uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
     bool full_subgroup = shares_loads();
@@ -311,7 +311,9 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             uint own_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            if (own_entry != entry || instance != tree) continue;  // this ray waits for its turn
+            // Skips this ray in this step, because the subgroup processes a different
+            // node.
+            if (own_entry != entry || instance != tree) continue;
         }
         --stack_size;
         bool is_needed = stack_t[stack_size] <= walked.end;

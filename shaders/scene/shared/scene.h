@@ -6,7 +6,7 @@
 #define RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #include "relidar/scene/surfels.h"
 
-#define RELIDAR_LIST_STRETCH 16u  // rows for each thread of scene/list_touched
+#define RELIDAR_LIST_STRETCH 16u  // Number of rows that each thread of scene/list_touched checks.
 
 RELIDAR_SHARED_BEGIN
 
@@ -43,7 +43,7 @@ struct ActivateParams {
     uint sh_per_surfel;
 };
 
-/// Computes parameter gradients from record gradients (scene/activate_vjp.comp).
+/// Parameters of the kernel that computes parameter gradients from record gradients.
 struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
@@ -70,10 +70,10 @@ struct ActivateVjpParams {
     uint n_models;
     uint sh_degree;
     uint sh_per_surfel;
-    uint zero_untouched;  // 1: write zeros if touched is 0
+    uint zero_untouched;  // 1: writes zero gradients for surfels without a record gradient.
 };
 
-/// Lists the rows with a gradient (scene/list_touched.comp).
+/// Parameters of the kernel that lists the rows with a gradient.
 struct ListTouchedParams {
     RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n_rows] 0 or 1
     RELIDAR_OF(Uints, TouchedRows) rows;        // output, at most [n_rows]

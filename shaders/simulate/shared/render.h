@@ -50,11 +50,11 @@ RELIDAR_POINTER(SensorBeams, SensorBeam);
 
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
-    float range_m;  // range selected by config.render.range; 0 if nothing was hit
+    float range_m;  // Range that config.render.range selects, or 0 if the ray hit nothing.
     // Range of the surface with the largest weight. Equals range_m if no surface was
     // found.
     float median_range_m;
-    float mean_range_m;  // D / W; range_m if no surface dominates
+    float mean_range_m;  // Expected range D / W. Equals range_m if no surface was found.
     float intensity;     // 0..1
     // Probability that the ray has no return. 1 if the ray hit nothing within the
     // sensor's limits.
@@ -121,7 +121,7 @@ struct ReturnedPoint {
     float intensity;      // 0..1
     float time_offset_s;  // Firing time of the point's ray, relative to the reference time of the sweep.
     uint ring;            // beam number
-    uint instance;        // instance on whose surface the point lies, or RELIDAR_NO_INSTANCE
+    uint instance;        // Instance that contains the point, or RELIDAR_NO_INSTANCE.
 };
 RELIDAR_POINTER(ReturnedPoints, ReturnedPoint);
 
@@ -142,9 +142,10 @@ struct GatherPointsParams {
     SensorRays rays;        // input [n_rays]
     MeasuredRays measured;  // input [n_rays]
     SensorPoses poses;      // Input [n_poses]: poses of the sensor, in the frame of the output points.
-    RELIDAR_OF(Uints, ReturnMarks) marks;    // input [n_rays]
-    RELIDAR_OF(Uints, ReturnPlaces) places;  // input [n_rays] number of returned rays before each ray
-    ReturnedPoints points;                   // output [number of returned rays]
+    RELIDAR_OF(Uints, ReturnMarks) marks;  // input [n_rays]
+    // Input [n_rays]: number of rays with a return before each ray.
+    RELIDAR_OF(Uints, ReturnPlaces) places;
+    ReturnedPoints points;  // output [number of returned rays]
     // Output [n_asked]: range of the surface with the largest weight, for evenly spaced
     // rays k n_rays / n_asked.
     RELIDAR_OF(Floats, AskedRanges) asked;

@@ -55,13 +55,13 @@ struct MoveRaysParams {
 
 #define RELIDAR_KNOT_WORKGROUP 256
 
-/// Converts gradients of rays to gradients of the knots' corrections. Ray k of the batch
-/// is entry first_ray + k * ray_stride of `moved`. It is the same entry of `places`,
-/// unless the batch is a copy of columns.
+/// Parameters of the kernel that converts gradients of rays to gradients of the pose
+/// corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`. It is
+/// the same entry of `places`, unless the batch was copied from columns.
 struct KnotGradientsParams {
-    Rays moved;                                     // input
-    RayPlaces places;                               // input: places of the full frame
-    PoseKnots knots;                                // input
+    Rays moved;        // input
+    RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.
+    PoseKnots knots;   // input
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // input [n_rays,6]
     // Output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation). Each row is the sum
     // over the rays of one workgroup.

@@ -71,7 +71,8 @@ private:
     std::size_t at_ = 0;
 };
 
-constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;  // 500 MB of memory as rays with their scan.
+// Largest accepted number of pixels. As rays of a scan they need 500 MB of memory.
+constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;
 
 /// Image description from a header.
 struct ImageHeader {
@@ -189,7 +190,7 @@ ImageHeader read_header(const std::string& file) {
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
-        // These types contain sizes that are not checked here.
+        // Skips these types, because OpenEXR checks the sizes that they contain.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(
                 fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));

@@ -130,8 +130,8 @@ std::string npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    // Requires the comma in a shape with one extent: in Python, (n,) is a tuple, but (n)
-    // is a number.
+    // Keeps the comma if the shape has one extent: in Python, (n,) is a tuple, but (n) is
+    // a number.
     if (array.shape.size() == 1) shape.pop_back();
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);

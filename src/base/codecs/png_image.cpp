@@ -52,7 +52,7 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes)
     description.width = png_uint_32(image.columns);
     description.height = png_uint_32(image.rows);
     description.format = PNG_FORMAT_RGB;
-    // Upper bound; the call below sets the exact size.
+    // Upper bound of the size. The next call sets the exact size.
     png_alloc_size_t size = PNG_IMAGE_PNG_SIZE_MAX(description);
     std::vector<std::uint8_t> bytes(size);
     const int done =

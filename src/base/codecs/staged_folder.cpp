@@ -58,7 +58,7 @@ StagedFolder::~StagedFolder() {
 }
 
 void StagedFolder::finish_new() const {
-    // rename() fails if the folder is not empty.
+    // Renames the folder. This fails if the destination exists and is not empty.
     if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;
     const int error = errno;
     const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;

@@ -22,7 +22,9 @@ struct Accel::Impl {
     std::unique_ptr<HardwareAccel> hardware;  ///< exactly one of `hardware` and `software` is set
     std::unique_ptr<Bvh> software;
     bool built = false;
-    bool outgrown = false;         ///< set by check_growth(): the cost has grown too much
+    /// True if the cost of the tree has grown too much, so that the next update rebuilds
+    /// it.
+    bool outgrown = false;
     int refits = 0;                ///< refits since the last build
     bool measured = false;         ///< True if the cost of the tree was measured since the last build.
     double cost_when_built = 0.0;  ///< 0: not known yet

@@ -24,7 +24,8 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};  // for kernels that use shared memory
+// Workgroup size of the kernels that use shared memory.
+constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};
 
 // Number of threads of a refit on a CPU. A CPU gives each of its threads a contiguous
 // part of a launch. With few invocations that each process nodes from the full range, the
@@ -92,9 +93,10 @@ struct Bvh::Impl {
     Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
     Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
     Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
-    Array<std::uint32_t> scratch;                           ///< binary trees, and keys during the sort
-    Array<std::uint32_t, shared::BinaryRoots> queue;        ///< [bound] binary nodes that become wide
-    Array<std::uint32_t, shared::LevelSizes> level_sizes;   ///< entries of the queue per level
+    /// Scratch memory for the binary trees, and for sort keys during the sort.
+    Array<std::uint32_t> scratch;
+    Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide
+    Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< entries of the queue per level
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
     Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
     Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
@@ -238,7 +240,7 @@ SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // chosen so that the result is in set 0
+    // Selects the first set of sort keys, so that the sorted keys end in set 0.
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),

@@ -128,7 +128,8 @@ struct HardwareAccel::Impl {
     Array<std::uint32_t> indices;
     std::vector<std::unique_ptr<Structure>> blas;  ///< one per model, null for a model without surfels
     std::vector<BuildInput> blas_input;
-    /// one offset per model, because models are built concurrently
+    /// Offset of each model's scratch memory. Models need separate memory because they
+    /// are built concurrently.
     std::vector<std::uint64_t> blas_scratch;
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;

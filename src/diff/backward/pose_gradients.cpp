@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/backward/pose_blocks, diff/backward/poses and
-// diff/backward/sensor_pose.
+// Host side of the kernels that compute the gradients of the poses of instances and of
+// the sensor.
 #include "diff/backward/pose_gradients.hpp"
 
 #include <algorithm>

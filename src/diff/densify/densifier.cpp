@@ -30,7 +30,7 @@ struct Rules {
     float max_extent_share = kUnbounded;
 };
 
-/// Salt for each use of random numbers.
+/// Makes the random numbers for different purposes independent of each other.
 enum class Draw : std::uint64_t { classify = 1, phase = 2 };
 
 // Opacity after a reset, relative to alpha_min. Surfels must stay visible after a reset,

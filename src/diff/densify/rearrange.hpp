@@ -32,7 +32,7 @@ public:
     /// Submits the kernels that move the statistics into the new order and reset them.
     /// Keeps only the frames in which each surfel was visible.
     void move_statistics(Stream& stream);
-    /// Records zeros in sums and counts.
+    /// Submits commands that reset the sums of gradient norms and the counts to zero.
     void start_over(Stream& stream);
 
     SurfelStatistics statistics;

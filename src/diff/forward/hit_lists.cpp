@@ -87,7 +87,8 @@ shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, cons
     if (n > kMostLists) return {};
     if (wants_more_room(stream)) {
         room_ = std::min(2 * room_, most_room_);
-        stream.fill(n_overflows_);  // discards the count of the shorter lists
+        // Resets the overflow count, because it belongs to lists with a smaller capacity.
+        stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
     const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/conv, diff/network/conv_weights and diff/network/sum_parts.
+// Host side of convolutions: submits the forward pass and the derivatives with respect to
+// images and weights.
 #include "diff/network/conv.hpp"
 
 #include <algorithm>

@@ -11,15 +11,16 @@ namespace relidar::refine {
 /// Means over the known pixels of a batch.
 struct DropScore {
     double entropy = 0.0;   ///< cross-entropy of the measured drops
-    double accuracy = 0.0;  ///< share of pixels whose more likely class is correct
+    double accuracy = 0.0;  ///< Share of pixels for which the more likely class is correct.
 };
 
 /// Arrays of n pixels that DropLoss reads and writes. All arrays except the logits may be
 /// null.
 struct DropLossArrays {
     Address<float, shared::DropLogits> logit;
-    Address<float, shared::StartLogits> start = {};              ///< added to the logits
-    Address<float, shared::DropTargets> target = {};             ///< 1 dropped, 0 returned, negative: unknown
+    Address<float, shared::StartLogits> start = {};  ///< added to the logits
+    /// Targets: 1 for a dropped ray, 0 for a return, negative for an unknown ray.
+    Address<float, shared::DropTargets> target = {};
     Address<float, shared::DropLogitGradients> d_logit = {};     ///< output: gradient of the logits
     Address<float, shared::DropProbabilities> probability = {};  ///< output: drop probabilities
 };

@@ -43,7 +43,7 @@ public:
     MeasuredDropNetwork(Device& device, const RefineOptions& options, int rows, int columns);
     ~MeasuredDropNetwork();
 
-    void step();   ///< one training step on options.batch images; blocks
+    void step();   ///< Runs one training step on options.batch images and blocks until it is finished.
     void infer();  ///< inference of one image; blocks
     /// Returns the number of multiplications and additions of one inference. A training
     /// step needs three times as many per image.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/channel_sums, diff/network/norm_finish, diff/network/norm,
-// diff/network/norm_vjp.
+// Host side of batch normalisation: submits the forward pass, the inference pass and the
+// derivatives.
 #include "diff/network/norm.hpp"
 
 #include <algorithm>

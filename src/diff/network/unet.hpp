@@ -34,9 +34,11 @@ struct UnetPlan {
     /// First and last convolution: `head` converts the inputs to full-size channels,
     /// `tail` converts these channels to a logit.
     ConvLayer head, tail;
-    std::vector<Block> down, up;  ///< two blocks per level; `up` starts at full size
-    std::optional<Block> query;   ///< attention: query, key, value
-    ConvLayer project;            ///< attention: projection of the result
+    /// Blocks of the encoder (`down`) and the decoder (`up`), two per level. `up` starts
+    /// at full size.
+    std::vector<Block> down, up;
+    std::optional<Block> query;  ///< attention: query, key, value
+    ConvLayer project;           ///< attention: projection of the result
     std::size_t n_parameters = 0, n_running = 0;
 
     explicit UnetPlan(const DropNetwork& network);
@@ -67,7 +69,8 @@ public:
     /// Submits a forward pass for inference, with running mean and variance and without
     /// dropout.
     void evaluate(Stream& stream);
-    /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit().
+    /// Submits the backward pass of forward(). Computes dL/d(parameters) from dL/d(logit)
+    /// in d_logit().
     void backward(Stream& stream);
 
     /// Replaces all parameters of the network. The sizes must match. No command on the

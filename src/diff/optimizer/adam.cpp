@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/optimizer/adam, with one launch per parameter group.
+// Host side of the Adam optimizer. Submits one launch per parameter group.
 #include <relidar/diff/optimizer.hpp>
 
 #include <algorithm>
