@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Assertions for internal invariants. A failed assertion prints both values with file and
-// line, and aborts. Disabled in releases; the presets dev, ci and sanitize enable them
-// (RELIDAR_ASSERTS). Mistakes in files or of callers throw an Error instead.
+// line, and aborts. Releases disable assertions. The presets dev, ci and sanitize enable
+// them (RELIDAR_ASSERTS). Mistakes in files or of callers throw an Error instead.
 #pragma once
 
 /// RELIDAR_ASSERT_LE(a, b) checks that a <= b. RELIDAR_ASSERT_EQ(a, b) checks that a ==

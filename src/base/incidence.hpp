@@ -25,10 +25,10 @@ struct ImageRays {
 /// Distance in columns to the neighbours that incidence_cosine() uses.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Returns the cosine of the angle of incidence at pixel i. Uses the points four columns
-/// to either side, so that centimetres of range noise do not tilt the surface, and the
-/// points in the rows above and below. Returns a negative value if one of the points is
-/// missing or lies on another surface.
+/// Returns the cosine of the angle of incidence at pixel i. Uses the points in the rows
+/// above and below, and the points four columns to either side. The distance of four
+/// columns reduces the effect of range noise. Returns a negative value if one of the
+/// points is missing or lies on another surface.
 inline double incidence_cosine(const ImageRays& image, std::size_t i) {
     constexpr std::size_t kColumns = kIncidenceColumns;
     // Largest difference between the ranges of two pixels on one surface, relative to the

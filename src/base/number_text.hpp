@@ -7,9 +7,9 @@
 
 namespace relidar {
 
-/// Returns the shortest decimal text that reads back to the same number. It has a point
-/// or an exponent, so that TOML and JSON read it as a real number: "8.0", "1e-09",
-/// "-0.0". Values that are not finite become "nan", "inf" or "-inf", as in TOML; JSON has
+/// Returns the shortest decimal text that reads back to the same number. The text has a
+/// point or an exponent, so that TOML and JSON read it as a real number: "8.0", "1e-09",
+/// "-0.0". Values that are not finite become "nan", "inf" or "-inf", as in TOML. JSON has
 /// no such numbers.
 std::string number_text(double value);
 /// Returns the shortest decimal text that reads back to the same float. It has fewer

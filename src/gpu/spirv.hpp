@@ -35,9 +35,9 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 /// edited module.
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
 
-/// Returns the module with its parameters copied to private variables at the start. For
-/// Mesa's lavapipe, which otherwise performs a uniform load lane by lane behind a branch
-/// or in a loop. A GPU chooses better when to read parameters.
+/// Copies the parameters of a kernel to private variables at its start. Returns the
+/// edited module. Used for Mesa's lavapipe, which otherwise performs a uniform load lane
+/// by lane behind a branch or in a loop. A GPU chooses better when to read parameters.
 std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
 
 /// Returns the module with array indices that the compiler cannot prove uniform. For
@@ -47,11 +47,11 @@ std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> 
 /// with_parameters_first(), which moves parameters.
 std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words);
 
-/// Returns the module with branches that its specialisation constants decide made
-/// unconditional. Unreachable blocks stay in the module. A driver removes them too, but
-/// only after inlining all functions. Mesa's lavapipe compiles diff/forward/trace in half
-/// the time if they are unreachable from the start.
-/// @param constants values by id; other constants keep the default of the module
+/// Replaces each branch that the specialisation constants decide by an unconditional
+/// branch. Returns the edited module. Unreachable blocks stay in the module. A driver
+/// also removes them, but only after it has inlined all functions, so lavapipe compiles
+/// large kernels faster with this edit.
+/// @param constants values by id. Other constants keep the default of the module.
 std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
                                                const std::map<std::uint32_t, std::uint32_t>& constants);
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: blends the hits of sorted lists (blend.glsl). One thread per ray. Leaves
-// a ray to forward/trace if its list is unfit: too short, or closed too early because of
-// hits that were reported twice. Input: scene (records, instances, sh, targets; rays if
-// SH are evaluated per hit or normals are blended), lists. Output: rendered, kept,
-// surfaces, lists.lengths. Accumulated: n_overfull.
+// Forward pass: blends the hits of sorted lists, one thread per ray. Marks a list as
+// unfit, so that forward/trace renders its ray, if the list is too short or was closed
+// too early because of hits that were reported twice. Input: scene (records, instances,
+// sh, targets, and rays if SH are evaluated per hit or normals are blended), lists.
+// Output: rendered, kept, surfaces, lists.lengths. Accumulated: n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

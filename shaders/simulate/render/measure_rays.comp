@@ -3,7 +3,7 @@
 // probability (method.md, M6)
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop))),
 // or 1 if the ray hit nothing within the sensor's range limits. A ray with a drop_prob of
-// 1 never returns; no other kernel changes this. One thread per ray. Input: rays, fired,
+// 1 never returns. No other kernel changes this. One thread per ray. Input: rays, fired,
 // rendered, surfaces, beams, response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require

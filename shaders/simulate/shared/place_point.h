@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Transforms points and directions from the sensor's frame at their firing time to the
 // frame of the sensor's poses. Between two poses the sensor moves along a straight line
-// and rotates about one axis at constant speed; before the first and after the last pose
+// and rotates about one axis at constant speed. Before the first and after the last pose
 // this motion continues. Host and device compute bitwise equal results, because
 // src/CMakeLists.txt disables fused multiply-add for place_points.cpp.
 #ifndef RELIDAR_INCLUDED_SIMULATE_SHARED_PLACE_POINT_H

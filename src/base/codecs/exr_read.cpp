@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads OpenEXR scan-line images. Parses the header before OpenEXR does, by the published
-// file layout, because OpenEXR allocates the memory that a header requests without
-// checking whether the file can have so much data.
+// Reads OpenEXR scan-line images. Parses the header itself before OpenEXR does. OpenEXR
+// allocates the memory that a header requests without checking whether the file can
+// contain so much data.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>

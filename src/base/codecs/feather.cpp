@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads Arrow IPC files: "ARROW1", messages, footer, 4 bytes with the footer's length,
-// "ARROW1". A compressed buffer begins with 8 bytes with its uncompressed length; -1
-// means that it is not compressed.
+// "ARROW1". A compressed buffer begins with 8 bytes that hold its uncompressed length. A
+// length of -1 means that the buffer is not compressed.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads bytes of files, and detects every failure: short writes, failed
-// flushes, files that shrink during reading. Messages contain only the failed operation;
-// write_atomically() and the readers add path and purpose. Private to base/codecs.
+// Writes and reads the bytes of files, and detects every failure: short writes, failed
+// flushes, files that shrink during reading. Error messages contain only the failed
+// operation. write_atomically() and the readers add the path and the purpose. Private to
+// base/codecs.
 #pragma once
 
 #include <bit>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes npz files: zip archives of deflated .npy files, like numpy.savez_compressed.
-// Entries have a fixed time (1980-01-01), so that equal arrays give identical files. Uses
-// plain zip only; rejects entries and archives of 4 GiB or more.
+// Entries have a fixed time (1980-01-01), so that equal arrays give identical files. Does
+// not use zip64, so it rejects entries and archives of 4 GiB or more.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads TFRecord files. Each record has a u64 length, a u32 masked CRC-32C of these 8
-// bytes, the data, and a u32 masked CRC-32C of the data. Numbers are little-endian; the
+// bytes, the data, and a u32 masked CRC-32C of the data. Numbers are little-endian. The
 // file has no header.
 #pragma once
 
