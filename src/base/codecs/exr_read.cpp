@@ -190,7 +190,8 @@ ImageHeader read_header(const std::string& file) {
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
-        // Skips these types, because OpenEXR checks the sizes that they contain.
+        // Rejects these attribute types, because they contain sizes that are not checked
+        // here.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(
                 fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));
