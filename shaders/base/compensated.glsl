@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compensated summation (Kahan). Needed because the backward pass subtracts long sums
-// from each other, so the sums must keep the full float precision.
+// Compensated summation (Kahan): keeps the full float precision in long sums. The
+// backward pass needs this precision because it subtracts long sums from each other.
 #ifndef RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 #define RELIDAR_INCLUDED_BASE_COMPENSATED_GLSL
 
-/// Adds x to sum. `lost` carries the rounding error to the next call.
+/// Adds x to `sum`. `lost` stores the rounding error, which the next call adds again.
 void add_compensated(inout float sum, inout float lost, float x) {
     precise float y = x - lost;
     precise float t = sum + y;

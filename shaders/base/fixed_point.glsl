@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums of many threads that do not depend on the order of addition. Uses 64-bit
-// fixed-point numbers with steps of 2^-20, in two words of a buffer. The range is +-8e12,
-// so that sums do not overflow.
+// Sums over many threads that do not depend on the order of addition. Each sum is a
+// 64-bit fixed-point number with steps of 2^-20, stored as two words of a buffer. The
+// range is +-8e12.
 #ifndef RELIDAR_INCLUDED_BASE_FIXED_POINT_GLSL
 #define RELIDAR_INCLUDED_BASE_FIXED_POINT_GLSL
 
@@ -12,10 +12,11 @@ const float kFixedSteps = 1048576.0, kFixedWord = 4294967296.0;
 /// Returns the negative of a two-word number (two's complement).
 uvec2 negated(uvec2 x) { return uvec2(~x.x + 1u, ~x.y + uint(x.x == 0u)); }
 
-/// Adds x to sums[entry]. An entry has two words, the low word first. x must be finite
-/// and below 1e12.
+/// Adds x to the fixed-point number sums[entry]. Each entry consists of two words, the
+/// low word first. x must be finite and below 1e12.
 void add_fixed(Uints sums, uint entry, float x) {
-    // Both values are exact, because a float has 24 digits.
+    // Splits the number of steps into two words. Both words are exact, because a float
+    // has 24 significant bits.
     float steps = trunc(abs(x) * kFixedSteps), high = floor(steps / kFixedWord);
     uvec2 amount = uvec2(uint(steps - high * kFixedWord), uint(high));
     if (x < 0.0) amount = negated(amount);
@@ -27,7 +28,9 @@ void add_fixed(Uints sums, uint entry, float x) {
 float read_fixed(Uints sums, uint entry) {
     uvec2 sum = uvec2(sums.at[2u * entry], sums.at[2u * entry + 1u]);
     bool negative = (sum.y & 0x80000000u) != 0u;
-    if (negative) sum = negated(sum);  // Otherwise the low word would be rounded before it is subtracted.
+    // Negates the integer instead of the float. Otherwise the low word would be rounded
+    // before the subtraction.
+    if (negative) sum = negated(sum);
     float steps = float(sum.y) * kFixedWord + float(sum.x);
     return (negative ? -steps : steps) / kFixedSteps;
 }

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Common header of all kernels. Declares the push constants: the address of the parameter
-// struct, and the address that represents a missing array. Provides one thread per
-// element.
+// Common header of all compute kernels. Declares the push constants: the address of the
+// parameter struct, and an address that marks a missing array.
 #ifndef RELIDAR_INCLUDED_BASE_KERNEL_GLSL
 #define RELIDAR_INCLUDED_BASE_KERNEL_GLSL
 #include "shared/constants.h"
@@ -12,17 +11,17 @@ RELIDAR_CONSTANTS(RELIDAR_CONSTANT_ID)
 #define RELIDAR_CONSTANT(type, name, value) layout(constant_id = RELIDAR_ID_##name) const type name = value
 layout(local_size_x_id = RELIDAR_ID_WORKGROUP_SIZE) in;
 
-/// Returns the index of this thread. If a launch has more workgroups than a device
-/// supports in one dimension, the host uses two dimensions (src/gpu/stream.cpp).
+/// Returns the global index of this thread. The launch has two dimensions if the number
+/// of workgroups exceeds the device's limit for one dimension.
 uint thread_index() {
     return gl_GlobalInvocationID.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x + gl_GlobalInvocationID.x;
 }
 
-/// Returns the number of threads of the launch, for loops whose length only the device
-/// knows.
+/// Returns the number of threads of the launch. Loops use it if only the device knows the
+/// number of elements.
 uint thread_count() { return gl_NumWorkGroups.y * gl_NumWorkGroups.x * gl_WorkGroupSize.x; }
 
-/// Returns the index of this workgroup, over both dimensions of the launch.
+/// Returns the index of this workgroup, counted over both dimensions of the launch.
 uint workgroup_index() { return gl_WorkGroupID.y * gl_NumWorkGroups.x + gl_WorkGroupID.x; }
 
 layout(buffer_reference) buffer ParamsBlock;

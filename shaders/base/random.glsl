@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stateless random numbers: a hash of their purpose, so that repeated and resumed runs
-// draw the same numbers. Uses PCG4D of Jarzynski and Olano, "Hash Functions for GPU
-// Rendering" (2020).
+// Stateless random numbers. Each number is a hash of its key and indices, so repeated and
+// resumed runs get the same numbers. Uses PCG4D of Jarzynski and Olano, "Hash Functions
+// for GPU Rendering" (2020).
 #ifndef RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 #define RELIDAR_INCLUDED_BASE_RANDOM_GLSL
 

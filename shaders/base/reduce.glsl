@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums values over a workgroup, and adds the result with one atomic per workgroup,
-// because atomics of thousands of threads on one float would be serialised. Include after
-// kernel.glsl, shared/ and atomic_add.glsl.
+// Sums values over a workgroup and adds the sum to memory with one atomic operation. One
+// atomic per thread would be slow, because the GPU serialises atomics on the same float.
+// Include after kernel.glsl, shared/ and atomic_add.glsl.
 #ifndef RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 #define RELIDAR_INCLUDED_BASE_REDUCE_GLSL
 
 shared float reduce_partial[gl_WorkGroupSize.x];  // The workgroup size is a power of two.
 
-/// Adds the values of all threads to sums[entry]. Every thread of the workgroup must call
-/// it; threads without an element pass 0.
+/// Adds the values of all threads of the workgroup to sums[entry]. Every thread must call
+/// it. Threads without an element pass 0.
 void add_to_sum(Floats sums, uint entry, float value) {
     uint lane = gl_LocalInvocationIndex;
     barrier();  // Waits until the previous sum has been read.

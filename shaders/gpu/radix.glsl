@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions that the kernels of a radix sort pass share. Include after RELIDAR_PARAMS.
+// Functions that all kernels of the radix sort use. Include this file after
+// RELIDAR_PARAMS.
 #ifndef RELIDAR_INCLUDED_GPU_RADIX_GLSL
 #define RELIDAR_INCLUDED_GPU_RADIX_GLSL
 RELIDAR_CONSTANT(uint, KEY_WORDS, 1u);

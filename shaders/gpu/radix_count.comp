@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, first of three kernels per pass: counts the keys of each tile with each
-// value of the digit. A workgroup of 256 threads processes a tile of 4096 keys. Input:
+// First of three kernels of a radix sort pass. Counts the keys of each tile by the value
+// of their digit. A workgroup of 256 threads processes a tile of 4096 keys. Input:
 // n_keys, keys. Output: counts. Minimum traffic: each key is read once.
 #version 460
 #extension GL_GOOGLE_include_directive : require

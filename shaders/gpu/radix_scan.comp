@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Radix sort, second of three kernels per pass: for each value of the digit, sums the
-// keys in all earlier tiles. A subgroup processes one value. Input: n_keys. In place:
-// counts. Output: totals. Minimum traffic: 8 B per entry of counts, 1/2 B per key.
+// Second of three kernels of a radix sort pass. For each value of the digit, computes the
+// number of keys in all earlier tiles. One subgroup per digit value. Input: n_keys. In
+// place: counts. Output: totals.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

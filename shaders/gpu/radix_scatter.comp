@@ -16,22 +16,24 @@ RELIDAR_PARAMS(RadixSortParams);
 #include "radix.glsl"
 
 const uint ROUNDS = RELIDAR_TILE_SIZE / RELIDAR_TILE_THREADS;
-// Each word has two 16-bit counts, because a tile has fewer than 65536 keys.
+// Number of words per row of counters. Each word holds two 16-bit counts. 16 bits are
+// enough, because a tile has fewer than 65536 keys.
 const uint WORDS = RELIDAR_SORT_DIGITS / 2u;
-const uint ROWS = 32u;  // Number of rows of counters that fit in 16 KiB.
-// One row per subgroup, or per two subgroups: number of keys with each digit in their
-// run, later in all earlier runs.
+const uint ROWS = 32u;  // Number of rows of counters that fit into 16 KiB of shared memory.
+// Number of keys with each digit in the run of a subgroup. Two subgroups may share a row.
+// sum_counters() replaces the counts by prefix sums over the rows.
 shared uint counters[ROWS * WORDS];
-shared uint digit_start[RELIDAR_SORT_DIGITS];  // Position of the first key of this tile with each digit.
-uint rank[ROUNDS];                             // Ranks of this lane's keys, one per round.
+// Output position of this tile's first key with each digit.
+shared uint digit_start[RELIDAR_SORT_DIGITS];
+uint rank[ROUNDS];  // Ranks of this lane's keys, one per round.
 
-/// Returns the number of neighbouring subgroups that share one row of counters.
+/// Returns the number of neighbouring subgroups that use the same row of counters.
 uint n_sharing() { return (gl_NumSubgroups + ROWS - 1u) / ROWS; }
 
 uint half_word(uint word, uint digit) { return (word >> (16u * (digit & 1u))) & 0xffffu; }
 
-/// Returns the lanes of the subgroup with the same digit. Lanes without a key form a
-/// separate group.
+/// Returns a bit mask of the subgroup's lanes that have the same digit as this lane.
+/// Lanes without a key form a separate group.
 uvec2 peers_of(bool valid, uint digit) {
     uvec2 with_key = subgroupBallot(valid).xy;
     uvec2 peers = valid ? with_key : ~with_key;
@@ -68,7 +70,7 @@ void rank_run(uint run, uint n, uint row, bool in_turn) {
     }
 }
 
-/// Replaces the counts of each row by the sum of all earlier rows.
+/// Replaces the counts of each row by their sum over all earlier rows.
 void sum_counters(uint n_rows) {
     if (scan_thread() >= WORDS) return;
     uint sum = 0u;

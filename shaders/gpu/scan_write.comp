@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Prefix sums, second direction: computes the sum of all counts before each count. A
-// workgroup of 256 threads processes a tile of 4096 counts. Each subgroup processes a
-// contiguous run of the tile round by round. Input: counts, tile_sums (already prefix
-// sums). Output: prefix, total. Minimum traffic: 4 B read, 4 B written per count.
+// Second of two kernels that compute prefix sums. Computes the sum of all counts before
+// each count. One workgroup of 256 threads per tile of 4096 counts. Each subgroup
+// processes a contiguous part of the tile. Input: counts, prefix sums of tile_sums.
+// Output: prefix, total. Minimum traffic: 4 B read, 4 B written per count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../base/kernel.glsl"

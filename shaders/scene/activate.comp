@@ -17,10 +17,10 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateParams);
 
-/// Computes the channel values of a surfel in a direction. Every thread of the workgroup
+/// Evaluates the SH channels of a surfel in a direction. Every thread of the workgroup
 /// must call it.
-/// @return true if all active coefficients are finite. The values alone do not show it,
-/// because max(NaN, 0) is 0.
+/// @return true if all active coefficients are finite. The channel values alone do not
+/// show a NaN, because max(NaN, 0) is 0.
 bool channels(uint surfel, bool is_surfel, vec3 direction, out vec3 values) {
     float basis[16];
     sh_basis(direction, params.sh_degree, basis);
@@ -45,7 +45,8 @@ bool finite3(vec3 v) { return !any(isnan(v)) && !any(isinf(v)); }
 void main() {
     uint i = thread_index();
     bool is_surfel = i < params.n_surfels;
-    // with staging, threads without a surfel also load data for other threads
+    // Threads without a surfel continue if STAGED is set, because they load data for
+    // other threads.
     if (!STAGED && !is_surfel) return;
     uint surfel = is_surfel ? i : 0u;
     Floats mean = params.surfels.mean, rotation = params.surfels.rotation,
@@ -58,7 +59,8 @@ void main() {
         vec3(mean.at[3 * surfel], mean.at[3 * surfel + 1], mean.at[3 * surfel + 2]) + gait.sine * gait.swing;
     vec4 q = vec4(rotation.at[4 * surfel], rotation.at[4 * surfel + 1], rotation.at[4 * surfel + 2],
                   rotation.at[4 * surfel + 3]);
-    // lengths outside these limits would underflow or overflow and give a wrong rotation
+    // Rejects quaternions whose squared length is not within 1e-30 ... 1e30. They would
+    // underflow or overflow and give a wrong rotation.
     float q_length2 = dot(q, q);
     mat3 r = rotation_matrix(q);
     s.axis_u = r[0] * exp(-log_scale.at[2 * surfel]);
@@ -73,7 +75,7 @@ void main() {
     s.intensity = evaluate ? max(values.x, 0.0) : 0.0;
     s.hit_logit = evaluate ? values.y : 0.0;
     s.drop_logit = evaluate ? values.z : 0.0;
-    // rejects surfels with scales outside 1e-6 m .. 1e6 m
+    // Rejects surfels with a scale outside 1e-6 m ... 1e6 m.
     vec3 inverse_scale = vec3(length(s.axis_u), length(s.axis_v), length(s.normal));
     bool finite = q_length2 > 1e-30 && q_length2 < 1e30 && all(greaterThan(inverse_scale, vec3(1e-6))) &&
                   all(lessThan(inverse_scale, vec3(1e6))) && finite3(s.mean) && finite3(s.axis_u) &&

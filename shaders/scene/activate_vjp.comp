@@ -17,8 +17,8 @@
 #include "sh_rows.glsl"
 RELIDAR_PARAMS(ActivateVjpParams);
 
-/// Computes the gradient of the SH coefficients of a surfel, or zeros if it has none.
-/// Every thread of the workgroup must call it.
+/// Computes the gradient of a surfel's SH coefficients. The gradient is zero if the
+/// record gradient is zero. Every thread of the workgroup must call it.
 /// @return dL/d(direction)
 vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel) {
     float basis[16], d_basis[16];
@@ -32,7 +32,7 @@ vec3 channels_vjp(uint surfel, bool any_gradient, vec3 direction, vec3 d_channel
         if (c == 0u) {
             float intensity = 0.5;
             for (uint k = 0u; k < n; ++k) intensity += basis[k] * coefficient(sh, surfel, c, k);
-            // the record clamps the intensity at 0, so the gradient is 0 there
+            // The forward pass clamps the intensity at 0, so the gradient is 0 below 0.
             if (intensity < 0.0) d = 0.0;
         }
         for (uint k = 0u; k < n; ++k) {
@@ -51,7 +51,7 @@ void store_view(uint surfel, vec3 g) {
     for (uint k = 0u; k < 3u; ++k) params.d_view.at[3 * surfel + k] = g[k];
 }
 
-/// Loads the record gradient of a surfel, summed over all placements of its model.
+/// Loads the record gradient of a surfel, summed over all instances of its model.
 /// @return true if the gradient is not zero
 bool load_row(uint surfel, ModelEntry model, out float row[16]) {
     for (uint k = 0u; k < 16u; ++k) row[k] = params.d_records.at[16u * surfel + k];
@@ -80,7 +80,7 @@ void store_zero(uint surfel) {
         params.d_surfels.sh.at[surfel * RELIDAR_SH_FLOATS + k] = 0.0;
 }
 
-/// Stores the gradients of all parameter groups except the harmonics.
+/// Writes the gradients of all parameters of a surfel except the SH coefficients.
 void store_geometry(uint surfel, Gait gait, vec3 d_mean, float row[16]) {
     vec3 d_axis_u = vec3(row[4], row[5], row[6]);
     vec3 d_axis_v = vec3(row[8], row[9], row[10]);

@@ -9,14 +9,14 @@
 #define RELIDAR_INCLUDED_SCENE_SH_ROWS_GLSL
 RELIDAR_CONSTANT(bool, STAGED, false);
 
-// Floats for each surfel in shared memory. The number is odd, so that the same
-// coefficient of neighbouring surfels is in different banks.
+// Number of floats per surfel in shared memory. The number is odd, so that neighbouring
+// surfels use different memory banks.
 const uint kChannelPitch = 17u;
 shared float staged_channel[gl_WorkGroupSize.x * kChannelPitch];
 shared bool staged_loads[gl_WorkGroupSize.x], staged_stores[gl_WorkGroupSize.x];
 
-/// Sets whether the channels of this thread's surfel are loaded and stored. Every thread
-/// of the workgroup must call it once. The same applies to the next two functions.
+/// Sets whether this thread loads and stores the SH channels of its surfel. Every thread
+/// of the workgroup must call this function and the next two functions.
 void choose_moves(bool loads, bool stores) {
     if (!STAGED) return;
     staged_loads[gl_LocalInvocationIndex] = loads;
@@ -26,9 +26,9 @@ void choose_moves(bool loads, bool stores) {
 /// Loads the first n coefficients of a channel.
 void load_channel(Floats sh, uint surfel, uint channel, uint n) {
     if (!STAGED) return;
-    barrier();  // waits until choose_moves() and the stores of the previous channel are complete
+    barrier();  // Waits until the stores of the previous channel are complete.
     uint first = surfel - gl_LocalInvocationIndex, k = gl_LocalInvocationIndex % 16u;
-    float moved[16];  // issues all loads before it waits for the first one
+    float moved[16];  // Issues all loads before it uses the first value, so that the loads overlap.
     [[unroll]] for (uint m = 0u; m < 16u; ++m) {
         uint s = (m * gl_WorkGroupSize.x + gl_LocalInvocationIndex) / 16u;
         moved[m] =
@@ -53,7 +53,7 @@ void store_channel(Floats sh, uint surfel, uint channel, uint n) {
     }
 }
 
-/// Returns coefficient k of the channel that was loaded last.
+/// Returns SH coefficient k of the channel that was loaded last.
 float coefficient(Floats sh, uint surfel, uint channel, uint k) {
     return STAGED ? staged_channel[gl_LocalInvocationIndex * kChannelPitch + k]
                   : sh.at[surfel * RELIDAR_SH_FLOATS + channel * 16u + k];

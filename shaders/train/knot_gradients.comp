@@ -15,7 +15,7 @@
 RELIDAR_PARAMS(KnotGradientsParams);
 shared vec3 forces[RELIDAR_KNOT_WORKGROUP], torques[RELIDAR_KNOT_WORKGROUP];
 
-/// Returns the index in the frame of the batch's ray k.
+/// Returns the index in the frame of ray k of the batch.
 uint frame_ray(uint k) {
     if (params.columns == 0u) return params.first_ray + k * params.ray_stride;
     return k / params.n_columns * params.columns +
@@ -24,7 +24,7 @@ uint frame_ray(uint k) {
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1u], a.at[i + 2u]); }
 
-/// Sums the gradients of the rays of a thread among n_threads.
+/// Sums the gradients of every n-th ray, starting with the ray of this thread.
 void sum_rays(uint thread, uint n_threads, uint knot, out vec3 force, out vec3 torque) {
     force = torque = vec3(0.0);
     for (uint k = thread; k < params.n_rays; k += n_threads) {

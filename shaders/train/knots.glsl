@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interpolates the poses before and after a ray. Include after shared/train.h.
+// Interpolates between the sensor poses before and after the firing time of a ray.
+// Include after shared/train.h.
 #ifndef RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 #define RELIDAR_INCLUDED_TRAIN_KNOTS_GLSL
 
 PoseKnot knot_at(PoseKnots knots, RayPlace place) {
     PoseKnot a = knots.at[place.left];
-    if (place.s == 0.0) return a;  // the next knot may not exist
+    // Returns early, because the next pose may not exist if its weight s is 0.
+    if (place.s == 0.0) return a;
     PoseKnot b = knots.at[place.left + 1u];
     return PoseKnot(mix(a.position, b.position, place.s), mix(a.translation, b.translation, place.s),
                     mix(a.rotation, b.rotation, place.s));

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Appends values to the bytes of a file or message, in the byte order of this machine.
+// Appends the bytes of values to a file or message. Uses the byte order of this machine.
 #pragma once
 
 #include <string>

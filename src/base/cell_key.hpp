@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts cells of a world grid to integer keys, for hashing and sorting.
+// Converts the cells of a world grid to integer keys. The keys are used for hashing and
+// sorting.
 #pragma once
 
 #include <cmath>
@@ -9,8 +10,8 @@
 
 namespace relidar {
 
-/// Returns the key of the cubic cell that contains a point, with 21 bits per axis. Keys
-/// are unique within 2^20 cells of the origin.
+/// Returns the key of the cubic grid cell that contains a point. A key has 21 bits per
+/// axis and is unique within 2^20 cells of the origin.
 /// @param point_m [3] metres
 /// @param cell_m edge length of the cells, metres
 inline std::uint64_t cell_key(const glm::dvec3& point_m, double cell_m) {

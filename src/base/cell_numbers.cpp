@@ -15,9 +15,10 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kParts = 32;
-constexpr std::size_t kItemsPerBlock = 1 << 16;  // Number of items that a task distributes to the parts.
+// Number of items that one task distributes to the hash tables.
+constexpr std::size_t kItemsPerBlock = 1 << 16;
 
-/// Item indices of a block of items, for each part.
+/// Indices of the items of one block, sorted by the hash table that stores them.
 using ItemsByPart = std::array<std::vector<std::uint32_t>, kParts>;
 
 std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
@@ -35,7 +36,8 @@ std::vector<ItemsByPart> distribute_items(std::span<const std::uint64_t> key) {
 CellNumbers number_cells(std::span<const std::uint64_t> key) {
     const std::vector<ItemsByPart> blocks = distribute_items(key);
     CellNumbers numbers{std::vector<std::uint32_t>(key.size()), 0};
-    // First item of the item's cell; later the number of the cell.
+    // Index of the first item in the same cell as each item. Later replaced by the number
+    // of the cell.
     std::vector<std::uint32_t>& first = numbers.of;
     parallel_for(kParts, [&](int part) {
         std::unordered_map<std::uint64_t, std::uint32_t> table;

@@ -23,7 +23,8 @@ DataError unreadable(const fs::path& path, const std::error_code& failed) {
     return DataError(fmt::format("{}: cannot be read: {}", path.string(), failed.message()));
 }
 
-/// Returns the status of a path; file_type::not_found if nothing exists there.
+/// Returns the file status of a path. Returns file_type::not_found if nothing exists at
+/// the path.
 fs::file_status status_of(const fs::path& path) {
     std::error_code failed;
     const fs::file_status status = fs::status(path, failed);

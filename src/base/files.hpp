@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads complete files, and parses numbers in their lines. Every failure is a DataError
+// Reads complete files and parses the numbers in them. Every failure throws a DataError
 // that names the file.
 #pragma once
 
@@ -11,19 +11,19 @@
 
 namespace relidar {
 
-/// Returns the content of a file.
+/// Returns the complete content of a file.
 /// @throws DataError if the file is missing or cannot be read
 std::string read_file(const std::filesystem::path& path);
 
-/// Returns the content of a text file, without the byte-order mark that Excel and other
-/// programs write before UTF-8.
+/// Returns the content of a text file. Removes the UTF-8 byte-order mark that Excel and
+/// other programs write at the beginning.
 /// @throws DataError if the file is missing, cannot be read, or begins with a UTF-16
 /// byte-order mark
 std::string read_text(const std::filesystem::path& path);
 
-/// Returns true if the path exists.
-/// @throws DataError if the system reports an error (no permission, a loop of links, too
-/// long a name)
+/// Returns true if a file or folder exists at the path.
+/// @throws DataError if the system reports an error, for example no permission, a loop of
+/// links or a name that is too long
 bool path_exists(const std::filesystem::path& path);
 
 /// Checks that a path is a folder.
@@ -31,31 +31,32 @@ bool path_exists(const std::filesystem::path& path);
 /// @throws DataError if the path is not a folder or cannot be reached
 void check_folder(const std::filesystem::path& path, const std::string& expected);
 
-/// Lists the contents of a folder, sorted by name.
+/// Returns the paths of all files and folders in a folder, sorted by name.
 /// @throws DataError if the folder is missing, not a folder, or cannot be read
 std::vector<std::filesystem::path> list_folder(const std::filesystem::path& folder);
 
-/// Returns the number in a file's name: digits only, below 10^8, so that arithmetic with
-/// it fits an int. Returns nullopt for other names.
+/// Returns the number in a file name without its extension. The name must consist of
+/// digits. The number must be below 10^8, so that arithmetic with it fits into an int.
+/// Returns nullopt for other names.
 std::optional<int> file_number(const std::string& stem);
 
-/// Returns at most 80 characters of a text, without control characters, to quote in a
-/// message.
+/// Shortens a text for an error message: at most 80 characters, without control
+/// characters.
 std::string excerpt(std::string_view text);
 
-/// Splits a text into lines, without "\n" or "\r\n". A final newline does not produce an
-/// empty line.
+/// Splits a text into lines and removes "\n" or "\r\n". A line break at the end does not
+/// produce an empty line.
 std::vector<std::string> split_lines(const std::string& text);
 
 /// Returns the text without blanks at both ends.
 std::string_view trimmed(std::string_view text);
 
-/// Parses a text that is one number, including "nan" and "inf". Returns nullopt if it is
-/// not a number.
+/// Converts a text that contains one number, including "nan" and "inf". Returns nullopt
+/// if the text is not a number.
 std::optional<double> parse_number(std::string_view text);
 
-/// Parses all numbers of a text, separated by blanks or line ends. Returns nullopt if a
-/// word is not a number.
+/// Converts all numbers of a text, which are separated by blanks or line breaks. Returns
+/// nullopt if a word is not a number.
 std::optional<std::vector<double>> parse_numbers(std::string_view text);
 
 }  // namespace relidar

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the angle of incidence of the rays of a range image from neighbouring pixels.
+// Estimates the angle between the rays of a range image and the surface normals. Uses the
+// points of neighbouring pixels.
 #pragma once
 
 #include <cmath>
@@ -9,12 +10,12 @@
 
 namespace relidar {
 
-/// Rays and ranges of a range image in row order. The columns cover a full turn.
+/// Rays and ranges of a range image, row by row. The columns cover a full turn.
 struct ImageRays {
     int rows, columns;
     /// Origins and unit directions of the rays, [rows*columns].
     std::span<const glm::vec3> origin, direction;
-    std::span<const float> range_m;  ///< Ranges, [rows*columns]; 0 for dropped rays.
+    std::span<const float> range_m;  ///< Measured ranges, [rows*columns]. 0 for rays without a return.
 
     glm::dvec3 point(std::size_t i) const {
         return glm::dvec3(origin[i]) + double(range_m[i]) * glm::dvec3(direction[i]);
@@ -24,13 +25,14 @@ struct ImageRays {
 /// Distance in columns to the neighbours that incidence_cosine() uses.
 inline constexpr std::size_t kIncidenceColumns = 4;
 
-/// Returns the cosine of the angle of incidence at pixel i. Uses the points four columns
-/// to either side, so that centimetres of range noise do not tilt the surface, and the
-/// points in the rows above and below. Returns a negative value if one of the points is
-/// missing or lies on another surface.
+/// Returns the cosine of the angle of incidence at pixel i. Uses the points in the rows
+/// above and below, and the points four columns to either side. The distance of four
+/// columns reduces the effect of range noise. Returns a negative value if one of the
+/// points is missing or lies on another surface.
 inline double incidence_cosine(const ImageRays& image, std::size_t i) {
     constexpr std::size_t kColumns = kIncidenceColumns;
-    // Maximum difference of ranges on one surface, relative to the range.
+    // Largest difference between the ranges of two pixels on one surface, relative to the
+    // range.
     constexpr double kSameSurface = 0.2;
     const auto columns = std::size_t(image.columns), row = i / columns, column = i % columns;
     if (columns < 2 * kColumns + 1 || row == 0 || row + 1 >= std::size_t(image.rows) ||

@@ -7,7 +7,8 @@
 
 namespace relidar {
 
-/// Concatenates lists. Frees each list as soon as it is copied, to limit memory.
+/// Concatenates lists into one list. Frees each list after it has been copied, to limit
+/// memory.
 template <class T>
 std::vector<T> joined(std::vector<std::vector<T>> parts) {
     std::size_t n = 0;

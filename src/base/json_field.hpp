@@ -15,32 +15,35 @@ namespace relidar {
 
 class JsonField {
 public:
-    /// Wraps a JSON value.
+    /// Creates a reader for a JSON value.
     /// @param value must outlive this object
-    /// @param name name of the field; empty for the root value
+    /// @param name name of the field in error messages. Empty for the root value.
     JsonField(const nlohmann::json& value, const std::string& file, std::string name)
         : value_(&value), file_(&file), name_(std::move(name)) {}
 
     JsonField at(const std::string& key) const;  ///< Returns a member of an object.
-    bool has(const std::string& key) const;      ///< Returns true if the value is an object with this member.
-    JsonField at(std::size_t index) const;       ///< Returns an entry of an array.
-    std::size_t size() const;                    ///< Returns the number of entries of an array.
+    /// Returns true if the JSON value is an object that has this member.
+    bool has(const std::string& key) const;
+    JsonField at(std::size_t index) const;  ///< Returns an entry of an array.
+    std::size_t size() const;               ///< Returns the number of entries of an array.
     bool is_text() const;
     bool is_array() const;
-    /// Checks that an object has only known members.
-    /// @throws DataError if it has an unknown member
+    /// Checks that a JSON object has no members except the known ones.
+    /// @throws DataError if the object has an unknown member
     void check_members(const std::vector<std::string>& known) const;
     double number() const;  ///< Returns a finite number.
     double number(double low, double high) const;
     std::int64_t integer(std::int64_t low, std::int64_t high) const;
     bool boolean() const;
     std::string text() const;
-    std::string text(std::size_t most) const;  ///< Returns a text of at most `most` bytes in one line.
+    /// Returns the value as a text. The text must have at most `most` bytes and no line
+    /// breaks.
+    std::string text(std::size_t most) const;
     std::vector<double> numbers() const;
-    /// Returns the numbers of nested lists in their order.
+    /// Returns all numbers of nested lists as one flat list.
     /// @param depth  maximum depth of nesting
     std::vector<double> nested_numbers(int depth) const;
-    /// Returns the numbers of a list with exactly n numbers.
+    /// Returns the numbers of a list, which must have exactly n numbers.
     template <std::size_t n>
     std::array<double, n> numbers() const {
         const std::vector<double> all = numbers();
@@ -51,7 +54,8 @@ public:
         return result;
     }
     std::string where() const;  ///< Returns "file: field" for error messages.
-    /// Throws a DataError with the text "file: field: found, expected".
+    /// Throws a DataError with a message like "file: field: found null, expected a
+    /// number".
     [[noreturn]] void fail(const std::string& found, const std::string& expected) const;
 
 private:
@@ -60,7 +64,7 @@ private:
     std::string name_;
 };
 
-/// Parses a JSON text.
+/// Parses JSON.
 /// @throws DataError naming the file and the position of the syntax error
 nlohmann::json parse_json(const std::string& text, const std::string& file);
 

@@ -11,8 +11,8 @@
 
 namespace relidar {
 
-/// Formats numbers as "3, 4, 7". More than `most` numbers are shortened: "3, 4, 7, ... 91
-/// (78 in all)".
+/// Formats numbers as "3, 4, 7". Shortens lists of more than `most` numbers: "3, 4, 7,
+/// ... 91 (78 in all)".
 inline std::string list_text(const std::vector<int>& numbers, std::size_t most = 6) {
     if (numbers.size() <= most) return fmt::format("{}", fmt::join(numbers, ", "));
     return fmt::format("{}, ... {} ({} in all)",

@@ -43,7 +43,7 @@ bool contains(std::string_view text, std::string_view part) {
 }
 
 /// Returns true if two names are similar: at most two of five letters differ, or one name
-/// contains the other.
+/// contains the other name.
 bool is_similar(std::string_view query, std::string_view name) {
     const std::size_t most = std::max<std::size_t>(1, 2 * std::max(query.size(), name.size()) / 5);
     return edit_distance(query, name) <= most || contains(query, name) || contains(name, query);

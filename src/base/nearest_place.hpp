@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the nearest of several points, such as sensor positions.
+// Finds the nearest of several points, for example the nearest sensor position.
 #pragma once
 
 #include <cstddef>
@@ -11,7 +11,7 @@
 
 namespace relidar {
 
-/// k-d tree over points. Thread-safe.
+/// A k-d tree that finds the nearest of its points. Thread-safe.
 /// @tparam Scalar type of coordinates and distances
 template <class Scalar>
 class NearestPlace {

@@ -22,8 +22,9 @@ void parallel_for(int n, const std::function<void(int)>& task) {
     std::exception_ptr failure;
     int failed = n;
     std::atomic<int> next{0};
-    // A shared counter starts the tasks in ascending order. If a task fails, all tasks
-    // before it have therefore started. oneTBB would split [0, n) in the middle instead.
+    // Takes tasks from a shared counter, so that they start in ascending order. If a task
+    // fails, all tasks before it have already started. oneTBB would instead split [0, n)
+    // in the middle.
     const auto run_tasks = [&] {
         for (int i = next++; i < n; i = next++) {
             try {
@@ -39,9 +40,9 @@ void parallel_for(int n, const std::function<void(int)>& task) {
     if (n_threads == 1) {
         run_tasks();
     } else {
-        // The isolated context has two effects. A waiting thread does not run tasks of
-        // other loops, and a cancelled task group of the caller does not cancel this
-        // loop.
+        // Isolates this loop from other loops of oneTBB. A waiting thread does not run
+        // tasks of other loops. If the caller's task group is cancelled, this loop still
+        // continues.
         tbb::task_group_context context(tbb::task_group_context::isolated);
         tbb::this_task_arena::isolate([&] {
             tbb::parallel_for(

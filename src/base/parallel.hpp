@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Runs loops over independent items on the threads of oneTBB. The result of a loop does
 // not depend on the number of threads. A tbb::global_control or the CPU affinity of the
-// process limits that number.
+// process limits the number of threads.
 #pragma once
 
 #include <algorithm>
@@ -12,7 +12,8 @@
 
 namespace relidar {
 
-/// Returns the number of threads that a loop of the calling thread may use, at least 1.
+/// Returns the number of threads that a loop may use if the calling thread starts it. The
+/// number is at least 1.
 std::size_t max_concurrency();
 
 /// Runs task(i) for every i in [0, n) on the calling thread and on idle threads of
@@ -24,22 +25,24 @@ std::size_t max_concurrency();
 /// depend on timing.
 void parallel_for(int n, const std::function<void(int)>& task);
 
-/// Returns the number of neighbouring items that a thread processes together. Each thread
-/// gets several blocks, and blocks are large enough that starting one costs little.
+/// Returns the number of consecutive items that a thread processes as one block. Each
+/// thread gets several blocks. The blocks are large enough to hide the cost of starting
+/// them.
 inline std::size_t block_size(std::size_t n) {
     constexpr std::size_t kSmallest = 128, kLargest = 4096, kBlocksPerThread = 8;
     return std::clamp(n / (kBlocksPerThread * max_concurrency()), kSmallest, kLargest);
 }
 
-/// Runs task(begin, end) for each range of `size` items of [0, n). The last range may be
-/// shorter.
+/// Divides [0, n) into ranges of `size` items, and runs task(begin, end) for each range.
+/// The last range may be shorter.
 template <class Task>
 void for_each_part(std::size_t n, std::size_t size, const Task& task) {
     parallel_for(static_cast<int>((n + size - 1) / size),
                  [&](int i) { task(std::size_t(i) * size, std::min(n, (std::size_t(i) + 1) * size)); });
 }
 
-/// Runs task(i) for every i in [0, n), block by block.
+/// Runs task(i) for every i in [0, n) in parallel. Each thread processes blocks of
+/// consecutive items.
 template <class Task>
 void for_each_block(std::size_t n, const Task& task) {
     for_each_part(n, block_size(n), [&](std::size_t begin, std::size_t end) {
@@ -47,10 +50,10 @@ void for_each_block(std::size_t n, const Task& task) {
     });
 }
 
-/// Returns the sum over [0, n). Each range of `size` items has one partial sum. The
-/// partial sums are added in the order of their ranges, so that the result is the same
-/// for any number of threads.
-/// @param part  (begin, end) -> Sum; operator+= adds two sums
+/// Computes a sum over [0, n) in parallel. Each range of `size` items has one partial
+/// sum. The partial sums are added in the order of their ranges, so that the result does
+/// not depend on the number of threads.
+/// @param part  (begin, end) -> Sum. operator+= adds two sums.
 template <class Part>
 auto parallel_reduce(std::size_t n, std::size_t size, const Part& part) {
     using Sum = decltype(part(std::size_t{}, std::size_t{}));

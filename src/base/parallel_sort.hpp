@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts on all threads. This function is not in parallel.hpp, because oneTBB's headers
-// compile slowly.
+// Sorts a vector on all threads. This function is separate from parallel.hpp, because the
+// headers of oneTBB compile slowly.
 #pragma once
 
 #include <vector>
@@ -10,8 +10,8 @@
 
 namespace relidar {
 
-/// Sorts with oneTBB. The result does not depend on the number of threads if elements
-/// that `less` does not order are equal.
+/// Sorts a vector with oneTBB. The result does not depend on the number of threads if
+/// elements that compare as equivalent are equal.
 template <class T, class Less>
 void parallel_sort(std::vector<T>& values, const Less& less) {
     tbb::this_task_arena::isolate([&] { tbb::parallel_sort(values.begin(), values.end(), less); });

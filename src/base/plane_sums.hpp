@@ -12,16 +12,19 @@ namespace relidar {
 struct PlaneFit {
     glm::dvec3 mean{0.0};
     glm::dvec3 variance{0.0};  ///< Variances along the axes, ascending.
-    glm::dvec3 axes[3];        ///< Unit axes; the first is the normal.
+    /// Principal axes of the points, unit length. The first axis is the normal of the
+    /// plane.
+    glm::dvec3 axes[3];
 };
 
 struct PlaneSums {
     double n = 0.0;
-    glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};  ///< Sums of the products y z, x z and x y.
+    /// Sums of the products y z, x z and x y over all points.
+    glm::dvec3 sum{0.0}, squares{0.0}, products{0.0};
 
-    /// Adds a point.
-    /// @param d point relative to an origin near the points, so that squares keep their
-    /// precision
+    /// Adds a point to the sums.
+    /// @param d point relative to an origin near the points. A near origin keeps the
+    /// precision of the squares.
     void add(const glm::dvec3& d) {
         n += 1.0;
         sum += d;
@@ -29,7 +32,8 @@ struct PlaneSums {
         products += glm::dvec3(d.y * d.z, d.x * d.z, d.x * d.y);
     }
 
-    /// Returns the plane relative to the same origin; requires n > 0.
+    /// Returns the plane that fits the points best, relative to the same origin. Requires
+    /// at least one point.
     PlaneFit fit() const {
         const glm::dvec3 mean = sum / n, s = squares / n - mean * mean,
                          p = products / n - glm::dvec3(mean.y * mean.z, mean.x * mean.z, mean.x * mean.y);

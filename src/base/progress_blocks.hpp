@@ -13,9 +13,9 @@
 
 namespace relidar {
 
-/// parallel_for. The calling thread tells how many of the items are done: first, before
-/// each that it takes itself, and 1 at the end, since other threads may take all of the
-/// last ones. What `progress` throws ends it.
+/// Like parallel_for, but also reports progress. The calling thread calls `progress` with
+/// the finished fraction before each of its items. At the end it reports 1, because other
+/// threads may process the last items. The loop stops if `progress` throws.
 template <class Task>
 void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     if (progress) progress(what, 0.0);
@@ -36,7 +36,7 @@ void for_each_told(std::size_t n, const Progress& progress, std::string_view wha
     if (progress) progress(what, 1.0);
 }
 
-/// Runs a loop in blocks and reports progress, like for_each_told().
+/// Runs task(i) for every i in [0, n) in parallel, block by block, and reports progress.
 template <class Task>
 void for_each_block_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
     const std::size_t size = block_size(n);

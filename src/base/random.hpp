@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Seedable random numbers that are equal on every machine: SplitMix64 (Steele, Lea, Flood
-// 2014) as generator and hash, and normal deviates by the method of Box and Muller.
+// Random numbers with a seed, equal on every machine. Uses SplitMix64 (Steele, Lea, Flood
+// 2014) as generator and hash function. Uses the method of Box and Muller for normal
+// deviates.
 #pragma once
 
 #include <cmath>
@@ -8,7 +9,7 @@
 
 namespace relidar {
 
-/// Returns a hash of 64 bits (the output function of SplitMix64).
+/// Returns a 64-bit hash of x. It is the output function of SplitMix64.
 inline std::uint64_t hash64(std::uint64_t x) {
     x += 0x9E3779B97F4A7C15ull;
     x = (x ^ (x >> 30)) * 0xBF58476D1CE4E5B9ull;
@@ -16,7 +17,7 @@ inline std::uint64_t hash64(std::uint64_t x) {
     return x ^ (x >> 31);
 }
 
-/// Returns a hash of a pair; the order matters.
+/// Returns a hash of two numbers. Exchanging the numbers changes the hash.
 inline std::uint64_t hash64(std::uint64_t a, std::uint64_t b) {
     return hash64(hash64(a) ^ (b * 0xD6E8FEB86659FD93ull));
 }
@@ -31,7 +32,7 @@ public:
     /// Complete state of the generator, to save and restore.
     std::uint64_t& state() { return state_; }
 
-    /// Returns a uniform number in [0, 1) with 53 bits.
+    /// Returns a uniformly distributed number in [0, 1) with 53 random bits.
     double uniform() { return static_cast<double>(next() >> 11) * 0x1.0p-53; }
 
     /// Returns a uniform number in [low, high).

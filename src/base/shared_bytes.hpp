@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bytes of files that several objects look at without copying them.
+// Bytes of a file that several objects share without copying them.
 #pragma once
 
 #include <cstddef>
@@ -11,12 +11,12 @@
 
 namespace relidar {
 
-/// Read-only bytes that stay valid as long as a copy of `memory` exists.
+/// Read-only bytes. They stay valid as long as a copy of `memory` exists.
 struct SharedBytes {
     std::shared_ptr<const void> memory;
     std::string_view bytes;
 
-    /// A part of the bytes, or other bytes in the same memory.
+    /// Returns a view of a part of the bytes. The view keeps the same memory alive.
     SharedBytes with(std::string_view part) const { return {memory, part}; }
 };
 
@@ -25,7 +25,8 @@ inline SharedBytes share_bytes(std::string bytes) {
     return {memory, *memory};
 }
 
-/// n bytes that fill(std::span<char>) writes. They are not set to 0 before.
+/// Allocates n bytes and calls fill(std::span<char>) to write them. The bytes are not set
+/// to 0 before.
 template <class Fill>
 SharedBytes make_shared_bytes(std::size_t n, const Fill& fill) {
     const std::shared_ptr<char[]> memory(new char[n]);

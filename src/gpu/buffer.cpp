@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Buffers in memory of the pools. Rejects a buffer that is too large, with its name,
-// before the driver is called.
+// Allocates Vulkan buffers from pools of device memory. Throws an error with the buffer's
+// name if the buffer is too large for the device, before the driver is called.
 #include "gpu/buffer.hpp"
 
 #include <cstring>
@@ -53,7 +53,8 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
     info.size = size;
     info.usage = VK_BUFFER_USAGE_STORAGE_BUFFER_BIT | VK_BUFFER_USAGE_SHADER_DEVICE_ADDRESS_BIT |
                  VK_BUFFER_USAGE_TRANSFER_SRC_BIT | VK_BUFFER_USAGE_TRANSFER_DST_BIT;
-    // The acceleration structure extension is enabled only for ray queries.
+    // Sets these usage flags only for ray queries, because otherwise the acceleration
+    // structure extension is not enabled.
     if (owner.traversal == Traversal::ray_query)
         info.usage |= VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_BUILD_INPUT_READ_ONLY_BIT_KHR |
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;

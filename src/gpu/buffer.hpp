@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan buffer behind relidar::Buffer. Also used for memory that the host reads or
-// writes.
+// Vulkan buffer that implements relidar::Buffer. It is also used for memory that the host
+// reads or writes.
 #pragma once
 
 #include "gpu/context.hpp"
@@ -15,7 +15,8 @@ struct Buffer::Impl {
     gpu::MemoryUse use;
     std::uint64_t address = 0;
     std::size_t n_bytes = 0;
-    std::byte* mapped = nullptr;  ///< Host address of the memory; null for arrays of kernels.
+    /// Address of the memory on the host. Null for device memory that is not mapped.
+    std::byte* mapped = nullptr;
 
     /// Allocates a buffer.
     /// @throws DeviceError if memory is exhausted or the device does not allow such a

@@ -138,8 +138,8 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
     return infos;
 }
 
-/// Returns the requested device, or the best one: GPUs before CPUs, and devices with ray
-/// queries first.
+/// Returns the index of the requested device, or of the best device. Prefers GPUs to
+/// CPUs, then devices with ray queries.
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
@@ -181,7 +181,8 @@ void require(const DeviceInfo& info, Traversal traversal) {
             fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that "
                         "the choice is left to relidar",
                         info.index, info.name, info.why_not_software));
-    // SwiftShader cannot run the tracing kernels, but tests run the other kernels on it.
+    // Accepts SwiftShader although it cannot run the tracing kernels, because tests run
+    // the other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (traversal == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
         throw DeviceError(
@@ -255,8 +256,8 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
 
 namespace {
 
-/// Feature structs of extensions, with all features set. make_device() selects which of
-/// them a device enables.
+/// Feature structs of Vulkan extensions, with all features set. make_device() selects the
+/// structs that a device enables.
 struct ExtensionFeatures {
     VkPhysicalDeviceAccelerationStructureFeaturesKHR accel{
         VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_ACCELERATION_STRUCTURE_FEATURES_KHR};
@@ -383,12 +384,13 @@ Device::Impl::~Impl() {
     transfers.reset();
     memory.reset();
     for (const auto& [key, made] : pipelines.by_key) {
-        // Skips kernels that were never run, whose pipelines were not created.
+        // Skips kernels that were never launched, because their pipelines were not
+        // created.
         if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);
-        } catch (const Error&) {  // The error was already reported when the kernel was launched.
-        }
+            // Ignores the error, because the launch of the kernel has already reported it.
+        } catch (const Error&) {}
     }
     pipeline_cache.reset();
     if (pipeline_layout) vkDestroyPipelineLayout(device, pipeline_layout, nullptr);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Vulkan objects behind relidar::Device: the instance, the device and one compute queue.
-// Converts failures of Vulkan calls to DeviceError.
+// Vulkan objects that implement relidar::Device: the instance, the device and one compute
+// queue. Converts failed Vulkan calls to DeviceError.
 #pragma once
 
 #include <array>
@@ -25,7 +25,8 @@ class MemoryPools;
 class PipelineCache;
 class Transfers;
 
-/// Throws a DeviceError that names the call and the VkResult if `result` is a failure.
+/// Checks the result of a Vulkan call. Throws a DeviceError with the call and the
+/// VkResult if it failed.
 void check(VkResult result, const char* call);
 /// Throws an error for a failed Vulkan call.
 /// @throws DeviceLost if the driver has lost the device, otherwise DeviceError
@@ -36,8 +37,9 @@ std::string result_name(VkResult result);
 struct Instance {
     VkInstance handle = VK_NULL_HANDLE;
     VkDebugUtilsMessengerEXT messenger = VK_NULL_HANDLE;
-    /// Function pointer of this instance. It is stored here because an instance that is
-    /// opened later without the extension replaces the global pointer by null.
+    /// Function of this instance that destroys the debug messenger. It is stored here
+    /// because opening another instance without the extension sets the global pointer to
+    /// null.
     PFN_vkDestroyDebugUtilsMessengerEXT destroy_messenger = nullptr;
     std::atomic<std::size_t> n_messages{0};
 
@@ -60,10 +62,12 @@ struct Missing {
     }
 };
 
-/// Optional features that make kernels correct or more robust on devices that do not
-/// guarantee this behaviour otherwise.
+/// Optional device features that make kernels more robust. Without these features, the
+/// Vulkan specification does not guarantee the behaviour of subgroups that the kernels
+/// rely on.
 struct OptionalFeatures {
-    /// Subgroup sizes vary, and a kernel can request DeviceInfo::subgroup_size lanes.
+    /// True if the subgroup size varies and a kernel can request subgroups of
+    /// DeviceInfo::subgroup_size lanes.
     bool subgroup_size = false;
     bool full_subgroups = false;  ///< A kernel can request full subgroups, without inactive lanes.
     bool subgroup_uniform_control_flow = false;
@@ -71,15 +75,18 @@ struct OptionalFeatures {
 };
 OptionalFeatures optional_features(VkPhysicalDevice physical);
 
-/// Returns true if kernels run in full subgroups of DeviceInfo::subgroup_size lanes.
+/// Returns true if kernels can run in full subgroups of exactly DeviceInfo::subgroup_size
+/// lanes.
 bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                      const OptionalFeatures& optional);
-/// Lists the features that software traversal lacks; empty if it lacks none.
+/// Returns a text with the missing features that the software traversal needs. Returns an
+/// empty text if none is missing.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
 
-/// Lists the features that the layers of networks lack; empty if they lack none.
+/// Returns a text with the missing features that neural networks need. Returns an empty
+/// text if none is missing.
 std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
                                  const OptionalFeatures& optional);
@@ -101,7 +108,8 @@ struct Pipelines {
         std::ptrdiff_t(max_concurrency())};  ///< threads that may work at a time
 };
 
-/// Describes the features of a physical device, with the names of all missing ones.
+/// Returns a description of a physical device, including the names of all missing
+/// features.
 DeviceInfo describe(VkPhysicalDevice physical, int index);
 
 }  // namespace relidar::gpu
@@ -121,7 +129,8 @@ struct Device::Impl {
     float timestamp_period_ns = 1.0f;
     std::uint32_t workgroup_size = 32;
     std::uint32_t scratch_alignment = 256;
-    /// Maximum size of one array, and the name of the limit that determines it.
+    /// Maximum size of one array in bytes, and the name of the device limit that
+    /// determines this size.
     struct {
         std::uint64_t n_bytes;
         const char* name;
@@ -131,36 +140,38 @@ struct Device::Impl {
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     gpu::Pipelines pipelines;
     std::mutex queue_mutex;
-    /// Pipeline layout of all kernels: two addresses as push constants.
+    /// Layout of all compute pipelines. The push constants consist of two addresses.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
-    /// Zeros that kernels receive in place of an array that a launch omits.
+    /// Buffer of zeros. A kernel receives its address instead of an array that the launch
+    /// omits.
     std::unique_ptr<Buffer::Impl> nothing;
-    std::uint64_t memory_limit_bytes = 0;  ///< Limit for device memory; 0 = no limit.
+    std::uint64_t memory_limit_bytes = 0;  ///< Limit for the device memory in bytes. 0 means no limit.
     bool compile_only = false;
     ForcedWays forced;  ///< Behaviour that tests have forced.
-    /// If true, pipelines are compiled when their kernels are created. A CPU compiles a
-    /// pipeline when it first runs it.
+    /// If true, pipelines are compiled when their kernels are created. If false (CPU), a
+    /// pipeline is compiled at its first launch.
     bool compiles_ahead = false;
     bool pipeline_statistics = false;  ///< True if VK_KHR_pipeline_executable_properties is enabled.
-    /// Statistics of compiled pipelines; used only with compile_only.
+    /// Statistics of compiled pipelines. Collected only if kernels are compiled but not
+    /// run.
     std::vector<PipelineStatistics> compiled;
     std::atomic<std::uint64_t> allocated{0};  ///< Bytes allocated by arrays.
     std::atomic<std::uint64_t> peak{0};
-    /// Number of buffers created so far, and number of times that the host waited for all
+    /// Number of created buffers, and number of times that the host waited for all
     /// submissions.
     std::atomic<std::uint64_t> n_buffers{0}, n_full_waits{0};
 
     Impl();
     ~Impl();
-    /// Opens the device.
-    /// @param cache_folder folder of the pipeline cache, or empty
+    /// Opens the Vulkan device.
+    /// @param cache_folder folder of the pipeline cache. Empty for no cache file.
     void open(const std::filesystem::path& cache_folder);
     void find_compute_queues();
     void make_device();
     void read_limits();
     void make_pipeline_layout();
-    /// Submits work to the queue. A mutex ensures that only one thread accesses the queue
-    /// at a time.
+    /// Submits work to the compute queue. Locks a mutex, because only one thread may
+    /// access the queue at a time.
     void submit(const VkSubmitInfo& work, VkFence fence = VK_NULL_HANDLE);
 };
 

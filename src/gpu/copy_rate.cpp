@@ -57,8 +57,8 @@ std::optional<double> copy_bytes_per_s(Device& device) {
     for (std::size_t n_bytes = 256 * kMiB; n_bytes >= kMiB; n_bytes /= 4) {
         try {
             return 2.0 * static_cast<double>(n_bytes) / seconds_of_copy(device, n_bytes / sizeof(glm::vec4));
-        } catch (const DeviceError&) {  // The device has no memory for two arrays of this size.
-        }
+            // Not enough memory: tries a smaller size.
+        } catch (const DeviceError&) {}
     }
     return std::nullopt;
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the features of a physical device with those that relidar needs, and lists all
-// missing extensions and features.
+// Compares the features of a physical device with the features that relidar needs. Lists
+// all missing extensions and features.
 #include <algorithm>
 #include <cstdio>
 #include <cstring>
@@ -103,8 +103,8 @@ bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
            (optional.subgroup_size && optional.full_subgroups);
 }
 
-/// Returns true for lavapipe before 24.1. Its code generator terminates the process on
-/// some CPUs when it compiles our kernels (docs/debugging.md).
+/// Returns true for versions of lavapipe before 24.1. These versions terminate the
+/// process on some CPUs when they compile our kernels (docs/debugging.md).
 bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
     int major = 0, minor = 0;
     return driver.driverID == VK_DRIVER_ID_MESA_LLVMPIPE &&
@@ -149,7 +149,8 @@ bool has_extension(VkPhysicalDevice physical, const char* name) {
 
 namespace {
 
-/// Returns what the device lacks to run any kernel. Empty if it lacks nothing.
+/// Returns a text with the missing features that every kernel needs. Returns an empty
+/// text if none is missing.
 std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
                                 const VkPhysicalDeviceDriverProperties& driver,
                                 const VkPhysicalDeviceVulkan12Features& v12,
@@ -170,7 +171,8 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
     return base.text;
 }
 
-/// Returns what the device lacks to trace rays by ray query. Empty if it lacks nothing.
+/// Returns a text with the missing features that ray queries need. Returns an empty text
+/// if none is missing.
 std::string missing_for_ray_query(const std::vector<VkExtensionProperties>& extensions,
                                   const VkPhysicalDeviceAccelerationStructureFeaturesKHR& accel,
                                   const VkPhysicalDeviceRayQueryFeaturesKHR& query) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads device options from environment variables, if a program requests it.
+// Reads device options from environment variables. A program must call this function
+// explicitly.
 #include <relidar/gpu/device.hpp>
 
 #include <charconv>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Device settings that only tests change, and the number of validation messages.
+// Device settings that only tests change. Also returns the number of validation messages.
 #pragma once
 
 #include <cstddef>
@@ -9,21 +9,24 @@
 
 namespace relidar {
 
-/// Returns the number of validation messages of severity warning or error so far (0
-/// without validation).
+/// Returns the number of warnings and errors that the Vulkan validation layer has
+/// reported. Returns 0 without validation.
 std::size_t validation_messages(const Device& device);
 
-/// Device behaviour that a test forces instead of the default.
+/// Device behaviour that a test selects instead of the default.
 struct ForcedWays {
-    bool brute_force = false;  ///< If true, rays test every surfel instead of searching a tree.
-    /// If true, neighbouring threads read neighbouring floats, as on GPUs.
+    /// If true, rays test every surfel instead of searching an acceleration structure.
+    bool brute_force = false;
+    /// If true, neighbouring threads read neighbouring floats, which is the default on
+    /// GPUs.
     std::optional<bool> coalesces = std::nullopt;
-    /// Number of scans that a renderer processes concurrently; see
+    /// Number of scans that a renderer processes concurrently. See
     /// ScanRenderer::side_by_side().
     std::optional<int> side_by_side = std::nullopt;
 };
 
-/// Scope in which objects created on a device use the forced behaviour.
+/// Scope object: while it exists, new objects on a device use the behaviour that a test
+/// selects.
 class Forced {
 public:
     Forced(Device& device, const ForcedWays& ways);

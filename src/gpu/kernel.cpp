@@ -31,12 +31,12 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
             name));
 }
 
-/// Kernels whose lanes cooperate behind branches, and in loops that lanes leave at
+/// Kernels whose lanes cooperate inside branches, or in loops that lanes leave at
 /// different times.
 constexpr std::array<std::string_view, 2> kReconverging{"diff/accel/bvh_cluster", "diff/backward/trace"};
 
-/// Returns true for the versions of lavapipe that execute no load in a branch that no
-/// lane takes: 25.0 and older.
+/// Returns true for lavapipe 25.0 and older. These versions skip a load in a branch that
+/// no lane takes.
 bool loads_by_mask(const std::string& driver) {
     int major = 0, minor = 0;
     const std::size_t version = driver.find("Mesa ");
@@ -46,7 +46,8 @@ bool loads_by_mask(const std::string& driver) {
     return major < 25 || (major == 25 && minor == 0);
 }
 
-/// Returns the SPIR-V module of a kernel after the changes that this device needs.
+/// Returns the SPIR-V module of a kernel. The module contains the changes that this
+/// device needs.
 std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_view name,
                                         std::string_view stem, const std::vector<Constant>& constants) {
     std::map<std::uint32_t, std::uint32_t> values;
@@ -108,8 +109,8 @@ std::string key_of(std::string_view name, const std::vector<Constant>& constants
     return key;
 }
 
-/// Scope that occupies one of the compiler threads. The constructor blocks until one is
-/// free.
+/// Scope object that limits the number of concurrent compilations. The constructor blocks
+/// until fewer compilations run.
 class Turn {
 public:
     explicit Turn(std::counting_semaphore<>& compilers) : compilers_(compilers) { compilers_.acquire(); }
@@ -119,8 +120,8 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
-/// Returns the pipeline of a kernel. If it does not exist yet, it is created at the first
-/// use (deferred) or immediately by another thread.
+/// Returns the pipeline of a kernel. If it does not exist, it is created at the first use
+/// or immediately in another thread.
 std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device,
                                                                 const KernelBase::Impl& kernel,
                                                                 std::launch how) {

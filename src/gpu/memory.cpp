@@ -9,7 +9,8 @@ namespace relidar::gpu {
 
 namespace {
 
-// Largest alignment that any user needs: storage of acceleration structures, cache lines.
+// Alignment of all buffers, in bytes. It satisfies the largest requirement: storage of
+// acceleration structures, cache lines.
 constexpr std::uint64_t kAlignment = 256;
 
 /// Returns the memory properties to request, best first.
@@ -69,16 +70,17 @@ MemoryPools::~MemoryPools() {
     for (std::uint32_t type = 0; type < VK_MAX_MEMORY_TYPES; ++type) release_empty(type, 0);
 }
 
-/// Returns the size of a block that several buffers share. Some heaps are small: 256 MiB
-/// if the host sees only a window of the device memory.
+/// Returns the size of a memory block that several buffers share. The size depends on the
+/// heap, because some heaps have only 256 MiB. This happens if the host can access only a
+/// window of the device memory.
 std::uint64_t MemoryPools::shared_bytes(std::uint32_t type) const {
     const std::uint64_t heap_bytes = properties_.memoryHeaps[properties_.memoryTypes[type].heapIndex].size;
     // Drivers without hardware report a heap size of 0.
     return heap_bytes ? std::min(kBlockBytes, heap_bytes / 16) : kBlockBytes;
 }
 
-/// Returns suitable memory types, best first. Host-visible device memory is used only for
-/// small buffers.
+/// Returns the memory types that satisfy the requirements, best first. Device memory that
+/// the host can access is used only for small buffers.
 std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs, MemoryUse use) const {
     std::vector<std::uint32_t> suitable_types;
     for (const VkMemoryPropertyFlags properties_mask : preferred_properties(use))
@@ -150,15 +152,15 @@ VkResult MemoryPools::map(MemoryBlock& block) {
     return result;
 }
 
-/// Releases the memory of a buffer. Keeps one empty shared block of each type, because
-/// short-lived arrays would otherwise allocate and free it each time.
+/// Releases the memory of a buffer. Keeps one empty block of each memory type. Otherwise
+/// short-lived arrays would allocate and free a block each time.
 void MemoryPools::give_back(const MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
     piece.block->free.give_back(piece.offset, piece.n_bytes);
     if (piece.block->free.all_free()) release_empty(piece.block->type, 1);
 }
 
-/// Frees empty blocks.
+/// Frees empty blocks of a memory type.
 /// @param n_kept number of empty shared blocks to keep
 void MemoryPools::release_empty(std::uint32_t type, std::size_t n_kept) {
     std::erase_if(blocks_[type], [&](const std::unique_ptr<MemoryBlock>& block) {

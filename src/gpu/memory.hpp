@@ -18,15 +18,17 @@
 
 namespace relidar::gpu {
 
-/// Purpose of memory, which determines its type. All types except `device` are mapped for
-/// their lifetime, and coherent.
+/// Purpose of memory, which determines its Vulkan memory type. All memory except `device`
+/// is host-coherent and mapped as long as it exists.
 enum class MemoryUse {
     device,  ///< Arrays of kernels.
-    /// Written by the host, read by kernels. Uses device memory that the host can write,
-    /// if there is any.
+    /// The host writes this memory and kernels read it. Uses device memory that the host
+    /// can write, if such memory exists.
     parameters,
-    upload,    ///< Written by the host, read by copies.
-    readback,  ///< Written by copies, read by the host. Uses cached memory if there is any.
+    upload,  ///< Written by the host, read by copies.
+    /// Copies write this memory and the host reads it. Uses host-cached memory if such
+    /// memory exists.
+    readback,
 };
 
 /// Free ranges of a block.
@@ -35,14 +37,14 @@ public:
     explicit FreeRanges(std::uint64_t n_bytes) : n_bytes_(n_bytes), ranges_{{0, n_bytes}} {}
     /// Allocates the first free range that is large enough.
     /// @param alignment a power of two
-    /// @return offset of the range, or nullopt if none is large enough
+    /// @return offset of the range, or nullopt if no range is large enough
     std::optional<std::uint64_t> take(std::uint64_t n_bytes, std::uint64_t alignment);
     void give_back(std::uint64_t offset, std::uint64_t n_bytes);
     bool all_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
     std::uint64_t n_bytes_;
-    /// Map from offset to size in bytes. Adjacent ranges are merged.
+    /// Free ranges: map from offset to size in bytes. Adjacent ranges are merged.
     std::map<std::uint64_t, std::uint64_t> ranges_;
 };
 
@@ -73,7 +75,7 @@ public:
     MemoryPools& operator=(const MemoryPools&) = delete;
 
     /// Allocates memory for a buffer.
-    /// @param piece set if the result is VK_SUCCESS
+    /// @param piece output: the memory, set if the result is VK_SUCCESS
     /// @return result of the driver for the last memory type that was tried
     VkResult take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece);
     void give_back(const MemoryPiece& piece);

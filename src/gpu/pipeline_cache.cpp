@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// File format of the pipeline cache: "RELIDAR1", size and hash of the remaining data,
-// then the data of the driver.
+// Reads and writes the pipeline cache file. It contains "RELIDAR1", the size and the hash
+// of the remaining data, then the data of the driver.
 #include "gpu/pipeline_cache.hpp"
 
 #include <unistd.h>
@@ -24,8 +24,8 @@ struct FileHeader {
     std::uint64_t hash = 0;
 };
 
-/// Returns the FNV-1a hash. It is needed because drivers check only their header, and
-/// damaged data behind it may crash them.
+/// Returns the FNV-1a hash of the bytes. The hash detects damaged files. Drivers check
+/// only their header, so damaged data behind the header may crash them.
 std::uint64_t hash_of(std::string_view bytes) {
     std::uint64_t hash = 0xcbf29ce484222325u;
     for (const char byte : bytes) hash = (hash ^ static_cast<unsigned char>(byte)) * 0x100000001b3u;
@@ -39,8 +39,8 @@ FileHeader header_of(std::string_view bytes) {
     return header;
 }
 
-/// Returns the driver data of a cache file, or an empty string if the file is missing,
-/// truncated, changed, or from another driver.
+/// Returns the driver data of a cache file. Returns an empty string if the file is
+/// missing, truncated, changed, or from another driver.
 std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceProperties& device) {
     std::ifstream file(path, std::ios::binary);
     FileHeader header;
@@ -61,8 +61,8 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
                                                                                          : std::string();
 }
 
-/// Writes the cache file atomically, because other processes may read or write it
-/// simultaneously. Ignores failures, because only time is lost.
+/// Writes the cache file atomically, because other processes may access it at the same
+/// time. Ignores failures, because a missing cache only costs time.
 void write_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
@@ -104,7 +104,8 @@ void PipelineCache::save() const {
     std::size_t n_bytes = 0;
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, nullptr) != VK_SUCCESS || n_bytes <= read_bytes_)
         return;
-    // The lavapipe of Mesa 26.2 returns 20 bytes, which are not a valid cache.
+    // Ignores data that is too small for a cache. The lavapipe of Mesa 26.2 returns 20
+    // bytes, which are not a valid cache.
     if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
     if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS)

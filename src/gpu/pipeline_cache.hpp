@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Pipeline cache on disk, because a GPU's compiler needs seconds for the largest kernels.
-// There is one file per device and driver. A file that is damaged or from another driver
-// is ignored. An unwritable folder is not an error.
+// Stores compiled pipelines on disk, because a GPU's compiler needs seconds for the
+// largest kernels. Each device and driver has one file. Ignores damaged files and files
+// from another driver. An unwritable folder is not an error.
 #pragma once
 
 #include <filesystem>
@@ -13,18 +13,20 @@ namespace relidar::gpu {
 
 class PipelineCache {
 public:
-    /// Opens the cache.
-    /// @param folder folder of the file; empty = no file
+    /// Opens the pipeline cache.
+    /// @param folder folder of the cache file. Empty for no file.
     PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder);
-    /// Writes the file if the cache has grown since it was read.
+    /// Writes the cache file if the cache has grown since the file was read.
     ~PipelineCache();
     PipelineCache(const PipelineCache&) = delete;
     PipelineCache& operator=(const PipelineCache&) = delete;
 
     VkPipelineCache handle() const { return handle_; }
-    /// Path of the file; empty without a file.
+    /// Returns the path of the cache file. Returns an empty path if the cache has no
+    /// file.
     const std::filesystem::path& path() const { return path_; }
-    /// Number of driver bytes read from the file; 0 if it was missing.
+    /// Returns the number of bytes read from the cache file. Returns 0 if the file was
+    /// missing.
     std::size_t read_bytes() const { return read_bytes_; }
 
 private:

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads statistics of compiled pipelines, with the names that the driver uses.
+// Reads the compiler statistics of pipelines. Uses the names that the driver gives them.
 #include "gpu/pipeline_statistics.hpp"
 
 #include <vector>
@@ -33,8 +33,8 @@ void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& s
     check(vkGetPipelineExecutablePropertiesKHR(device, &info, &n, executables.data()),
           "vkGetPipelineExecutablePropertiesKHR");
     if (n == 0) return;
-    // A compute pipeline is one program. If a driver keeps variants for several subgroup
-    // sizes (Intel), the last variant is the widest.
+    // Uses the last executable of the pipeline. Some drivers (Intel) compile variants for
+    // several subgroup sizes, and the last variant is the widest.
     statistics.subgroup_size = static_cast<int>(executables[n - 1].subgroupSize);
     VkPipelineExecutableInfoKHR program{VK_STRUCTURE_TYPE_PIPELINE_EXECUTABLE_INFO_KHR};
     program.pipeline = pipeline;

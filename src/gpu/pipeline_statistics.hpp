@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Statistics that the driver's compiler reports for a pipeline
+// Reads the statistics that the driver's compiler reports for a pipeline
 // (VK_KHR_pipeline_executable_properties).
 #pragma once
 
@@ -9,8 +9,8 @@
 
 namespace relidar::gpu {
 
-/// Sets `statistics.values` and subgroup_size from a pipeline created with
-/// VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
+/// Fills the values and the subgroup size of `statistics`. The pipeline must have been
+/// created with VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR.
 void read_statistics(VkDevice device, VkPipeline pipeline, PipelineStatistics& statistics);
 
 }  // namespace relidar::gpu

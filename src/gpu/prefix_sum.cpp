@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of the kernels gpu/scan_sums and gpu/scan_write: computes the sums of tiles for
-// each level, then the prefix sums in reverse order.
+// Submits the kernels of a prefix sum. First computes the sums of tiles level by level,
+// then the prefix sums in reverse order of the levels.
 #include "gpu/prefix_sum.hpp"
 
 #include "base/assert.hpp"

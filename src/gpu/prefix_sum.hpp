@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exclusive prefix sums of counts on the device (gpu/scan_sums, gpu/scan_write).
+// Computes exclusive prefix sums of counts on the device.
 #pragma once
 
 #include "gpu/kernel.hpp"
@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-/// Counts with a stride: element i is at offset + i * stride.
+/// View of counts in memory. Count i is at index offset + i * stride.
 struct StridedCounts {
     Address<std::uint32_t, shared::ScanCounts> address;
     std::uint32_t offset = 0;
@@ -19,15 +19,17 @@ public:
     explicit PrefixSum(Device& device);
     /// Allocates scratch memory for n counts. No pending submission may use this object.
     void reserve(Device& device, std::size_t n);
-    /// Records prefix[i] = sum of the counts before i, i < n. Works in place if prefix
-    /// equals the counts. The total sum must fit into 32 bits.
-    /// @param total address for the total sum, or null; not written if n is 0
+    /// Submits kernels that compute prefix[i], the sum of all counts before count i, for
+    /// i < n. `prefix` may be the same array as the counts. The total sum must fit into
+    /// 32 bits.
+    /// @param total address for the total sum, or null. Not written if n is 0.
     void run(Stream& stream, const StridedCounts& counts, Address<std::uint32_t, shared::ScanPrefix> prefix,
              std::uint32_t n, Address<std::uint32_t, shared::ScanTotal> total = {}) const;
 
 private:
     Kernel<shared::ScanParams> sums_, write_;
-    /// Sums of tiles for each level: level 0 sums counts, level 1 sums level 0, ...
+    /// Sums of the tiles on each level. Level 0 sums the counts, level 1 sums level 0,
+    /// and so on.
     std::vector<Array<std::uint32_t, shared::ScanTileSums>> levels_;
 
     void run_level(Stream& stream, shared::ScanParams params, std::size_t level) const;

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of the kernels gpu/radix_count, gpu/radix_scan and gpu/radix_scatter. Sorts by
-// the least significant digit first.
+// Submits the kernels of a radix sort. Sorts by the least significant digit first.
 #include "gpu/radix_sort.hpp"
 
 #include <utility>

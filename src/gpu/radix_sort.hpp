@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stable radix sort of keys on the device. The number of keys may be known only on the
-// device. Each pass sorts by 8 bits with three kernels (gpu/radix_count, radix_scan,
-// radix_scatter).
+// Stable radix sort of keys on the device. The device can compute the number of keys.
+// Each pass sorts by 8 bits with three kernels.
 #pragma once
 
 #include "gpu/kernel.hpp"
@@ -19,20 +18,20 @@ class RadixSort {
 public:
     /// Allocates scratch memory, about 1/4 byte per key.
     /// @param capacity maximum number of keys
-    /// @param key_words 32-bit words per key
-    /// @throws DeviceError if subgroups have fewer than 4 lanes, more than 64, or a
-    /// varying number of lanes
+    /// @param key_words number of 32-bit words per key
+    /// @throws DeviceError if the number of lanes per subgroup is below 4, above 64 or
+    /// not constant
     RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_words);
     std::uint32_t capacity() const { return capacity_; }
 
-    /// Returns the number of passes for keys of this many bits. After an odd number of
-    /// passes, the sorted keys are in the other set.
+    /// Returns the number of sort passes for keys with this many bits. After an odd
+    /// number of passes, the result is in the second set of arrays.
     static std::uint32_t passes(std::uint32_t key_bits) { return key_bits > 8 ? (key_bits + 7) / 8 : 1; }
-    /// Records a sort by the low key_bits bits. Equal keys keep their order. Overwrites
-    /// both sets.
-    /// @param from keys to sort; its order is not read
-    /// @param n_keys address of the number of keys; null = capacity. Keys beyond the
-    /// capacity are ignored
+    /// Submits kernels that sort keys by their low key_bits bits. Equal keys keep their
+    /// order. Overwrites both sets.
+    /// @param from keys to sort. The order array of this set is not read.
+    /// @param n_keys address of the number of keys. Null means that the number equals the
+    /// capacity. Keys beyond the capacity are ignored.
     /// @return the set that contains the sorted keys
     SortSet run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,
                 Address<std::uint32_t, shared::SortCount> n_keys = {}) const;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Copies device values to host memory as part of a submission.
+// Copies values from the device to host memory as part of a submission.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
@@ -10,9 +10,12 @@ namespace relidar {
 
 struct Readback::Impl {
     std::string what;
-    /// Host memory of the copy. The stream shares ownership until the copy is done.
+    /// Host memory that receives the copy. The stream shares ownership until the copy is
+    /// done.
     std::shared_ptr<Buffer::Impl> host;
-    std::uint64_t ticket = 0;  ///< Ticket of the submission with the copy; 0 = none.
+    /// Ticket (number) of the submission that contains the copy. 0 means that no copy is
+    /// pending.
+    std::uint64_t ticket = 0;
     bool pending = false;
 
     Impl(Device& device, std::size_t n_bytes, const std::string& name)

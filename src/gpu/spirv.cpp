@@ -45,7 +45,9 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
-    std::uint32_t block = 0;  // Id of the parameter block. Names precede decorations in a module.
+    // Id of the struct type of the parameter block. In a module, names precede
+    // decorations, so the id is known in time.
+    std::uint32_t block = 0;
     for_each_instruction(words, [&](std::uint32_t opcode, Instruction instruction) {
         if (opcode == kOpName && std::strcmp(name_in(instruction), "ParamsBlock") == 0)
             block = instruction[1];

@@ -14,29 +14,30 @@
 
 namespace relidar::gpu {
 
-/// Execution mode without operands, and the extension that defines it.
+/// SPIR-V execution mode without operands, and the extension that defines this mode.
 struct ExecutionMode {
     std::uint32_t mode;
     std::string_view extension;
 };
 
-/// Lanes that diverge at a branch reconverge after it, if the full subgroup entered the
+/// Guarantees that lanes reconverge after a branch, if the full subgroup entered the
 /// branch.
 inline constexpr ExecutionMode kSubgroupUniformControlFlow{4421, "SPV_KHR_subgroup_uniform_control_flow"};
-/// Any set of lanes that diverges reconverges, also in loops.
+/// Guarantees that any set of lanes that diverges also reconverges, including in loops.
 inline constexpr ExecutionMode kMaximallyReconverges{6023, "SPV_KHR_maximal_reconvergence"};
 
-/// Returns the module with the execution mode added to each entry point.
+/// Adds an execution mode to each entry point of a module. Returns the edited module.
 /// @param words module with at least one entry point
 std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> words,
                                                const ExecutionMode& mode);
 
-/// Returns the module with its parameter block (RELIDAR_PARAMS) decorated as NonWritable.
+/// Decorates the parameter block of a module (RELIDAR_PARAMS) as NonWritable. Returns the
+/// edited module.
 std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
 
-/// Returns the module with its parameters copied to private variables at the start. For
-/// Mesa's lavapipe, which otherwise performs a uniform load lane by lane behind a branch
-/// or in a loop. A GPU chooses better when to read parameters.
+/// Copies the parameters of a kernel to private variables at its start. Returns the
+/// edited module. Used for Mesa's lavapipe, which otherwise performs a uniform load lane
+/// by lane behind a branch or in a loop. A GPU chooses better when to read parameters.
 std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
 
 /// Returns the module with array indices that the compiler cannot prove uniform. For
@@ -46,15 +47,15 @@ std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> 
 /// with_parameters_first(), which moves parameters.
 std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words);
 
-/// Returns the module with branches that its specialisation constants decide made
-/// unconditional. Unreachable blocks stay in the module. A driver removes them too, but
-/// only after inlining all functions. Mesa's lavapipe compiles diff/forward/trace in half
-/// the time if they are unreachable from the start.
-/// @param constants values by id; other constants keep the default of the module
+/// Replaces each branch that the specialisation constants decide by an unconditional
+/// branch. Returns the edited module. Unreachable blocks stay in the module. A driver
+/// also removes them, but only after it has inlined all functions, so lavapipe compiles
+/// large kernels faster with this edit.
+/// @param constants values by id. Other constants keep the default of the module.
 std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
                                                const std::map<std::uint32_t, std::uint32_t>& constants);
 
-/// Returns the byte offsets of all addresses in the module's parameter block.
+/// Returns the byte offsets of all device addresses in the module's parameter block.
 std::vector<std::uint32_t> parameter_addresses(std::span<const std::uint32_t> words);
 
 /// Returns the ids of the module's specialisation constants.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds the addresses in the parameter block of a kernel, from the types that its module
-// declares.
+// Finds the device addresses in the parameter block of a kernel. Uses the types that the
+// SPIR-V module declares.
 #include <map>
 #include <string>
 
@@ -20,8 +20,8 @@ public:
 
     std::uint32_t block() const { return block_; }
 
-    /// Appends the offsets of all addresses in a value of this type.
-    /// @param begin offset of the value
+    /// Appends the byte offsets of all device addresses in a value of this type.
+    /// @param begin byte offset of the value
     void collect(std::uint32_t type, std::uint32_t begin, std::vector<std::uint32_t>& offsets) const {
         const auto known = types_.find(type);
         if (known == types_.end()) return;  // Numbers and vectors contain no address.

@@ -22,7 +22,7 @@ constexpr std::uint32_t kOpLogicalOr = 166, kOpLogicalAnd = 167, kOpLogicalNot =
 constexpr std::uint32_t kOpPhi = 245, kOpLoopMerge = 246, kOpSelectionMerge = 247, kOpLabel = 248,
                         kOpBranch = 249, kOpBranchConditional = 250, kOpSwitch = 251;
 
-/// Known values of a module's integers and booleans (0 or 1).
+/// Values of a module's integers and booleans (0 or 1) that are known at load time.
 class Values {
 public:
     explicit Values(const std::map<std::uint32_t, std::uint32_t>& constants) : constants_(constants) {}
@@ -140,9 +140,10 @@ public:
     }
 
     /// Returns true if the module stays valid without the branch from block `from` to
-    /// block `left`. A phi instruction must name all blocks that lead to it. Unreachable
-    /// blocks must not end or continue an enclosing loop.
-    /// @param merge block in which both ways of the branch join
+    /// block `left`. A phi instruction must name all blocks that lead to it, so its block
+    /// must stay reachable as before. Unreachable blocks must not end or continue an
+    /// enclosing loop.
+    /// @param merge block in which both paths of the branch join
     bool can_be_left(std::uint32_t from, std::uint32_t left, std::uint32_t merge) const {
         if (left == merge) return !with_phi_.contains(merge);
         std::set<std::uint32_t> behind = {left};
@@ -161,7 +162,7 @@ public:
 
 private:
     std::map<std::uint32_t, std::vector<std::uint32_t>> next_;
-    // Header of the loop that each block ends or continues.
+    // For each block that ends or continues a loop: the header block of this loop.
     std::map<std::uint32_t, std::uint32_t> header_of_;
     std::set<std::uint32_t> with_phi_;
 };

@@ -39,7 +39,8 @@ enum Op : std::uint32_t {
 constexpr std::uint32_t kPrivate = 6, kPhysicalStorage = 5349, kAliasedPointer = 5356, kAligned = 2;
 
 using Words = std::vector<std::uint32_t>;
-using Path = std::vector<std::uint32_t>;  // Member indices that lead from the parameter block to a value.
+// Member indices that lead from the parameter block to a nested value.
+using Path = std::vector<std::uint32_t>;
 
 Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
     Words words{std::uint32_t(operands.size() + 1) << 16 | op};
@@ -50,7 +51,7 @@ Words instruction(Op op, std::initializer_list<std::uint32_t> operands) {
 /// Types, constants and parameters of a module.
 struct Module {
     std::uint32_t bound = 0, block = 0, block_pointer = 0, int_type = 0;
-    Words push_chain;  ///< Access chain that leads to the address of the parameter block.
+    Words push_chain;  ///< Access chain instruction that reads the address of the parameter block.
     std::uint32_t entry = 0;
     std::map<std::uint32_t, Words> types;              ///< Types by id.
     std::map<std::uint32_t, std::uint32_t> constants;  ///< 32-bit integer constants by id.
@@ -93,13 +94,13 @@ private:
     }
 };
 
-/// Edited module: the declarations that it gains before its functions, and the
-/// replacements of loads.
+/// Edits a module: adds declarations before its functions, and replaces loads of
+/// parameters.
 class ParametersFirst {
 public:
     explicit ParametersFirst(const Module& module) : module_(module), next_(module.bound) {}
 
-    /// Returns true if values of a type can be stored in private variables.
+    /// Returns true if private variables can store values of this type.
     bool can_store(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
         if ((t[0] & 0xffffu) != kTypeStruct) return align_of(type).has_value();
@@ -108,7 +109,7 @@ public:
         return true;
     }
 
-    /// Writes the instructions that load a parameter.
+    /// Appends the instructions that load one parameter.
     /// @param id id of the loaded value
     void load(Words& code, std::uint32_t type, const Path& path, std::uint32_t id) {
         const Words& t = module_.types.at(type);
@@ -126,9 +127,9 @@ public:
         append(code, construct);
     }
 
-    /// Returns the edited module.
-    /// @param code functions of the module with the loads replaced, from the first
-    /// OpFunction on
+    /// Returns the edited SPIR-V module.
+    /// @param code functions of the module with replaced loads, from the first OpFunction
+    /// on
     Words written(std::span<const std::uint32_t> words, const Words& code) {
         const Words first = fill();
         Words result(words.begin(), words.begin() + kHeaderWords);
@@ -156,7 +157,7 @@ private:
     std::map<std::uint32_t, std::uint32_t> private_pointer_, storage_pointer_, index_;
     Words globals_, decorations_;
 
-    /// Returns the alignment of a value in bytes; nullopt for a type that is not a
+    /// Returns the alignment of a type in bytes. Returns nullopt unless the type is a
     /// number, vector or address.
     std::optional<std::uint32_t> align_of(std::uint32_t type) const {
         const Words& t = module_.types.at(type);
@@ -220,7 +221,8 @@ private:
         words[0] = std::uint32_t(words.size()) << 16 | kEntryPoint;
         return words;
     }
-    /// Appends the functions, with `first` after the variables of the entry point.
+    /// Appends the functions to the module. Inserts `first` after the variables of the
+    /// entry point.
     void append_code(Words& result, const Words& code, const Words& first) const {
         bool in_entry = false, filled = false;
         for (std::size_t at = 0; at < code.size(); at += code[at] >> 16) {

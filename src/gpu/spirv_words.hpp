@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// SPIR-V as words: a header, followed by instructions. The first word of an instruction
-// contains its length and opcode.
+// Reads SPIR-V as 32-bit words: a header, followed by instructions. The first word of an
+// instruction contains its length and opcode.
 #pragma once
 
 #include <cstddef>
@@ -15,7 +15,8 @@ inline constexpr std::uint32_t kOpName = 5, kOpDecorate = 71, kSpecId = 1;
 
 using Instruction = std::span<const std::uint32_t>;
 
-/// Calls f(opcode, instruction) for each instruction of a module, in order.
+/// Calls f(opcode, instruction) for each instruction of a SPIR-V module, in the order of
+/// the module.
 template <class F>
 void for_each_instruction(std::span<const std::uint32_t> words, const F& f) {
     for (std::size_t at = kHeaderWords; at < words.size(); at += words[at] >> 16)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recording of commands, submission with a timeline semaphore, and timestamps of
-// launches.
+// Records commands, submits them with a timeline semaphore, and measures launches with
+// timestamps.
 #include "gpu/stream.hpp"
 
 #include <algorithm>
@@ -77,8 +77,9 @@ void Stream::Impl::keep(const std::string& name, Command command) {
     barrier();
 }
 
-/// Records one pair of timestamps per step, because timestamps between the strands of a
-/// step would make the second strand wait for the first.
+/// Records the commands of all concurrent sequences. Each step has one pair of
+/// timestamps, because timestamps inside a step would make its commands wait for each
+/// other.
 void Stream::Impl::record_strands() {
     std::size_t n_steps = 0;
     for (const Strand& one : strands) n_steps = std::max(n_steps, one.size());
@@ -190,7 +191,7 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     const VkPipeline pipeline = kernel.impl().pipeline();
     const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
                                               device->nothing->address};
-    // Maximum number of workgroups in one dimension that every Vulkan device supports.
+    // Number of workgroups per dimension that every Vulkan device supports.
     constexpr std::uint32_t kMaxGroups = 65535;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
     const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1, columns = (n_groups - 1) / rows + 1;

@@ -25,8 +25,8 @@ struct KernelBase::Impl {
     std::uint32_t workgroup_size = 0;           ///< Threads per workgroup.
     std::vector<std::uint32_t> addresses = {};  ///< Offsets of the addresses in the parameters.
 
-    /// Returns the pipeline, which belongs to the device. Waits if it is still being
-    /// compiled.
+    /// Returns the compute pipeline, which the device owns. Waits if the pipeline is
+    /// still being compiled.
     /// @throws DeviceError if the driver rejects the kernel
     VkPipeline pipeline();
 
@@ -47,18 +47,19 @@ struct Stream::Impl {
         VkCommandPool pool = VK_NULL_HANDLE;
         VkCommandBuffer commands = VK_NULL_HANDLE;
         VkQueryPool queries = VK_NULL_HANDLE;
-        /// Names of the launches, in the order of their timestamp pairs.
+        /// Names of the launches, in the same order as their pairs of timestamps.
         std::vector<std::string> launches;
-        /// Blocks of host values; as many as the largest submission needed so far.
+        /// Memory blocks for values that the host writes. Their number grows to the needs
+        /// of the largest submission.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
         std::size_t block = 0, block_bytes = 0;  ///< Position of the next host value.
         /// Buffers kept alive until the submission is done.
         std::vector<std::shared_ptr<const Buffer::Impl>> kept;
-        std::uint64_t ticket = 0;  ///< Ticket of the submission; 0 = never submitted.
+        std::uint64_t ticket = 0;  ///< Ticket (number) of the submission. 0 if nothing was submitted.
     };
 
     using Command = std::function<void(VkCommandBuffer)>;
-    /// Commands of a strand between two barriers.
+    /// Commands between two barriers in one of several concurrent sequences ("strands").
     struct Step {
         std::string name;  ///< Name of the first command.
         std::vector<Command> commands;
@@ -73,12 +74,14 @@ struct Stream::Impl {
     std::size_t current = 0;
     bool recording = false;
     int n_concurrent = 0;  ///< Number of open Concurrent scopes.
-    /// True if commands were recorded in these scopes, so that a barrier is still needed.
+    /// True if commands were recorded in the current scope, so that a barrier is needed
+    /// at its end.
     bool owes_barrier = false;
-    std::vector<Strand> strands = {};  ///< Strands of the current Strands scope.
+    std::vector<Strand> strands = {};  ///< Concurrent sequences of commands of the current Strands scope.
     std::size_t strand = 0;            ///< Index of the selected strand.
-    bool timed = false;                ///< True if the launch that is being recorded has timestamps.
-    bool host_reads = false;  ///< True if the next barrier must also make writes visible to the host.
+    bool timed = false;                ///< True if timestamps measure the launch that is being recorded.
+    /// True if the next barrier must also make device writes visible to the host.
+    bool host_reads = false;
     VkSemaphore timeline = VK_NULL_HANDLE;
     std::uint64_t last_ticket = 0;
     std::string last_kernel = "none";
@@ -87,10 +90,12 @@ struct Stream::Impl {
     Impl(Device& device, bool timing);
     ~Impl();
 
-    /// Returns the command buffer that is being recorded; starts recording if needed.
+    /// Returns the command buffer that is being recorded. Starts a new recording if
+    /// necessary.
     VkCommandBuffer commands();
-    /// Records a command and a barrier after it, and adds its time to the times of this
-    /// name. In a Strands scope, the command is stored until record_strands().
+    /// Records a command, timestamps and a barrier after it. `name` identifies the
+    /// command in the measured times. In a Strands scope, the command is stored until
+    /// record_strands() is called.
     template <class Recorded>
     void record(const std::string& name, Recorded command) {
         if (!strands.empty()) return keep(name, std::move(command));
@@ -100,8 +105,9 @@ struct Stream::Impl {
         barrier();
     }
     void end_concurrent();
-    /// Records the stored commands of all strands, where the n-th steps of all strands
-    /// may run concurrently. The strands are then empty.
+    /// Records the stored commands of several sequences ("strands"). Step n of one
+    /// sequence may run concurrently with step n of the others. Afterwards the sequences
+    /// are empty.
     void record_strands();
     /// Location of host values until the submission is done.
     struct Stored {
@@ -109,7 +115,7 @@ struct Stream::Impl {
         std::size_t offset;
         std::uint64_t address;
     };
-    /// Stores a copy of host values that kernels and copies of this submission read.
+    /// Copies values from the host to memory that the kernels of this submission read.
     Stored store(const void* bytes, std::size_t n_bytes);
     /// Stores a copy of an array of host values.
     template <class T>
@@ -118,8 +124,8 @@ struct Stream::Impl {
     }
     /// Records a copy from host memory to a buffer.
     void write(const Buffer& buffer, const void* bytes, std::size_t n_bytes);
-    /// Records a copy to memory that the host reads when the submission is done. Keeps
-    /// that memory alive until then.
+    /// Records a copy from a device buffer to memory that the host reads after the
+    /// submission. Keeps the memory alive until then.
     void read_back(const Buffer::Impl& from, const std::shared_ptr<const Buffer::Impl>& to,
                    const VkBufferCopy& region);
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
@@ -127,21 +133,21 @@ struct Stream::Impl {
     void collect_times(Slot& slot);
 
 private:
-    /// Stores the parameters of a launch, and replaces each address 0 by the address of
-    /// `Device::Impl::nothing`.
-    /// @return address of the parameters
+    /// Stores the parameters of a launch for the kernel. Replaces each address 0 by the
+    /// address of a buffer with zeros.
+    /// @return device address of the parameters
     std::uint64_t store_parameters(const KernelBase& kernel, const void* bytes, std::size_t n_bytes);
     void keep(const std::string& name, Command command);
-    /// Makes earlier writes visible to later commands. In a Concurrent scope, one barrier
-    /// is recorded at the end of the scope.
+    /// Makes earlier device writes visible to later commands. In a Concurrent scope, only
+    /// one barrier is recorded, at the end of the scope.
     void barrier();
     void record_barrier();
     void begin_timing(const std::string& name);
     void end_timing();
 };
 
-/// Records a kernel launch with n_threads threads. The launch sees the results of all
-/// commands recorded before.
+/// Records a kernel launch with n_threads threads. The kernel sees the results of all
+/// commands that were recorded before.
 template <class Params>
 void run(Stream& stream, const Kernel<Params>& kernel, std::size_t n_threads, const Params& params) {
     if (n_threads)

@@ -5,8 +5,8 @@
 
 namespace relidar::gpu {
 
-/// Returns true for SwiftShader, whose compiler terminates the process on tracing kernels
-/// (docs/debugging.md).
+/// Returns true for the driver SwiftShader. Its compiler terminates the process when it
+/// compiles tracing kernels (docs/debugging.md).
 inline bool is_swiftshader(const DeviceInfo& info) { return info.driver.starts_with("SwiftShader"); }
 
 }  // namespace relidar::gpu

@@ -68,7 +68,8 @@ void Transfers::copy(const Buffer::Impl& from, const Buffer::Impl& to, std::size
     copy_and_wait(from.handle, to.handle, {0, 0, n_bytes});
 }
 
-/// Needs no barrier before the copy, because every stream submission ends with a barrier.
+/// Copies and waits. Needs no barrier before the copy, because every submission of a
+/// stream ends with a barrier.
 void Transfers::copy_and_wait(VkBuffer from, VkBuffer to, const VkBufferCopy& region) {
     if (!done_) make_commands();
     check(vkResetCommandPool(device_.device, pool_, 0), "vkResetCommandPool");

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blocking copies between host and device, for code that is not performance-critical.
-// Uses one command buffer, and one staging buffer per direction, which are created at the
-// first copy. Thread-safe.
+// Blocking copies between host and device, for code that need not be fast. Creates one
+// command buffer and one staging buffer per direction at the first copy. Thread-safe.
 #pragma once
 
 #include <memory>
@@ -29,7 +28,8 @@ private:
     VkCommandPool pool_ = VK_NULL_HANDLE;
     VkCommandBuffer commands_ = VK_NULL_HANDLE;
     VkFence done_ = VK_NULL_HANDLE;
-    std::unique_ptr<Buffer::Impl> upload_, download_;  ///< Staging buffers; null until the first copy.
+    /// Staging buffers for both directions. Null until the first copy.
+    std::unique_ptr<Buffer::Impl> upload_, download_;
 
     void make_commands();
     Buffer::Impl& staging(std::unique_ptr<Buffer::Impl>& buffer, MemoryUse use, std::size_t n_bytes);

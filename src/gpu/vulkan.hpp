@@ -5,6 +5,7 @@
 #include <volk.h>
 
 #if defined(__GNUC__)
-// Vulkan structs are initialised with {sType} and then filled member by member.
+// Disables a warning about missing initialisers. Vulkan structs are initialised with
+// {sType} and then filled member by member.
 #pragma GCC diagnostic ignored "-Wmissing-field-initializers"
 #endif

@@ -14,8 +14,8 @@ RELIDAR_FUNCTION vec3 exact_cross(vec3 a, vec3 b) {
     return c;
 }
 
-/// Returns sin(x) / x from x^2, with an error of at most 3e-7 for |x| <= pi. The factors
-/// are 1 / (2k (2k + 1)).
+/// Returns sin(x) / x as a series in x^2. The error is at most 3e-7 for |x| <= pi. The
+/// factors of the series are 1 / (2k (2k + 1)).
 RELIDAR_FUNCTION float sine_over(float x2) {
     RELIDAR_EXACT float sum = 1.0f - x2 * 0.00476190476f;
     sum = 1.0f - x2 * 0.00641025641f * sum;
@@ -27,7 +27,8 @@ RELIDAR_FUNCTION float sine_over(float x2) {
     return sum;
 }
 
-/// Returns exp([w]x) p: the point rotated by a rotation vector of at most one full turn.
+/// Rotates the point p by the rotation vector w (axis times angle, at most one full
+/// turn). Returns exp([w]x) p.
 RELIDAR_FUNCTION vec3 turned(vec3 w, vec3 p) {
     RELIDAR_EXACT float half2 = 0.25f * (w.x * w.x + w.y * w.y + w.z * w.z);
     RELIDAR_EXACT float quarter2 = 0.25f * half2;

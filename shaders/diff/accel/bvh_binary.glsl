@@ -13,14 +13,14 @@ bool is_leaf(uint child) { return (child & RELIDAR_BVH_LEAF) != 0u; }
 uint surfels_of(uint decisions) { return decisions & 15u; }
 uint left_share(uint decisions, uint n_slots) { return (decisions >> (3u * n_slots - 2u)) & 7u; }
 
-/// Returns the number of surfels below a child, at most 15.
+/// Returns the number of surfels in the subtree of a child. The number is at most 15.
 uint count_surfels(BvhBinary tree, uint child) {
     return is_leaf(child) ? 1u : surfels_of(tree.decisions.at[child]);
 }
 bool is_inner_slot(BvhBinary tree, uint child) { return count_surfels(tree, child) > RELIDAR_BVH_LEAF_SIZE; }
 
-/// Collects the children, from left to right, of the wide node that replaces a binary
-/// node.
+/// Finds the children of the wide node that replaces a binary node. Writes them to
+/// `slots` from left to right.
 /// @return number of children
 uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH]) {
     slots[0] = node;
@@ -49,7 +49,7 @@ uint collect_slots(BvhBinary tree, uint node, out uint slots[RELIDAR_BVH_WIDTH])
     return n_slots;
 }
 
-/// Collects the sorted positions of the surfels of a leaf slot.
+/// Finds the surfels of a leaf slot. Writes their positions in the sorted order.
 /// @return number of surfels
 uint collect_surfels(BvhBinary tree, uint slot, out uint positions[RELIDAR_BVH_LEAF_SIZE]) {
     uint stack[RELIDAR_BVH_LEAF_SIZE];

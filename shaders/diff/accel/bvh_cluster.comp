@@ -27,24 +27,24 @@ const uint KEPT = 16u, ROOM = 2u * KEPT, RADIUS = 8u;
 struct Cluster {
     Box box;
     uint root;   // node or leaf
-    uint spare;  // sorted position in this subtree that does not number a node yet
+    uint spare;  // A sorted position within this subtree that is not yet the number of a node.
 };
-// Clusters as a structure of arrays, so that lanes that read the same field of
-// neighbouring clusters use different memory banks.
+// Clusters as a structure of arrays. Lanes read the same field of neighbouring clusters,
+// so they use different memory banks.
 shared vec3 low_of[ROOM], high_of[ROOM];
 shared uint root_of[ROOM], spare_of[ROOM];
 shared uint nearest[ROOM];
-// Range to join: first, last of the left range, last position. w: the model if the range
-// covers it, or -1.
+// Two neighbouring ranges to join: first position, last position of the left range, last
+// position. w is the model if both ranges together cover it, otherwise -1.
 shared ivec4 task;
 
-/// Makes all writes of the subgroup to shared memory visible to the subgroup.
+/// Makes all writes of a subgroup to shared memory visible to all its lanes.
 void synchronise() {
     subgroupMemoryBarrierShared();
     subgroupBarrier();
 }
 
-/// Returns the length of the common prefix of the keys at a position and the next one, or
+/// Returns the number of leading bits in which the sorted keys i and i + 1 agree. Returns
 /// -1 at the ends of the model.
 int common_prefix(int i, int first, int last) {
     if (i < first || i >= last) return -1;
@@ -74,7 +74,8 @@ Cluster load_cluster(uint root) {
                    SharedUints(uvec2(params.tree.spares)).at[root]);
 }
 
-/// Appends the clusters of a range to the `n` clusters. Returns their new number.
+/// Loads the clusters of a range and appends them to the `n` clusters in shared memory.
+/// Returns the new number of clusters.
 uint load_clusters(int from, int to, uint n) {
     SharedUints roots = SharedUints(uvec2(params.clusters));
     uint n_range = min(uint(to - from) + 1u, KEPT);
@@ -88,8 +89,9 @@ uint load_clusters(int from, int to, uint n) {
     return n + n_range;
 }
 
-/// Returns the neighbour with which a cluster has the smallest joint box. Returns the
-/// first of several equal neighbours, so that at least one pair is mutual.
+/// Returns the neighbour of a cluster for which the joint bounding box is smallest. Of
+/// equal neighbours, returns the first one. Therefore at least one pair of clusters
+/// chooses each other.
 uint nearest_to(uint i, uint n) {
     Box own = box_of(i);
     float least = BOX_HUGE;
@@ -115,7 +117,7 @@ Cluster merged(Cluster a, Cluster b) {
     return Cluster(box, node, a.spare);
 }
 
-/// Merges each pair of mutual nearest neighbours once.
+/// Merges each pair of clusters that are nearest to each other.
 /// @return number of remaining clusters
 uint merge_mutual(uint n) {
     for (uint i = gl_SubgroupInvocationID; i < n; i += gl_SubgroupSize) nearest[i] = nearest_to(i, n);
@@ -130,7 +132,8 @@ uint merge_mutual(uint n) {
         if (kept && mutual) c = merged(c, cluster_of(j));
         synchronise();
         uvec2 lanes = subgroupBallot(kept).xy, before = lanes & gl_SubgroupLtMask.xy;
-        // The target index is at most i, and this cluster was read before.
+        // Writing here is safe, because the target index is at most i and all lanes have
+        // read their cluster before.
         if (kept) put_cluster(n_kept + uint(bitCount(before.x) + bitCount(before.y)), c);
         n_kept += uint(bitCount(lanes.x) + bitCount(lanes.y));
     }
@@ -139,7 +142,8 @@ uint merge_mutual(uint n) {
     return n_kept;
 }
 
-/// Joins the two ranges in `task`. All lanes of the subgroup take part.
+/// Joins the clusters of the two ranges in `task`. All lanes of the subgroup must call
+/// it.
 void join_ranges() {
     uint n = load_clusters(task.x, task.y, 0u);
     n = load_clusters(task.y + 1, task.z, n);
@@ -155,9 +159,10 @@ void join_ranges() {
     if (n < KEPT && gl_SubgroupInvocationID == 0u) roots.at[task.x + n] = RELIDAR_BVH_NO_NODE;
 }
 
-/// Announces a range at the split that it shares with its neighbour.
-/// @return true if the neighbour was announced before; the range then includes the
-/// neighbour
+/// Registers a range at the split between this range and its neighbour. The second of the
+/// two threads continues.
+/// @return true if the neighbour was registered before. The range then includes the
+/// neighbour.
 bool meet_neighbour(inout int from, inout int to, out int split, int first, int last) {
     bool leftward = common_prefix(from - 1, first, last) > common_prefix(to, first, last);
     split = leftward ? from - 1 : to;

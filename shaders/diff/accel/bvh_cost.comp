@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the surface-area cost of the trees of all models. The host uses the cost to
-// decide about a rebuild. Sums the half areas of all nodes, and the half areas of all
-// leaf slots times the cost of testing their surfels. One thread per wide node, one sum
-// per workgroup of 256. Input: wide. Output: partial sums. Memory traffic: at least 104 B
-// read per wide node.
+// Computes the cost of all trees with the surface area heuristic. The host rebuilds the
+// trees if the cost has grown. Sums the half areas of nodes, and the half areas of leaf
+// slots times the cost of testing their surfels. One thread per wide node, one sum per
+// workgroup. Input: wide. Output: partial sums.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boxes stored as six floats, and coherent access to values that workgroups of one launch
-// share.
+// Bounding boxes stored as six floats, and buffers for values that workgroups of one
+// launch exchange.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_FOREST_GLSL
 
@@ -19,9 +19,9 @@ Box load_box(Floats boxes, uint i) {
                vec3(boxes.at[6 * i + 3], boxes.at[6 * i + 4], boxes.at[6 * i + 5]));
 }
 
-// Values that one subgroup writes and another subgroup of the same launch reads after a
-// barrier or an atomic counter. On GPUs with separate caches for workgroups only a
-// coherent access sees such values. The plain pointers of shared/ are not coherent.
+// Buffers for values that another subgroup of the same launch reads after a barrier or an
+// atomic counter. GPUs with separate caches need coherent access for this. The plain
+// pointers of shared/ are not coherent.
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedFloats { float at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 layout(buffer_reference, scalar, buffer_reference_align = 8) coherent buffer SharedUvec2s { uvec2 at[]; };
@@ -40,11 +40,11 @@ void store_shared_box(Floats boxes, uint i, Box value) {
 }
 
 // Cost of a surfel test relative to the cost of visiting a node. A surfel test reads 64 B
-// and intersects a plane, a node visit reads 80 B and tests eight boxes.
+// and intersects a plane. A node visit reads 80 B and tests eight boxes.
 const float SURFEL_COST = 0.3;
 
-/// Returns half the surface area of a box. Clamps edges to 1e18 m, so that the result is
-/// always finite.
+/// Returns half the surface area of a box. Limits each edge to 1e18 m, so that the area
+/// is finite.
 float half_area(Box b) {
     vec3 e = clamp(b.high - b.low, vec3(0.0), vec3(1e18));
     return e.x * e.y + e.y * e.z + e.z * e.x;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Costs of a binary subtree as part of a wide node (Ylitie et al. 2017, Eq. 2-5), from
-// the areas of the boxes that a ray enters and tests.
+// Computes the cost of storing a binary subtree in wide nodes (Ylitie et al. 2017, Eq.
+// 2-5). The cost depends on the areas of the boxes that a ray tests.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MERGE_GLSL
 
@@ -9,15 +9,16 @@ struct Subtree {
     float area;
 };
 
-/// Loads the costs of a subtree in at most 1 ... 7 slots. A leaf has the same cost for
-/// any number of slots.
+/// Loads the cost of storing a subtree in at most 1 ... 7 slots of a wide node. The cost
+/// of a leaf does not depend on the number of slots.
 void load_costs(BvhBinary tree, Subtree s, out float costs[RELIDAR_BVH_WIDTH]) {
     for (uint k = 1u; k < RELIDAR_BVH_WIDTH; ++k)
         costs[k] =
             is_leaf(s.root) ? s.area * SURFEL_COST : SharedFloats(uvec2(tree.costs)).at[7u * s.root + k - 1u];
 }
 
-/// Computes the costs and the decision word of a node from the costs of its children.
+/// Computes the costs of a node and its best distribution of slots, from the costs of
+/// both children.
 void write_costs(BvhBinary tree, uint node, Subtree left, Subtree right, float area) {
     float in_left[RELIDAR_BVH_WIDTH], in_right[RELIDAR_BVH_WIDTH];
     load_costs(tree, left, in_left);

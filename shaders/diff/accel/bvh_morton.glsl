@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Morton codes: indices of cells along a space-filling curve. All axes use the same cell
-// size, so that the first splits cut the longest edge.
+// Computes Morton codes: indices of grid cells along a space-filling curve. All axes use
+// the same cell size, so that the first splits cut the longest edge of the bounds.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_MORTON_GLSL
 
-/// Inserts two zero bits before each bit of a 10-bit number.
+/// Inserts two zero bits before each bit of a 10-bit number, as a Morton code requires.
 uint spread(uint x) {
     x = (x | (x << 16)) & 0x030000ffu;
     x = (x | (x << 8)) & 0x0300f00fu;
@@ -13,8 +13,8 @@ uint spread(uint x) {
 }
 uint interleave(uvec3 cell) { return spread(cell.x) << 2 | spread(cell.y) << 1 | spread(cell.z); }
 
-/// Returns the cell of a point within bounds, with `bits` bits per axis. A NaN coordinate
-/// gives cell 0.
+/// Returns the grid cell of a point within the bounds. The grid has 2^bits cells per
+/// axis. Returns cell 0 for a NaN coordinate.
 uvec3 morton_cell(vec3 point, vec3 low, vec3 high, uint bits) {
     vec3 edges = high - low;
     float longest = max(max(edges.x, edges.y), edges.z), n_cells = float(1u << bits);

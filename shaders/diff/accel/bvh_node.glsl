@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Quantised boxes of a wide node, rounded outward. The traversal decodes origin + q 2^(e
-// - 127) in float arithmetic. The decoded box always contains the real box.
+// Quantises the child boxes of a wide node to 8 bits per side, rounded outward. The
+// traversal computes origin + q 2^(e - 127) in floats. The decoded box always contains
+// the exact box.
 #ifndef RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 #define RELIDAR_INCLUDED_DIFF_ACCEL_BVH_NODE_GLSL
 
@@ -10,8 +11,8 @@ float decoded(float origin, uint q, float scale) {
     return x;
 }
 
-/// Returns the smallest exponent with which 255 steps reach from low to high. Scales are
-/// normal floats: 2^-126 ... 2^126.
+/// Returns the smallest exponent e for which 255 steps of 2^(e - 127) reach from low to
+/// high. The steps are normal floats between 2^-126 and 2^126.
 uint exponent_for(float low, float high) {
     uint bits = floatBitsToUint((high - low) / 255.0);
     uint e = clamp((bits >> 23) + ((bits & 0x7fffffu) != 0u ? 1u : 0u), 1u, 253u);
@@ -19,8 +20,8 @@ uint exponent_for(float low, float high) {
     return e;
 }
 
-/// Quantises the low and the high side of a child along one axis. Returns them in bits
-/// 0-7 and 8-15.
+/// Quantises the lower and the upper bound of a child box along one axis. Returns the
+/// lower bound in bits 0-7 and the upper bound in bits 8-15.
 uint quantised(float origin, uint e, float low, float high) {
     float scale = uintBitsToFloat(e << 23), steps = uintBitsToFloat((254u - e) << 23);
     uint q_low = uint(clamp(floor((low - origin) * steps), 0.0, 255.0));
@@ -30,14 +31,14 @@ uint quantised(float origin, uint e, float low, float high) {
     return q_low | q_high << 8;
 }
 
-/// Grid to which the boxes of a node's children are quantised.
+/// Grid to which a node quantises the boxes of its children.
 struct NodeGrid {
     vec3 origin;
     uvec3 exponents;
 };
 
 /// Returns the quantisation grid of a node.
-/// @param bounds  box of the node
+/// @param bounds  bounding box of the node
 NodeGrid grid_of(Box bounds) {
     Box frame = is_empty(bounds) ? Box(vec3(0.0), vec3(0.0)) : bounds;
     return NodeGrid(frame.low,
@@ -45,8 +46,8 @@ NodeGrid grid_of(Box bounds) {
                           exponent_for(frame.low.z, frame.high.z)));
 }
 
-/// Quantises the box of a child along each axis, in the format of quantised(). Returns an
-/// inverted box if the child is empty.
+/// Quantises the box of a child along all three axes, in the format of quantised().
+/// Returns an inverted box (lower bound above upper bound) if the child is empty.
 uvec3 steps_of(NodeGrid grid, Box child) {
     if (is_empty(child)) return uvec3(255u);
     return uvec3(quantised(grid.origin.x, grid.exponents.x, child.low.x, child.high.x),
@@ -60,7 +61,8 @@ void store_grid(BvhNodes nodes, uint node, NodeGrid grid, uint inner_mask) {
         grid.exponents.x | grid.exponents.y << 8 | grid.exponents.z << 16 | inner_mask << 24;
 }
 
-/// Stores the low and the high sides of four children, one byte each.
+/// Writes the lower and upper bounds of four child boxes to a node. Each bound is one
+/// byte.
 void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
     nodes.at[node].low_x[word] = low.x;
     nodes.at[node].low_y[word] = low.y;
@@ -70,8 +72,9 @@ void store_word(BvhNodes nodes, uint node, uint word, uvec3 low, uvec3 high) {
     nodes.at[node].high_z[word] = high.z;
 }
 
-/// Writes the origin, the exponents, the inner mask and the child boxes of a node.
-/// @return box of the node
+/// Writes the quantisation grid, the mask of inner children and the child boxes of a
+/// node.
+/// @return bounding box of the node
 Box write_boxes(BvhNodes nodes, uint node, uint inner_mask, Box children[RELIDAR_BVH_WIDTH]) {
     Box bounds = empty_box();
     for (uint s = 0u; s < RELIDAR_BVH_WIDTH; ++s) bounds = joined(bounds, children[s]);

@@ -28,8 +28,8 @@ const uint OF_LANE = RELIDAR_BVH_WIDTH / OF_NODE;                            // 
 uint lane() { return gl_SubgroupInvocationID % OF_NODE; }
 uint slot_of(uint k) { return k * OF_NODE + lane(); }
 
-/// Reductions over the lanes that process one node. All lanes of the subgroup must call
-/// these functions, because they shuffle.
+/// Returns the union of the boxes of all lanes that process one node. All lanes of the
+/// subgroup must call it, because it uses shuffles.
 Box joined_over_node(Box b) {
     for (uint step = 1u; step < OF_NODE; step *= 2u)
         b = joined(b, Box(subgroupShuffleXor(b.low, step), subgroupShuffleXor(b.high, step)));
@@ -53,8 +53,8 @@ Box child_box(uint node, uint slot, uint first_surfel, uint inner_mask) {
     return b;
 }
 
-/// Computes the boxes of one node per group of lanes. Groups without a node only take
-/// part in the shuffles.
+/// Computes the boxes of one node per group of eight lanes. Groups without a node must
+/// call it too, because it uses shuffles.
 void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     Box children[2], bounds = empty_box();
     for (uint k = 0u; k < OF_LANE; ++k) {
@@ -76,10 +76,10 @@ void refit_node(bool has_node, uint node, uint first_surfel, uint inner_mask) {
     store_shared_box(params.wide.boxes, node, bounds);
 }
 
-/// Counts the arrival of a child at its parent node. Makes all earlier writes visible
-/// first.
-/// @param expected  number of children that arrive at the node
-/// @return true for the last child; all writes of the other children are then visible
+/// Increments the counter of finished children at a parent node. Makes all earlier writes
+/// visible first.
+/// @param expected  number of children of the parent
+/// @return true for the last child. It then sees all writes of the other children.
 bool arrives_last(bool arrives, uint node, uint expected) {
     bool last = false;
     memoryBarrierBuffer();
@@ -89,12 +89,12 @@ bool arrives_last(bool arrives, uint node, uint expected) {
     return from_first_lane(last);
 }
 
-/// Refits a node without inner children, and then each ancestor whose children are all
-/// refitted.
+/// Computes the boxes of a node without inner children, then of each ancestor whose
+/// children are all finished.
 void refit_upwards(bool has_node, uint node) {
     uint inner_mask = has_node ? params.wide.nodes.at[node].exponents >> 24 : 1u;
     uvec2 link = has_node ? params.wide.links.at[node] : uvec2(RELIDAR_BVH_NO_NODE);
-    // Nodes of models outside the requested range are not changed.
+    // Skips nodes of models outside the requested range of surfels.
     has_node = inner_mask == 0u && link.y >= params.first_surfel && link.y <= params.last_surfel;
     while (subgroupAny(has_node)) {
         refit_node(has_node, node, link.y, inner_mask);

@@ -20,15 +20,15 @@ const uint ABSENT = 0xffffffffu;
 shared vec3 group_low[64], group_high[64];
 shared uint group_present;
 
-/// Makes all writes of the workgroup visible to the workgroup.
+/// Makes all writes to buffers visible to all threads of the workgroup.
 void synchronise() {
     memoryBarrierBuffer();
     barrier();
 }
 
-/// Returns the world box that contains a model's box at every time of the instance's
-/// span. The box is enlarged by the rounding error of the transform. A rotation by an
-/// angle moves a point by less than the angle times its distance from the model's origin.
+/// Returns a world box that contains a model during the complete time span of an
+/// instance. The box includes the rounding error of the transform. A rotation by an angle
+/// moves a point by less than the angle times its distance from the model's origin.
 Box world_box(InstanceEntry m, Box model) {
     vec3 x = cross(m.row1.xyz, m.row2.xyz), y = cross(m.row2.xyz, m.row0.xyz),
          z = cross(m.row0.xyz, m.row1.xyz);
@@ -45,8 +45,8 @@ Box world_box(InstanceEntry m, Box model) {
     return Box(centre - grown, centre + grown);
 }
 
-/// Computes the world boxes and the roots. Initialises the keys to 0, or to ABSENT for
-/// absent instances.
+/// Computes the world boxes and the roots of all instances. Sets the sort keys to 0, or
+/// to ABSENT for absent instances.
 /// @return bounds of the box centres of this thread
 Box place_instances() {
     Box centres = empty_box();
@@ -95,7 +95,7 @@ void write_codes(Box bounds) {
 
 bool follows(uvec2 a, uvec2 b) { return a.x != b.x ? a.x > b.x : a.y > b.y; }
 
-/// Sorts the keys by code, then by instance, with a bitonic sort.
+/// Sorts the keys by Morton code and then by instance, with a bitonic sort.
 void sort_keys() {
     SharedUvec2s keys = SharedUvec2s(uvec2(params.keys));
     for (uint size = 2u; size <= params.n_padded; size *= 2u)
@@ -111,8 +111,8 @@ void sort_keys() {
         }
 }
 
-/// Writes a node of one level. Its children are nodes of the level below, or instances on
-/// the lowest level.
+/// Writes a node of the tree over the instances. Its children are nodes of the level
+/// below. Children of the lowest level are instances.
 /// @param n  number of elements of the level below
 void write_node(uint node, uint first, uint n, uint first_below, bool lowest) {
     Box children[RELIDAR_BVH_WIDTH];
@@ -146,7 +146,9 @@ void main() {
     write_codes(bounds);
     synchronise();
     sort_keys();
-    uint n_nodes = 0u;  // Number of nodes of all levels. The root is stored first, the lowest level last.
+    // Number of nodes of all levels. The root is stored first, and the lowest level is
+    // stored last.
+    uint n_nodes = 0u;
     for (uint n = group_present;; n = (n + 7u) / 8u) {
         n_nodes += max((n + 7u) / 8u, 1u);
         if (n <= 8u) break;

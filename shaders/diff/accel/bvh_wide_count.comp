@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, second of five kernels. Computes prefix sums of the inner children and leaf
-// entries of the future wide nodes, within tiles of 4096 binary nodes. Workgroups of 256
-// threads. Input: demands. Output: offsets within the tile, sums of the tiles. Memory
-// traffic: at least 4 B read and 8 B written per binary node.
+// Second of five kernels that convert binary trees to wide trees. Within tiles of 4096
+// binary nodes, computes prefix sums of the inner children and leaf entries of the wide
+// nodes. Workgroups of 256 threads. Input: demands. Output: offsets within the tile, sums
+// of the tiles.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -15,7 +15,7 @@ uvec2 sums_of(uint demand) { return uvec2(demand & 255u, demand >> 8); }
 void main() {
     uint tile = workgroup_index();
     if (tile >= params.n_tiles) return;
-    // Each thread processes consecutive nodes, which fill two cache lines.
+    // Number of consecutive nodes that a thread processes. They fill two cache lines.
     const uint RUN = RELIDAR_BVH_TILE / RELIDAR_BVH_WORKGROUP;
     uint first = tile * RELIDAR_BVH_TILE + scan_thread() * RUN, end = min(first + RUN, params.n_surfels);
     uvec2 sums = uvec2(0u), total;

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, last of five kernels. Writes the topology of each wide node and its leaf
-// entries. Kernel accel/bvh_refit writes the boxes afterwards. One thread per queue
-// entry. Input: tree, queue, slots, offsets, tiles, places, surfels, models. Output:
-// wide.nodes, wide.order, wide.links. Memory traffic: at least 8 B read and 4 B written
-// per surfel, 48 B read and 28 B written per wide node.
+// Last of five kernels that convert binary trees to wide trees. Writes the children and
+// the leaf entries of each wide node. Kernel accel/bvh_refit then computes the boxes. One
+// thread per queue entry. Input: tree, queue, slots, offsets, tiles, places, surfels,
+// models. Output: wide.nodes, wide.order, wide.links.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -21,7 +20,8 @@ void main() {
     uint place = entry < params.n_models ? entry : params.places.at[node];
     node &= ~RELIDAR_BVH_LEAF;
     uvec2 start = params.offsets.at[node] + params.tiles.at[node / RELIDAR_BVH_TILE];
-    // The number of a binary node is also a sorted position in its model.
+    // The index of a binary node is also the index of a sorted surfel of its model, so it
+    // identifies the model.
     uint model = find_model(params.models, params.n_models, node);
     uint first_surfel = params.models.at[model].first_surfel;
     uint first_child = params.n_models + start.x;

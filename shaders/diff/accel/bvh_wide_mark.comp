@@ -19,8 +19,8 @@ RELIDAR_CONSTANT(uint, UNTIL_DONE, 0u);
 RELIDAR_PARAMS(BvhWideParams);
 layout(buffer_reference, scalar, buffer_reference_align = 4) coherent buffer SharedUints { uint at[]; };
 
-/// Replaces a wide child by its own children if they fit into the slots.
-/// @return false if no child fits
+/// Replaces a wide child by its children if the slots of the parent have enough space.
+/// @return false if no child could be replaced
 bool open_child(inout uint slots[RELIDAR_BVH_WIDTH], inout uint n_slots) {
     for (uint s = 0u; s < n_slots; ++s) {
         if (!is_inner_slot(params.tree, slots[s])) continue;
@@ -58,7 +58,7 @@ void mark(uint entry) {
             SharedUints(uvec2(params.queue)).at[at++] = slots[s];
 }
 
-/// Processes this level and all levels below with one workgroup.
+/// Processes this level and all levels below it with one workgroup.
 void mark_rest(uint begin) {
     for (uint end = level_end; begin < end;) {
         for (uint entry = begin + gl_LocalInvocationIndex; entry < end; entry += gl_WorkGroupSize.x)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, fourth of five kernels. Assigns consecutive positions after the roots to the
-// wide children of each wide node. Follows the order of the binary nodes, so that builds
-// are repeatable. One thread per queue entry. Input: queue, slots, offsets, tiles.
-// Output: places. Memory traffic: at least 44 B read and 4 B written per wide node.
+// Fourth of five kernels that convert binary trees to wide trees. Assigns consecutive
+// indices after the roots to the wide children of each wide node. Uses the order of the
+// binary nodes, so that the result is the same in every run. One thread per queue entry.
+// Input: queue, slots, offsets, tiles. Output: places.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

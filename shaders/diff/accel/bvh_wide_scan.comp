@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collapse, third of five kernels. Computes the prefix sums over the tiles and the number
-// of wide nodes. One workgroup of 256 threads. In place: tiles. Output: wide.count.
-// Memory traffic is negligible.
+// Third of five kernels that convert binary trees to wide trees. Computes prefix sums
+// over the tiles and the number of wide nodes. One workgroup of 256 threads. In place:
+// tiles. Output: wide.count.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

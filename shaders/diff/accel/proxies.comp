@@ -17,14 +17,17 @@
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 RELIDAR_PARAMS(ProxyParams);
 
-const float kPhi = 1.618033988749895;  // corners of an icosahedron: even permutations of (0, +-1, +-phi)
-// scale that makes the inscribed sphere's radius 1: sqrt(3) / phi^2
+// Golden ratio phi. The corners of an icosahedron are the even permutations of (0, +-1,
+// +-phi).
+const float kPhi = 1.618033988749895;
+// Scale of the icosahedron for which its inscribed sphere has radius 1: sqrt(3) / phi^2.
 const float kCircumscribed = 0.66158453824961;
-// radius of the outer sphere after that: sqrt(1 + phi^2) kCircumscribed
+// Radius of the circumscribed sphere of the scaled icosahedron: sqrt(1 + phi^2)
+// kCircumscribed.
 const float kOuterRadius = 1.25840857236482;
 
-/// Returns the half axis of the proxy along a record axis a / s: direction a, length k s
-/// plus the margin.
+/// Returns a half axis of the proxy geometry from a record axis a / s. It has direction a
+/// and length k s plus the margin.
 vec3 half_axis(vec3 axis, float k) {
     float inverse_scale = length(axis);
     float half_size = k / inverse_scale * params.margin_scale + params.margin_m;
@@ -32,8 +35,8 @@ vec3 half_axis(vec3 axis, float k) {
     return any(isnan(half_vector)) || any(isinf(half_vector)) ? vec3(0.0) : half_vector;
 }
 
-/// Writes the twelve corners in the order that the faces in src/diff/accel/hardware.cpp
-/// use.
+/// Writes the twelve corners of an icosahedron. The faces in src/diff/accel/hardware.cpp
+/// use the same order.
 void write_icosahedron(uint i, vec3 mean, vec3 u, vec3 v, vec3 w) {
     for (uint k = 0u; k < 12u; ++k) {
         float one = (k & 1u) != 0u ? -1.0 : 1.0, phi = (k & 2u) != 0u ? -kPhi : kPhi;
@@ -58,8 +61,8 @@ void main() {
         if (has_third_scale()) w = half_axis(s.normal, k);
     }
     if (BOXES != 0u) {
-        // The tightest box of the ellipse or ellipsoid, not of the rectangle. Its half
-        // size along x is |(u.x, v.x, w.x)|.
+        // Half size of the tightest box around the ellipse or ellipsoid. Along x it is
+        // |(u.x, v.x, w.x)|.
         vec3 half_size = sqrt(u * u + v * v + w * w) + (visible ? params.margin_m : 0.0);
         if (BOXES == 2u) half_size += 2.4e-7 * abs(s.mean);
         bool empty = BOXES == 2u && !visible;

@@ -12,36 +12,37 @@
 RELIDAR_CONSTANT(uint, COALESCED_ATOMICS, 0u);
 
 const uint kNoRow = 0xffffffffu;
-// Odd, so that lanes that access the same float of consecutive rows use different banks.
+// Number of floats between two rows in shared memory. It is odd, so that lanes that
+// access the same column of different rows use different memory banks.
 const uint kRowPitch = 17u;
 shared float shared_rows[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x * kRowPitch : 1u];
 shared uint shared_targets[COALESCED_ATOMICS != 0u ? gl_WorkGroupSize.x : 1u];
 
 /// Returns true if all lanes of a subgroup must call add_row() together. The result is
-/// the same for the full workgroup. It is false if the driver has created partial
-/// subgroups, because the floats of the missing lanes would not be added.
+/// the same for the full workgroup. Returns false for partial subgroups, because the
+/// missing lanes would not add their floats.
 bool rows_are_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
 uint own_shared_row() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
-/// Adds to array[16 row + k], either immediately or with the next add_row() of the same
-/// row.
+/// Adds to array[16 row + k]. The addition happens immediately or in the next add_row()
+/// of the same row.
 void add_float(Floats array, uint row, uint k, float amount) {
     if (rows_are_exchanged()) shared_rows[own_shared_row() * kRowPitch + k] = amount;
     else atomic_add(array, 16u * row + k, amount);
 }
 
-/// Adds the rows of the subgroup's lanes if rows are exchanged. In this case all lanes
-/// must call it together.
-/// @param row  kNoRow: this lane has no row
-/// @param wanted  bit k: float k has been set; the same for all lanes
+/// Adds the rows of the subgroup's lanes to the array if lanes exchange rows. All lanes
+/// must then call it together.
+/// @param row  row of this lane, or kNoRow if it has none
+/// @param wanted  bit mask: bit k is set if float k has been set. The same for all lanes.
 void add_row(Floats array, uint row, uint wanted) {
     if (!rows_are_exchanged()) return;
     shared_targets[own_shared_row()] = row;
     subgroupBarrier();
-    // n lanes share n rows; lane k % n adds float k
+    // Groups of n lanes add n rows. Lane k % n adds float k of each row.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
     uint first = own_shared_row() - lane;
     for (uint from = first; from < first + n; ++from) {

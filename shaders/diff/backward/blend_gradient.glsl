@@ -13,7 +13,7 @@ float chunk_shade[SLOTS];
 struct BlendState {
     float shift;
     float transmittance;
-    float remaining;  // share of the loss that is not blended yet, including the background
+    float remaining;  // Part of the loss from the hits that are not blended yet and from the background.
     float lost;       // rounding error of `remaining`
 };
 
@@ -27,7 +27,8 @@ bool has_gradient(RayGradient g) {
     return any_gradient;
 }
 
-/// Returns g . c of a hit, the derivative of the loss with respect to the hit's weight.
+/// Returns the derivative of the loss with respect to the blending weight of a hit (g .
+/// c).
 float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
     vec3 channels = hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
     float shade = 0.0;
@@ -38,8 +39,8 @@ float shade_of(TraceScene scene, Ray ray, RayGradient g, Hit hit) {
     return shade;
 }
 
-/// Blends the first n hits of the buffer front to back, and subtracts their share of the
-/// loss from the remaining share.
+/// Blends the first n hits of the buffer from near to far. Subtracts their contribution
+/// from the remaining loss.
 void blend_chunk(TraceScene scene, Ray ray, RayGradient g, uint n, inout BlendState state) {
     for (uint i = 0u; i < n; ++i) {
         Hit hit = hit_at(i);

@@ -15,13 +15,15 @@
 RELIDAR_PARAMS(GatherParams);
 #include "gather.glsl"
 
-/// Adds the gradient of a hit to the sums.
+/// Adds the gradient of a hit to the local sums.
 /// @return the instance of the hit
 uint sum_hit(TraceScene scene, uint i, uint row) {
     HitRecord h = params.hits.at[params.slots.at[i]];
     InstanceEntry m = scene.instances.at[h.instance];
     DeviceRay entry = scene.rays.at[scene.first_ray + h.ray * scene.ray_stride];
-    entered_instance = kNoInstance;  // the cached ray is a different one
+    // Forces enter_instance() to transform this ray, because the cached ray is a
+    // different one.
+    entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
     if (LIKELIHOOD != 0u) take_measured(scene, h.ray);
     HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
@@ -33,10 +35,10 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     return h.instance;
 }
 
-/// Adds the block's sum of a row, or stores it as a part. Kernel backward/gather_heads
-/// then adds the full row in one step. The rows of two placements of a model add to the
-/// same coefficients. Two sums added to 0 give the same bits in either order, but four
-/// sums do not.
+/// Adds a block's sum of a row to the result, or stores it if the row continues in
+/// another block. Kernel backward/gather_heads adds the stored sums in one step. This
+/// matters because two instances of a model add to the same coefficients: the result is
+/// repeatable for two additions, but not for four.
 void finish_row(uint block, uint row, uint instance, bool begins_here, bool goes_on) {
     if (begins_here && !goes_on) {
         add_to_row(row, instance);

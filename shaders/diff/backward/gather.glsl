@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Shared functions of backward/gather and backward/gather_heads: blocks of hits sorted by
-// row, and sums of 16 lanes and, if SH are evaluated per hit, of 48 coefficients.
+// Functions of the kernels gather and gather_heads, which add the gradients of hits by
+// surfel. Each sum has 16 floats, and 48 SH coefficients if SH are evaluated per hit.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_GATHER_GLSL
 float sums[16];
@@ -20,8 +20,8 @@ void clear_sums() {
         for (uint k = 0u; k < RELIDAR_SH_FLOATS; ++k) sh_sums[k] = 0.0;
 }
 
-/// Adds the sums to a row. Only one thread of a launch adds to a row, but two threads add
-/// to the coefficients of a model that is placed twice.
+/// Adds the local sums to a row. Only one thread of a launch adds to a row. Two threads
+/// may add to the SH coefficients of a model with two instances.
 void add_to_row(uint row, uint instance) {
     for (uint k = 0u; k < 16u; ++k) params.d_records.at[16u * row + k] += sums[k];
     if (SH_PER_SURFEL != 0u) return;

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds each row that begins in a block and continues after it: the partial sums of this
-// block and of later blocks, in order. One thread per block. Input: scene, hits, rows,
-// slots, n_hits, parts. Accumulated: d_records, d_sh.
+// Adds up the gradient rows that are split over several blocks. Processes each row that
+// begins in a block and continues in later blocks, in the order of the blocks. One thread
+// per block. Input: scene, hits, rows, slots, n_hits, parts. Accumulated: d_records,
+// d_sh.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable

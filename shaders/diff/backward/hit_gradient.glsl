@@ -1,24 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradient of one blended hit (M8): of its record, its channels and the ray in the
-// model's frame. Used by the kernel that adds gradients with atomics and by the kernel
-// that adds them in order.
+// Computes the gradient of one blended hit with respect to its record, its channels and
+// the ray in the model frame. Both backward kernels use it: the one with atomics and the
+// one with a fixed order of addition.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_HIT_GRADIENT_GLSL
 
 #include "../traversal/likelihood.glsl"
 
-/// Contribution of a hit to the record gradient of its surfel, lane by lane, and to the
-/// gradient of its ray in the model's frame.
+/// Gradient of one hit with respect to the 16 floats of its surfel's record and to its
+/// ray in the model frame.
 struct HitGradient {
     float lanes[16];
-    // if SH are evaluated per hit: the gradient of a coefficient is d_channel times
-    // ray_basis
+    // Gradient of the channels. If SH are evaluated per hit, the gradient of a
+    // coefficient is d_channel times ray_basis.
     vec3 d_channel;
     vec3 d_origin;
     vec3 d_direction;
 };
 
-/// Returns dL/d(direction) through the SH basis, in the model frame.
+/// Returns the gradient with respect to the ray direction through the SH basis, in the
+/// model frame.
 vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d_channel) {
     float d_basis[16];
     for (uint k = 0u; k < 16u; ++k) d_basis[k] = 0.0;
@@ -30,8 +31,8 @@ vec3 sh_direction_gradient(TraceScene scene, vec3 direction, uint surfel, vec3 d
 }
 
 /// Computes the gradient of a hit.
-/// @param w  blending weight
-/// @param d_alpha  dL/d(sigma G), 0 if alpha was clamped
+/// @param w  blending weight of the hit
+/// @param d_alpha  dL/d(sigma G). Must be 0 if alpha was clamped.
 HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance, uint surfel, float w,
                          float d_alpha) {
     SurfelRecord record = scene.records.at[surfel];
@@ -47,8 +48,8 @@ HitGradient hit_gradient(TraceScene scene, Ray ray, RayGradient g, uint instance
 #undef RELIDAR_SEND
     if (SINGLE_DROP_LOGIT != 0u) d_channel.y = 0.0;
     SurfelHitGradient d = intersect_vjp(record, origin, direction, hit, d_t, d_alpha);
-    // Lanes 7, 11, 15: the gradient of the channels, or the rotation of the SH direction
-    // (scene/activate_vjp, backward/pose_blocks).
+    // Floats 7, 11 and 15 of a row hold the gradient of the channels. If SH are evaluated
+    // per hit, they hold the rotation gradient of the SH direction instead.
     vec3 others = d_channel;
     if (SH_PER_SURFEL == 0u) {
         use_basis(scene, ray, instance);

@@ -13,16 +13,17 @@ RELIDAR_PARAMS(PoseBlocksParams);
 
 vec3 load3(Floats a, uint i) { return vec3(a.at[i], a.at[i + 1], a.at[i + 2]); }
 
-/// Returns the gradient of the SH directions' rotation, which is opposite to the model's
-/// rotation. Lanes 7, 11, 15 hold it if SH are evaluated per hit.
+/// Returns the gradient of the rotation of the SH directions. It is opposite to the
+/// rotation of the model. Floats 7, 11 and 15 of a row hold it if SH are evaluated per
+/// hit.
 vec3 turn(uint row) {
     return vec3(params.d_records.at[row + 7], params.d_records.at[row + 11], params.d_records.at[row + 15]);
 }
 
 bool is_zero(vec3 v) { return v == vec3(0.0); }
 
-/// Adds the gradient of one surfel. Most surfels have no gradient, and their records are
-/// not loaded.
+/// Adds the gradient of one surfel to the sum. Skips surfels without a gradient, so that
+/// their records are not loaded.
 void add_surfel(PoseBlock block, uint k, inout PoseSum sum) {
     uint surfel = block.first_surfel + k, row = 16u * (block.first_row + k);
     vec3 d_mean = load3(params.d_records, row), d_axis_u = load3(params.d_records, row + 4u);

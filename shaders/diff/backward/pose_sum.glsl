@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums forces and torques over a workgroup in a fixed order. Include this file after
-// kernel.glsl.
+// Adds forces and torques over a workgroup in a fixed order, so that the result is the
+// same in every run. Include this file after kernel.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_BACKWARD_POSE_SUM_GLSL
 #define RELIDAR_INCLUDED_DIFF_BACKWARD_POSE_SUM_GLSL
 
@@ -11,8 +11,8 @@ struct PoseSum {
 };
 shared PoseSum pose_partial[gl_WorkGroupSize.x];  // the size is a power of two
 
-/// Returns the sum over all threads to the first thread. Every thread of the workgroup
-/// must call it.
+/// Returns the sum over all threads of the workgroup. Only the first thread receives it.
+/// Every thread of the workgroup must call it.
 PoseSum add_over_workgroup(PoseSum sum) {
     uint lane = gl_LocalInvocationIndex;
     pose_partial[lane] = sum;

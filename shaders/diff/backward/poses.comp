@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradients of instance poses, second half. Sums the blocks of an instance, adds the
-// motion of the view origin relative to the model, and rotates the result into the world
-// frame. One workgroup per instance, with a fixed order of summation.
-//   world_from_model becomes (exp([rotation]x) R, T + translation)
+// Second of two kernels that compute gradients of instance poses. Sums the blocks of an
+// instance, adds the motion of the view origin relative to the model, and rotates the
+// result into the world frame. One workgroup per instance, with a fixed order of
+// summation.
+//    world_from_model becomes (exp([rotation]x) R, T + translation)
 // Input: instances, sums, first_block. Output: d_poses.
 #version 460
 #extension GL_GOOGLE_include_directive : require

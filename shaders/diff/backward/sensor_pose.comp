@@ -1,8 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Gradient of the sensor's pose. Moving all rays rigidly about the sensor's position is
-// the same as moving the rest of the scene in the opposite way. So the gradient is minus
-// the sum of the gradients of all instances, with torques about the sensor. One thread.
-// Input: instances, d_poses. Output: d_sensor.
+// Computes the gradient of the sensor's pose. Moving the sensor is the same as moving all
+// instances in the opposite way. So the gradient is minus the sum over all instances,
+// with torques about the sensor. One thread. Input: instances, d_poses. Output: d_sensor.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

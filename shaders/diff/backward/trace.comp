@@ -26,8 +26,9 @@ RELIDAR_CONSTANT(uint, GATHER, 0u);
 vec3 d_ray_origin;  // gradient of the ray's origin, world frame
 vec3 d_ray_direction;
 
-/// Adds the gradient of a hit to the gradient of its surfel.
-/// @param row  kNoRow if rows are exchanged and this lane has no surfel
+/// Adds the gradient of a hit to the gradient of its surfel's record.
+/// @param row  row of the surfel. kNoRow if this lane has no surfel but must take part in
+/// the exchange of rows.
 void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     bool others = SH_PER_SURFEL != 0u || params.with_turn != 0u;  // lanes 7, 11, 15
     for (uint k = 0u; k < 16u; ++k)
@@ -42,22 +43,22 @@ void add_gradient(TraceScene scene, uint row, uint surfel, HitGradient d) {
     }
 }
 
-/// A hit with its values during blending.
+/// A hit with the values that blending computes for it.
 struct BlendedHit {
     uint slot;  // slot of its record
     uint instance;
     uint surfel;
-    float alpha;          // sigma G, the opacity at the hit
+    float alpha;          // Opacity at the hit, sigma G, before it is clamped.
     float transmittance;  // transmittance before the hit
     float w;              // alpha times transmittance
-    float shade;          // g . c minus the shift
-    float behind;         // sum of w shade over the hits behind this one, including the background
+    float shade;          // Derivative of the loss with respect to the blending weight, minus the shift.
+    float behind;  // Sum of weight times shade over the hits behind this hit, including the background.
 };
 
-/// Computes the gradient of one hit and adds the gradient of the ray. Writes a record of
-/// the hit, or adds with atomics. If rows are exchanged, the caller adds with
-/// add_gradient().
-/// @param d  output, for add_gradient()
+/// Computes the gradient of one hit and adds it to the gradient of the ray. Writes a
+/// record of the hit, or adds the gradient of the surfel with atomics. If lanes exchange
+/// rows, the caller must add it with add_gradient().
+/// @param d  output: gradient for add_gradient()
 /// @return row for add_gradient(), or kNoRow
 uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     uint first_surfel = scene.instances.at[b.instance].first_surfel;
@@ -78,7 +79,7 @@ uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedH
     return recorded ? kNoRow : row;
 }
 
-/// Fills the hit buffer with hits that the forward pass has stored.
+/// Loads hits that the forward pass has stored into the hit buffer.
 void load_kept_hits(uint first, uint n) {
     uint list = thread_index();
     reset_hits(0.0);
@@ -87,10 +88,11 @@ void load_kept_hits(uint first, uint n) {
         append_hit(params.kept.at[list_entry(params.n_kept, list, first + i)]);
 }
 
-/// Adds the gradients of the first n hits of the buffer, last hit first. If rows are
-/// exchanged, all lanes of a subgroup must call it.
+/// Adds the gradients of the first n hits of the buffer, from far to near. If lanes
+/// exchange rows, all lanes of a subgroup must call it.
 /// @param slot  slot of the first hit's record
-/// @param behind  sum of w shade over the hits behind these, including the background
+/// @param behind  sum of weight times shade over the hits behind these hits, including
+/// the background
 void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint slot, uint n, float behind) {
     for (uint k = rows_are_exchanged() ? subgroupMax(n) : n; k > 0u; --k) {
         uint i = k - 1u, row = kNoRow, surfel = 0u;
@@ -133,10 +135,10 @@ void start_shift(TraceScene scene, Ray ray, RenderedRay final, RayGradient g, in
 }
 
 /// Computes the gradients of a ray.
-/// @param going  true if this lane has a ray with a gradient; if rows are exchanged, the
-/// other lanes of its subgroup call it too
-/// @return number of blended hits: final.n_hits, or fewer if the search does not find
-/// them again
+/// @param going  true if this lane has a ray with a gradient. If lanes exchange rows, the
+/// other lanes of the subgroup must call it too.
+/// @return number of blended hits. Smaller than final.n_hits if the search did not find
+/// all hits again.
 uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayGradient g, bool going) {
     BlendState state = start_blending(final, g);
     uint blended = 0u, start = GATHER != 0u ? params.first_hit.at[ray_index] : 0u;
@@ -147,8 +149,8 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
         uint n = 0u, slot = start + blended;
         float behind = 0.0;
         if (going) {
-            // Only full chunks are loaded, so that sums do not depend on the number of
-            // stored hits.
+            // Loads stored hits only in full chunks, so that the sums do not depend on
+            // how many hits were stored.
             bool kept = min(blended + CHUNK, final.n_hits) <= params.n_kept;
             if (kept) load_kept_hits(blended, final.n_hits - blended);
             else next_hits(scene, ray, after, least_of_rest(scene, state.transmittance));
@@ -166,7 +168,7 @@ uint backward(TraceScene scene, Ray ray, uint ray_index, RenderedRay final, RayG
     return blended;
 }
 
-/// Marks the slots of a ray from `first` on as empty.
+/// Marks the record slots of a ray from `first` on as empty.
 void empty_slots(uint ray_index, uint first, uint n) {
     uint start = params.first_hit.at[ray_index];
     for (uint k = start + first; k < min(start + n, params.capacity); ++k)
@@ -178,7 +180,9 @@ void main() {
     bool inside = i < params.scene.n_rays;
     if (!inside) {
         if (!rows_are_exchanged()) return;
-        i = 0u;  // any valid ray; this lane has none, but must take part in the exchange of rows
+        // Uses any valid ray, because this lane has no ray but must take part in the
+        // exchange of rows.
+        i = 0u;
     }
     DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
     d_ray_origin = vec3(0.0);

@@ -11,7 +11,7 @@
 #include "../shared/densify.h"
 RELIDAR_PARAMS(AllotParams);
 
-/// Divides high * 2^32 + low by d and rounds down, one binary digit at a time. The result
+/// Returns (high * 2^32 + low) / d, rounded down, by binary long division. The result
 /// fits into 32 bits because high is below d.
 uint divided(uint high, uint low, uint d) {
     uint quotient = 0u, rest = high;
@@ -25,7 +25,7 @@ uint divided(uint high, uint low, uint d) {
     return quotient;
 }
 
-/// Returns (weight * n_new + phase) / total_weight. The product has 64 bits.
+/// Returns (weight * n_new + phase) / total_weight. Uses a 64-bit product.
 uint allotted_before(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;

@@ -16,8 +16,8 @@ void count(uint model, uint counter, uint amount) {
     atomicAdd(params.counters.at[RELIDAR_DENSIFY_COUNTERS * model + counter], amount);
 }
 
-/// Returns the sum of the magnitudes of n floats. The sum is not finite if any of them is
-/// not finite.
+/// Returns the sum of the absolute values of n floats. The sum is not finite if any float
+/// is not finite.
 float magnitude(Floats array, uint first, uint n) {
     float sum = 0.0;
     for (uint k = 0u; k < n; ++k) sum += abs(array.at[first + k]);
@@ -26,8 +26,9 @@ float magnitude(Floats array, uint first, uint n) {
 
 bool has_third_scale() { return !is_null(params.surfels.log_scale_w); }
 
-/// Returns true if all parameters of a surfel are finite and in their valid range.
-/// @param scale  three scales; the third one is 1 unless the primitive is a 3D Gaussian
+/// Returns true if all parameters of a surfel are finite and within their valid range.
+/// @param scale  three scales. The third scale is 1 unless the primitive is a 3D
+/// Gaussian.
 bool is_surfel(uint i, vec4 q, vec3 scale) {
     float sum = magnitude(params.surfels.mean, 3 * i, 3u) + magnitude(params.surfels.opacity_logit, i, 1u);
     sum += magnitude(params.surfels.sh, RELIDAR_SH_FLOATS * i, RELIDAR_SH_FLOATS);
@@ -36,7 +37,8 @@ bool is_surfel(uint i, vec4 q, vec3 scale) {
            all(greaterThan(scale, vec3(1e-6))) && all(lessThan(scale, vec3(1e6)));
 }
 
-/// Returns true if two random points of the surfel are both outside the model's box.
+/// Draws two random points of the surfel. Returns true if both are outside the model's
+/// box.
 bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     if (!(half_size.x > 0.0)) return false;
     vec3 mean = vec3(params.surfels.mean.at[3 * i], params.surfels.mean.at[3 * i + 1],
@@ -52,7 +54,8 @@ bool is_outside(uint i, vec4 q, vec3 scale, vec3 half_size) {
     return true;
 }
 
-/// Returns clone, split or keep, depending on the mean norm of the gradient.
+/// Returns the action clone, split or keep, depending on the mean gradient norm of the
+/// surfel.
 uint grow_by_gradient(uint i, float max_scale, float extent_m) {
     uint n_seen = params.n_seen.at[i];
     if (n_seen == 0u || !(params.gradient_sum.at[i] > params.gradient_threshold * float(n_seen)))
@@ -60,7 +63,8 @@ uint grow_by_gradient(uint i, float max_scale, float extent_m) {
     return max_scale < params.clone_extent_share * extent_m ? RELIDAR_DENSIFY_CLONE : RELIDAR_DENSIFY_SPLIT;
 }
 
-/// Returns the counter of the reason why a surfel is dropped, or RELIDAR_DENSIFY_KEPT.
+/// Returns the reason why a surfel is dropped, as an index of a counter. Returns
+/// RELIDAR_DENSIFY_KEPT if it is kept.
 uint verdict(uint i, uint model, vec4 q, vec3 scale, float opacity, float max_scale) {
     if (!is_surfel(i, q, scale)) return RELIDAR_DENSIFY_INVALID;
     if (opacity < params.min_opacity) return RELIDAR_DENSIFY_FAINT;
@@ -81,7 +85,7 @@ void main() {
     float max_scale = max(scale.x, scale.y);
     if (has_third_scale()) max_scale = max(max_scale, scale.z);
     uint action = grow_by_gradient(i, max_scale, params.extents.at[model]);
-    // A split surfel is tested with the scale of its halves.
+    // A split divides the scale by 1.6, so the test uses the scale after the split.
     if (action == RELIDAR_DENSIFY_SPLIT) max_scale /= 1.6;
     uint why = verdict(i, model, q, scale, opacity, max_scale);
     uint weight = 0u;

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moves the rows of one array (a parameter group, a moment or a statistic) into the new
-// order. Survivors keep their order and copies follow their original, so that neighbours
-// in space remain neighbours in memory. Values are copied as bits. One thread per surfel.
-// Input: from, action, n_rows, starts. Output: to.
+// Copies the rows of one array to their new positions after densification. Surviving rows
+// keep their order, and copies follow their original. Neighbours in space therefore stay
+// neighbours in memory. One thread per surfel. Input: from, action, n_rows, starts.
+// Output: to.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the values of split surfels. Kernel densify/move has written copies of the
-// original to their rows before. One thread per surfel of the old order. Input: action,
-// n_rows, starts. In place: surfels. Moves each half to a random point of the surfel, in
-// its plane (3D Gaussians: along all three axes), and divides its scales by 1.6.
+// Computes the values of split surfels. The kernel densify/move has copied the original
+// values to the new rows before. Moves each half to a random point of the surfel and
+// divides its scales by 1.6. One thread per surfel of the old order. Input: action,
+// n_rows, starts. In place: surfels.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

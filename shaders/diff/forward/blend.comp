@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: blends the hits of sorted lists (blend.glsl). One thread per ray. Leaves
-// a ray to forward/trace if its list is unfit: too short, or closed too early because of
-// hits that were reported twice. Input: scene (records, instances, sh, targets; rays if
-// SH are evaluated per hit or normals are blended), lists. Output: rendered, kept,
-// surfaces, lists.lengths. Accumulated: n_overfull.
+// Forward pass: blends the hits of sorted lists, one thread per ray. Marks a list as
+// unfit, so that forward/trace renders its ray, if the list is too short or was closed
+// too early because of hits that were reported twice. Input: scene (records, instances,
+// sh, targets, and rays if SH are evaluated per hit or normals are blended), lists.
+// Output: rendered, kept, surfaces, lists.lengths. Accumulated: n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
@@ -20,15 +20,14 @@
 RELIDAR_PARAMS(ForwardParams);
 #include "blend.glsl"
 
-/// Returns hit k of a list, or the last hit if k is too large.
+/// Returns hit k of a sorted list, or the last hit if k is too large.
 Hit listed_hit(uint list, uint k, uint n) {
     return params.lists.hits.at[list_entry(params.lists.room, list, min(k, n - 1u))];
 }
 
-/// Blends the n > 0 hits of a list. The address of a hit is known from the list, but the
-/// address of its channels is known only from the hit. So the loop loads hits two
-/// iterations ahead and channels one iteration ahead, and no load waits for another.
-/// @return true if the ray has ended
+/// Blends the n > 0 hits of a list. Loads hits two iterations ahead and their channels
+/// one iteration ahead, so that no load waits for another.
+/// @return true if the transmittance fell below the limit within the list
 bool blend_list(uint list, uint n, Ray ray, inout Blended b) {
     Hit next = listed_hit(list, 0u, n), after_next = listed_hit(list, 1u, n);
     vec3 next_channels = channels_of(params.scene, ray, next);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Blends the hits of a ray, nearest first (Eq. 2-4; M4, M5): the values of
-// relidar/diff/blended_values.h, and for scans the normal and the heaviest surface (M13).
-// Include this file after RELIDAR_PARAMS(ForwardParams).
+// Blends the hits of a ray from near to far (Eq. 2-4). Computes the values of
+// relidar/diff/blended_values.h. For scans, also computes the normal and the heaviest
+// surface. Include this file after RELIDAR_PARAMS(ForwardParams).
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_BLEND_GLSL
 
@@ -33,13 +33,14 @@ vec3 channels_of(TraceScene scene, Ray ray, Hit hit) {
     return hit_channels(scene, ray, hit.instance, hit.surfel, scene.records.at[hit.surfel]);
 }
 
-/// Returns the transmittance behind the next hit.
+/// Returns the transmittance behind a hit.
 /// @param transmittance  transmittance before the hit
 float left_behind(TraceScene scene, Hit hit, float transmittance) {
     return transmittance * (1.0 - min(hit.alpha, scene.alpha_max));
 }
 
-/// Returns true if the ray ends before its next hit. That hit is not blended.
+/// Returns true if the transmittance behind a hit is below the limit. The ray then ends,
+/// and the hit is not blended.
 bool ends_before(TraceScene scene, Hit hit, float transmittance) {
     return left_behind(scene, hit, transmittance) < scene.transmittance_min;
 }
@@ -61,12 +62,13 @@ void blend_hit(TraceScene scene, Ray ray, Hit hit, vec3 channels, inout Blended 
     ++b.ray.n_hits;
 }
 
-/// Stores hit k of the thread's ray, in the order of blending.
+/// Stores hit k of this thread's ray for the backward pass. Hits are numbered in the
+/// order of blending.
 void keep_hit(uint k, Hit hit) {
     if (k < params.n_kept) params.kept.at[list_entry(params.n_kept, thread_index(), k)] = hit;
 }
 
-/// Adds the background and writes the rendered values of the ray.
+/// Adds the background to the blended values and writes the result of the ray.
 void finish_blending(uint ray_index, inout Blended b) {
     if (params.n_kept > 0u && b.ray.n_hits > params.n_kept) atomicAdd(params.n_overfull.at[0], 1u);
     // background: intensity 0, hit 0, drop 1

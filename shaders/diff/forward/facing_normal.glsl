@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Normals of hits, for kernels that blend normals. Include this file after includes.glsl.
+// Computes surface normals at hits, for kernels that blend normals. Include this file
+// after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_FACING_NORMAL_GLSL
 RELIDAR_CONSTANT(uint, NORMAL, 0u);
 
-/// Returns the unit normal of a surfel on the side that faces the sensor, in the world
-/// frame.
+/// Returns the unit normal of a surfel in the world frame. The normal points towards the
+/// sensor.
 vec3 facing_normal(TraceScene scene, Ray ray, uint instance, uint surfel) {
     enter_instance(scene, ray, instance);
     vec3 normal = scene.records.at[surfel].normal;

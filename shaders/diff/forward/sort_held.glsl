@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Sorts a list of at most HELD hits per lane. sort_hits.comp includes this file once per
-// size, with HELD, EACH and SORT.
+// list size and defines HELD, EACH and SORT before.
 
 #define LOAD(h)                                            \
     {                                                      \
@@ -9,9 +9,9 @@
         if (place[h] < n) t[h] = hit_of(list, place[h]).t; \
     }
 
-// One step of the sorting network. Compares hits whose positions differ in one bit and
-// swaps them if they are in the wrong order. The bit `run` of a position determines the
-// sort direction.
+// One step of a bitonic sorting network. Compares hits whose positions differ in one bit
+// and swaps them if necessary. Bit `run` of the position selects ascending or descending
+// order.
 #define IS_UPWARD(h) (((lane * HELD + h) & run) == 0u)
 
 #define EXCHANGE_BETWEEN_LANES(h)                                                     \

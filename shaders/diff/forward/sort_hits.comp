@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sorts the hits of each list by their keys (t, instance, surfel). A subgroup sorts one
-// list with a bitonic network in registers. A lane holds 1 to 16 consecutive hits,
-// depending on the length of the list. Only distances and positions pass through the
-// network. The hits are read by position after the sort. In and output: lists.
+// Sorts the hits of each list by (t, instance, surfel) with a bitonic network in
+// registers. One subgroup per list. Each lane holds 1 to 16 consecutive hits, depending
+// on the length of the list. The network sorts only distances and positions. The hits are
+// reordered afterwards. In place: lists.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_KHR_shader_subgroup_shuffle : require
@@ -15,9 +15,9 @@ RELIDAR_CONSTANT(uint, LANES, 32u);
 
 Hit hit_of(uint list, uint place) { return params.lists.hits.at[list_entry(params.lists.room, list, place)]; }
 
-/// Returns true if the hit at position a comes before the hit at position b, for equal
-/// distances. A hit that was reported twice keeps its original order. Positions behind
-/// the end of the list are empty.
+/// Returns true if hit a comes before hit b, for hits at equal distance. A hit that was
+/// reported twice keeps its original order. Positions beyond the end of the list are
+/// empty and come last.
 bool tied_before(uint list, uint n, uint a, uint b) {
     if (a >= n || b >= n) return a < b;
     Hit hit_a = hit_of(list, a), hit_b = hit_of(list, b);
@@ -26,9 +26,9 @@ bool tied_before(uint list, uint n, uint a, uint b) {
     return before(key_a, key_b) || (key_a == key_b && a < b);
 }
 
-// Loops over the hits of a lane are unrolled by macros, with one sort function per number
-// of hits. A compiler may put an array that is indexed in a loop into memory, which makes
-// the sort six times slower.
+// Macros unroll the loops over the hits of a lane, with one sort function per number of
+// hits. A compiler may put an array that is indexed in a loop into memory, which makes
+// the sort slower.
 #define EACH_OF_1(X, h) X((h))
 #define EACH_OF_2(X, h) EACH_OF_1(X, h) EACH_OF_1(X, h + 1u)
 #define EACH_OF_4(X, h) EACH_OF_2(X, h) EACH_OF_2(X, h + 2u)
@@ -60,8 +60,8 @@ void main() {
     uint list = workgroup_index() * RELIDAR_SORTED_TOGETHER + gl_SubgroupID;  // subgroups are full
     uint length = list < params.lists.n ? params.lists.lengths.at[list] : 0u,
          n = length & ~RELIDAR_LIST_CLOSED;
-    // Executes the barrier on this path too, because lavapipe treats a subgroup barrier
-    // as a barrier of the workgroup.
+    // This path needs the barrier too, because lavapipe treats a subgroup barrier as a
+    // barrier of the workgroup.
     if (length == RELIDAR_LIST_UNFIT || n < 2u) subgroupBarrier();
     else if (n <= LANES) sort_1(list, n);
     else if (n <= 2u * LANES) sort_2(list, n);

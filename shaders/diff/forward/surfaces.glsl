@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Groups the hits of a ray into surfaces (docs/method.md M13). A hit begins a new surface
-// if its distance to the previous hit is larger than a gap. Hits are sorted by distance,
-// so one pass finds the heaviest surface.
+// Groups the hits of a ray into surfaces (docs/method.md M13). A new surface begins where
+// the distance to the previous hit exceeds a gap. Hits are sorted by distance, so one
+// pass finds the surface with the largest weight.
 #ifndef RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 #define RELIDAR_INCLUDED_DIFF_FORWARD_SURFACES_GLSL
 RELIDAR_CONSTANT(uint, MODE, 0u);
@@ -17,8 +17,8 @@ struct Surfaces {
 
 Surfaces no_surfaces() { return Surfaces(-1e30, 0.0, 0.0, 0.0, 0.0, 0.0); }
 
-/// Makes the current surface the heaviest one if its weight is larger. Of equal surfaces,
-/// keeps the nearer one.
+/// Stores the current surface as the heaviest one if its weight is larger. If weights are
+/// equal, the nearer surface stays.
 void weigh_surface(inout Surfaces s) {
     if (!(s.weight > s.heaviest)) return;
     s.heaviest = s.weight;

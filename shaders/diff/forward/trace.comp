@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Forward pass: collects hits chunk by chunk, nearest first, and blends them
-// (blend.glsl). One thread per ray. After forward/blend, renders only the rays with unfit
-// lists. Input: scene (rays, records, instances, sh, acceleration structure, targets),
-// lists.lengths. Output: rendered, kept, surfaces. Accumulated: scene.pass_cap_count,
-// n_overfull.
+// Forward pass without hit lists: finds the hits of a ray in chunks, from near to far,
+// and blends them. If hit lists exist, traces only the rays that forward/blend could not
+// finish. One thread per ray. Input: scene, lists.lengths. Output: rendered, kept,
+// surfaces. Accumulated: scene.pass_cap_count, n_overfull.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../traversal/includes.glsl"

@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chamfer distance (Eq. 11) from the nearest points in both directions. Also accumulates
-// the gradient of simulated points that are nearest to measured points: dL/dr_a += 2 (a -
-// b) . d_a. It uses fixed point, so that the sum does not depend on the order. One thread
-// per ray. Input: rays, points, nearest, counts. Accumulated: d_found, terms.
+// Computes the Chamfer distance (Eq. 11) from the nearest points in both directions.
+// Accumulates the gradient of simulated points a that are nearest to a measured point b:
+// dL/dr_a += 2 (a - b) . d_a. Uses fixed-point numbers, so that the sum does not depend
+// on the order. One thread per ray. Input: rays, points, nearest, counts. Accumulated:
+// d_found, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable

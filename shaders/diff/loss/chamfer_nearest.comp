@@ -26,8 +26,8 @@ float squared_length(vec3 d) {
     return sum;
 }
 
-/// Returns the squared distance to a box. It is infinite for an empty box, because
-/// RELIDAR_NO_POINT squared is infinite.
+/// Returns the squared distance between a point and a box. The distance to an empty box
+/// is infinite, because RELIDAR_NO_POINT squared is infinite.
 float squared_distance(vec3 query, vec3 low, vec3 high) {
     return squared_length(max(max(low - query, query - high), vec3(0.0)));
 }
@@ -41,9 +41,9 @@ void visit_point(uint i, inout Nearest best) {
     }
 }
 
-/// Position of items in a rectangle: the points of a tile, or the tiles of a group.
+/// A rectangle of items in an image: the points of a tile, or the tiles of a group.
 struct Cells {
-    uvec2 begin, end;  // first and one past the last row and column
+    uvec2 begin, end;  // First row and column, and the row and column after the last.
     uint across;       // items per row of the image
 };
 

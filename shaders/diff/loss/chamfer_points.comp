@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the simulated and the measured point of each ray, with the ray's origin
-// (rolling shutter). One thread per ray. Input: rays, rendered, targets. Output:
-// simulated, measured. Accumulated: counts.
+// Computes the simulated and the measured point of each ray from the ray's origin.
+// Origins differ because the sensor moves during a sweep. One thread per ray. Input:
+// rays, rendered, targets. Output: simulated, measured. Accumulated: counts.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -11,10 +11,12 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ChamferPointsParams);
 
-const float kLeastWeight = 0.1;  // with a smaller weight, D / W is not a meaningful range
+// Minimum blended weight W of a simulated point. With a smaller weight, the range D / W
+// is not meaningful.
+const float kLeastWeight = 0.1;
 
-/// Returns the range of the simulated point, or 0 if the ray has none. A NaN counts as
-/// none.
+/// Returns the range of the simulated point, or 0 if the ray has no simulated point. A
+/// ray with a NaN has no point.
 float simulated_range(RenderedRay r) {
     if (!(r.weight > kLeastWeight) || !(r.drop_logit < r.hit_logit)) return 0.0;
     return params.normalised_depth != 0u ? r.depth / r.weight : r.depth;

@@ -15,8 +15,8 @@ void main() {
     uint k = thread_index();
     if (k >= params.n_rays) return;
     uint b = params.nearest_measured.at[k];
-    // no simulated point or no measured point exists, so this point is not the nearest of
-    // any
+    // Returns if the ray has no simulated point or no measured point exists. Then this
+    // point is not the nearest point of any measured point either.
     if (b == RELIDAR_NO_INDEX) return;
     vec3 difference = params.simulated.at[k] - params.measured.at[b];
     float asked = 2.0 * dot(difference, params.rays.at[params.first_ray + k * params.ray_stride].direction);

@@ -12,8 +12,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(ImageLossParams);
 
-/// Computes the L1 depth loss of D or D / W.
-/// @return the term
+/// Computes the L1 loss of the depth. The depth is D, or D / W if it is normalised.
+/// @return value of this loss term
 float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     float weight = max(r.weight, 1e-3);
     float scale = params.normalised_depth != 0u ? 1.0 / weight : 1.0;
@@ -24,9 +24,9 @@ float depth_term(RenderedRay r, float range_m, inout RayGradient g) {
     return params.depth_weight * abs(error);
 }
 
-/// Computes the Huber loss: e^2 / (2 delta) up to delta, |e| - delta / 2 beyond; L1 if
-/// delta is 0.
-/// @return the term
+/// Computes the Huber loss of an intensity error e: e^2 / (2 delta) up to delta, |e| -
+/// delta / 2 beyond. If delta is 0, computes the L1 loss.
+/// @return value of this loss term
 float intensity_term(float error, inout RayGradient g) {
     float delta = params.intensity_delta, size = abs(error);
     bool squared = size < delta;
@@ -34,9 +34,9 @@ float intensity_term(float error, inout RayGradient g) {
     return params.intensity_weight * (squared ? 0.5 * error * error / delta : size - 0.5 * delta);
 }
 
-/// Computes -log of the probability of the measured outcome, with log(1 + exp(x)) without
-/// overflow.
-/// @return the term
+/// Computes the negative log probability of the measured outcome (return or drop).
+/// Evaluates log(1 + exp(x)) without overflow.
+/// @return value of this loss term
 float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     float x = r.drop_logit - r.hit_logit;
     float probability = 1.0 / (1.0 + exp(-x));
@@ -47,7 +47,8 @@ float drop_term(RenderedRay r, bool dropped, inout RayGradient g) {
     return params.drop_weight * (max(z, 0.0) + log(1.0 + exp(-abs(z))));
 }
 
-/// Computes all terms of a known ray: depth, intensity, drop, opacity.
+/// Computes all loss terms of a ray with a known measurement: depth, intensity, drop,
+/// opacity.
 vec4 ray_terms(RenderedRay r, DeviceTarget target, inout RayGradient g) {
     vec4 terms = vec4(0.0);
     bool dropped = !(target.range_m > 0.0);

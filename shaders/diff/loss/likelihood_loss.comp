@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Likelihood loss of rays with a return (docs/method.md M12): -ln(floor + (1 - floor) S),
-// where S is the likelihood of the measured range given the hits. One thread per ray.
-// Input: rendered, targets. Accumulated: upstream, terms.
+// Computes the loss -ln(floor + (1 - floor) S) of rays with a return (docs/method.md
+// M12). S is the likelihood of the measured range given the hits of the ray. One thread
+// per ray. Input: rendered, targets. Accumulated: upstream, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #extension GL_EXT_shader_atomic_float : enable
@@ -11,7 +11,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(LikelihoodLossParams);
 
-/// Returns the term of ray i, which has a return, and adds its derivative.
+/// Returns the loss of ray i, which must have a return. Adds the derivative of the loss
+/// to the gradient.
 float ray_term(uint i) {
     float explained =
         params.likelihood_floor + (1.0 - params.likelihood_floor) * params.rendered.at[i].likelihood;

@@ -25,8 +25,8 @@ struct Window {
     float covariance;
 };
 
-/// Computes moments relative to the values of the centre pixel, because plain moments
-/// would cancel in flat regions.
+/// Computes weighted moments of the intensities around a pixel. Subtracts the centre
+/// pixel first, because plain moments would lose precision in flat regions.
 Window window_around(uint i) {
     vec2 centre = vec2(params.rendered.at[i].intensity, target_of(i).intensity);
     float sum = 0.0, products = 0.0;
@@ -50,8 +50,8 @@ Window window_around(uint i) {
                   products / sum - shifted.x * shifted.y);
 }
 
-/// Writes the derivatives of the term of pixel i.
-/// @return the term
+/// Writes the derivatives of the similarity loss of pixel i.
+/// @return the loss of the pixel
 float similarity_term(uint i) {
     Window w = window_around(i);
     float a1 = 2.0 * w.mean.x * w.mean.y + kC1, a2 = 2.0 * w.covariance + kC2;

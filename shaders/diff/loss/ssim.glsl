@@ -11,7 +11,8 @@ const uint kNoPixel = 0xffffffffu;
 // exp(-d^2 / 4.5)
 const float kGaussian[6] = float[](1.0, 0.80073740, 0.41111229, 0.13533528, 0.028565500, 0.0038659201);
 
-/// Returns the pixel at an offset from pixel `i`, or kNoPixel if it is outside the image.
+/// Returns the pixel at an offset from pixel `i`. Returns kNoPixel if the pixel is
+/// outside the image.
 uint window_pixel(uint i, int row_offset, int column_offset) {
     int columns = int(params.columns);
     int row = int(i / params.columns) + row_offset, column = int(i % params.columns) + column_offset;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Loss on the parameters of actors' surfels that are outside their box or large compared
-// with it. Adds the gradient to the parameter gradients. One thread per surfel of any
+// Penalises surfels of actors that are outside the actor's box or large compared with the
+// box. Adds the derivatives to the parameter gradients. One thread per surfel of any
 // model. Input: surfels, touched, models. Accumulated: d_surfels, terms.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -12,8 +12,8 @@
 #include "../../base/reduce.glsl"
 RELIDAR_PARAMS(SurfelLossParams);
 
-/// Returns the term of one standard deviation.
-/// @param largest_m  standard deviation above which there is a term
+/// Returns the penalty for one standard deviation of a surfel.
+/// @param largest_m  largest standard deviation without a penalty, m
 float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m, bool write) {
     float relative = exp(log_scale.at[at]) / largest_m;
     if (!(relative > 1.0)) return 0.0;
@@ -21,9 +21,9 @@ float scale_term(Floats log_scale, Floats d_log_scale, uint at, float largest_m,
     return relative - 1.0;
 }
 
-/// Computes sum over x, y, z of max(0, |mean| / half size - 1), and the same for the
-/// standard deviations.
-/// @return the term
+/// Computes the sum over x, y, z of max(0, |mean| / half size - 1). Adds the penalty for
+/// the standard deviations.
+/// @return penalty of the surfel
 float box_term(uint i, ModelEntry model, bool write) {
     if (!all(greaterThan(model.half_size, vec3(0.0)))) return 0.0;  // the model has no box
     float term = 0.0, largest_m = params.box_scale_share * model.half_diagonal;

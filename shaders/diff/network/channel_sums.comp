@@ -13,12 +13,14 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(ChannelSumsParams);
 
-/// Returns the first pixel of a part within its image. Call with part + 1 for the end.
+/// Returns the first pixel of a part of an image. The end of the part is the first pixel
+/// of part + 1.
 uint begin_of(uint part, uint of_image) {
     return params.n_pixels / of_image * part + min(part, params.n_pixels % of_image);
 }
 
-/// Returns the contribution of one pixel to dL/d(beta) and dL/d(gamma).
+/// Returns the contribution of one pixel to the gradients dL/d(beta) and dL/d(gamma) of a
+/// normalisation.
 /// @param plane  index of the first pixel of the image's channel
 vec2 gradients_at(uint pixel, uint plane, uint d_plane, uint place, vec2 affine, vec2 moments) {
     float x = params.from.values.at[plane + pixel];

@@ -25,11 +25,14 @@ RELIDAR_PARAMS(ConvParams);
 
 const uint kOut = RELIDAR_CONV_OUT, kIn = RELIDAR_CONV_IN, kLines = TAPS == 1u ? 1u : 3u,
            kHeld = (kOut + LANES - 1u) / LANES;
-const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;  // one more for the neighbours of the last lane
-shared float tile[kIn * 9 * kOut];                      // weights of a tile, indexed [in, tap, out]
+// Number of loads per lane. A 3x3 convolution needs one more load for the neighbours of
+// the last lane.
+const uint kLoads = TAPS == 1u ? PIXELS : PIXELS + 1u;
+shared float tile[kIn * 9 * kOut];  // weights of a tile, indexed [in, tap, out]
 
-/// Loads the weights from some input channels to the output channels of this workgroup.
-/// Indices beyond the last channel are clamped and never used.
+/// Copies the weights from some input channels to the output channels of this workgroup
+/// into shared memory. Indices beyond the last channel are clamped, and their values are
+/// never used.
 void load_tile(uint first_out, uint first_in) {
     for (uint k = gl_LocalInvocationIndex; k < kIn * TAPS * kOut; k += gl_WorkGroupSize.x) {
         uint o = min(first_out + k % kOut, params.n_out - 1u),
@@ -38,14 +41,16 @@ void load_tile(uint first_out, uint first_in) {
     }
 }
 
-/// Replaces the tile by the weights of input channels from `first_in` on.
+/// Replaces the weights in shared memory by those of the input channels from `first_in`
+/// on.
 void stage_tile(uint first_out, uint first_in) {
     barrier();
     load_tile(first_out, first_in);
     barrier();
 }
 
-/// Loads the weights of one input channel and tap that this lane holds for its subgroup.
+/// Loads this lane's part of the weights of one input channel and one tap. The lanes of
+/// the subgroup exchange the weights later.
 void load_weights(uint first_out, uint i, uint tap, out float held[kHeld]) {
     [[unroll]] for (uint k = 0u; k < kHeld; ++k) {
         uint o = min(first_out + k * LANES + gl_SubgroupInvocationID, params.n_out - 1u);
@@ -70,7 +75,8 @@ void main() {
     [[unroll]] for (uint v = 0u; v < kLoads; ++v) column[v] =
         (first_column + v * LANES + lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
     [[unroll]] for (uint k = 0u; k < kLines; ++k) {
-        uint row = TAPS == 1u ? y : y + k - 1u;  // row -1 wraps to a large number, which is outside
+        // Row -1 wraps to a large unsigned number, which the bounds check rejects.
+        uint row = TAPS == 1u ? y : y + k - 1u;
         inside[k] = row < params.rows;
         row_at[k] = (image * params.from.channels + params.from.first) * n_pixels +
                     (inside[k] ? row : 0u) * params.columns;

@@ -20,8 +20,8 @@ RELIDAR_PARAMS(ConvWeightsParams);
 const uint kOut = RELIDAR_CONV_OUT, kIn = TAPS == 1u ? RELIDAR_CONV_IN : 1u, kLines = TAPS == 1u ? 1u : 3u;
 
 float sum[kOut * kIn * TAPS];  // partial sums of this lane, indexed [out, in, tap]
-// [in, line] The LANES columns that start one column before the lane's column, and the
-// LANES columns after them.
+// Pixels of one line, [in, line]. `before` holds the LANES columns that start one column
+// before the lane's column. `next` holds the LANES columns after them.
 float before[kIn * kLines], next[kIn * kLines];
 float d_out[kOut];  // d_to of the lane's column
 
@@ -49,7 +49,7 @@ void main() {
         bool inside[kIn * kLines];
         uint column = (lane + (TAPS == 1u ? 0u : params.columns - 1u)) % params.columns;
         [[unroll]] for (uint k = 0u; k < kIn * kLines; ++k) {
-            // row -1 wraps to a large number, which is outside
+            // Row -1 wraps to a large unsigned number, which the bounds check rejects.
             uint row = TAPS == 1u ? y : y + k % kLines - 1u, i = min(first_in + k / kLines, params.n_in - 1u);
             inside[k] = row < params.rows;
             row_at[k] = (image * params.from.channels + params.from.first + i) * n_pixels +

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assembles a normalised batch of images for the network from the samples on the device.
-// Rotates the scene around the sensor by some columns. Channels that belong to the
-// sensor's pixels are not rotated. One thread per pixel. Input: samples, targets, chosen,
-// turn, scale_shift. Output: images, start, target.
+// Assembles a normalised batch of input images for the ray-drop network. Shifts each
+// image by `turn` columns, which rotates the scene around the sensor. Does not shift the
+// channels that belong to the sensor's pixels. One thread per pixel. Input: samples,
+// targets, chosen, turn, scale_shift. Output: images, start, target.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

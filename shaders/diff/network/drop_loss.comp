@@ -12,7 +12,7 @@
 RELIDAR_CONSTANT(uint, LANES, 8u);
 RELIDAR_PARAMS(DropLossParams);
 
-/// Returns the cross-entropy of a pixel, and 1 if the more likely class is correct.
+/// Returns the cross-entropy of a pixel, and 1 if the predicted class is correct.
 vec2 compare(uint i, float x, float probability) {
     float target = is_null(params.target) ? -1.0 : params.target.at[i];
     bool known = target >= 0.0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Applies normalisation, ReLU and dropout: to = dropout(max(scale x + shift, 0)). A
-// workgroup processes a range of one channel's pixels. Input: from, scale_shift. Output:
+// workgroup processes a range of pixels of one channel. Input: from, scale_shift. Output:
 // to. Memory traffic: at least 8 B per value.
 #version 460
 #extension GL_GOOGLE_include_directive : require

@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// ReLU and dropout after a normalisation. The dropout mask is the same in every pass over
-// one batch. Include this file after shared/refine.h.
+// Applies ReLU and dropout after a normalisation. All passes over one batch drop the same
+// values. Include this file after shared/refine.h.
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_NORM_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_NORM_GLSL
 #include "../../base/random.glsl"
 
-/// Returns the factor of a normalised value: 0 if it is negative or dropped, otherwise 1
-/// / (1 - dropout).
+/// Returns the factor that ReLU and dropout apply to a normalised value. The factor is 0
+/// for a negative or dropped value, otherwise 1 / (1 - dropout).
 /// @param place  index of the value among the values of the layer
 float gate(float normalised, uint place, uint key, float dropout) {
     if (dropout <= 0.0) return normalised > 0.0 ? 1.0 : 0.0;
@@ -14,8 +14,9 @@ float gate(float normalised, uint place, uint key, float dropout) {
     return normalised > 0.0 && drawn >= dropout ? 1.0 / (1.0 - dropout) : 0.0;
 }
 
-// A workgroup stays within one channel of one image, a "plane", so that it computes the
-// plane only once. Integer divisions are slow on a CPU.
+// Returns the number of workgroups per channel of one image. A workgroup stays within one
+// channel, so that it computes the index of the channel only once. Integer divisions are
+// slow on a CPU.
 uint stretches(uint n_pixels) {
     uint stretch = gl_WorkGroupSize.x * RELIDAR_NORM_PIXELS;
     return (n_pixels + stretch - 1u) / stretch;
@@ -26,7 +27,8 @@ uint first_pixel(uint n_pixels) {
            gl_LocalInvocationIndex;
 }
 
-/// Returns the index of a slice's plane among the channels of all images of a tensor.
+/// Returns the index of a channel of one image among the channels of all images of a
+/// tensor.
 uint plane_in(ImageSlice slice, uint plane, uint n_channels) {
     return plane / n_channels * slice.channels + slice.first + plane % n_channels;
 }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batch normalisation (Ioffe and Szegedy), per-channel part. Combines the moments of the
-// parts into the moments of the batch (Chan), or uses the running moments in evaluation.
-// One thread per channel. Input: partial, beta_gamma. In place: running. Output: moments,
-// scale_shift.
+// Computes scale and shift of a batch normalisation (Ioffe and Szegedy) per channel.
+// Combines the moments of the parts into the moments of the batch (Chan). In evaluation,
+// uses the running moments instead. One thread per channel. Input: partial, beta_gamma.
+// In place: running. Output: moments, scale_shift.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Maximum over 2 x 2 pixels. Ignores the last row or column of an odd number. One thread
-// per pooled value. Input: from (large). Output: to (small).
+// Max pooling: computes the maximum over 2 x 2 pixels. Ignores the last row or column if
+// their number is odd. One thread per pooled value. Input: from (large). Output: to
+// (small).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of max pooling. Adds the gradient of a pooled value to the gradient of the
-// first of its four pixels that has the maximum. One thread per pooled value. Input: from
-// (small gradients), pooled (large values). In place: to (large gradients).
+// Derivative of 2 x 2 max pooling. Adds the gradient of a pooled value to the pixel that
+// has the maximum, or to the first of several such pixels. One thread per pooled value.
+// Input: from (small gradients), pooled (large values). In place: to (large gradients).
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

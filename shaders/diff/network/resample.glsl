@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Indices of pixels in images of two sizes. Include this file after
+// Computes pixel indices for images of two sizes. Include this file after
 // RELIDAR_PARAMS(ResampleParams).
 #ifndef RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
 #define RELIDAR_INCLUDED_DIFF_NETWORK_RESAMPLE_GLSL
@@ -11,9 +11,9 @@ uint small_at(uint channels, uint first, uint image, uint channel, uint y, uint 
     return ((image * channels + first + channel) * params.small_rows + y) * params.small_columns + x;
 }
 
-/// Returns the two of n_small entries between which an entry of n_large lies, and the
-/// weight of the second. Entry centres are at half integers. Uses integer arithmetic, so
-/// that upsampling and its derivative get the same result on every device.
+/// Returns the small pixel on the left side of a large pixel, and the interpolation
+/// weight of the small pixel to the right. Pixel centres are at half integers. Uses
+/// integer arithmetic, so that upsampling and its derivative agree on every device.
 void neighbours(int at, uint n_large, uint n_small, out int left, out float share) {
     // in units of half a large entry
     int unit = 2 * int(n_large), place = (2 * at + 1) * int(n_small) - int(n_large);
@@ -21,7 +21,8 @@ void neighbours(int at, uint n_large, uint n_small, out int left, out float shar
     share = float(place - left * unit) / float(unit);
 }
 
-/// Rows outside the image are clamped to the first or last row. Columns wrap around.
+/// Rows outside the image are clamped to the first or last row. Columns outside the image
+/// wrap around.
 uint row_of(int y) { return uint(clamp(y, 0, int(params.small_rows) - 1)); }
 uint column_of(int x) { return uint(x + int(params.small_columns)) % params.small_columns; }
 #endif

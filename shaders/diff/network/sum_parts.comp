@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sums partial sums in the order of the parts. One thread per entry. Input: partial.
-// Output: sum.
+// Adds partial sums in a fixed order. One thread per entry. Input: partial. Output: sum.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

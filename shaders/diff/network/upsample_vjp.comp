@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Derivative of the bilinear interpolation. Each small pixel gathers the gradients of the
+// Derivative of the bilinear interpolation. Each small pixel sums the gradients of the
 // large pixels that were interpolated from it. One thread per value. Input: from (large
 // gradients). Output: to (small gradients).
 #version 460
@@ -9,8 +9,8 @@
 RELIDAR_PARAMS(ResampleParams);
 #include "resample.glsl"
 
-/// Returns the first large pixel that may be interpolated from a small pixel, and the
-/// number of candidates from there on.
+/// Returns the range of large pixels that may be interpolated from a small pixel: the
+/// first pixel and the number of pixels.
 void candidates(uint at, uint n_large, uint n_small, out int first, out int n) {
     float step = float(n_large) / float(n_small);
     first = int(floor((float(at) - 0.5) * step - 0.5)) - 1;
@@ -40,8 +40,8 @@ void main() {
     int first_x, first_y, n_x, n_y;
     candidates(column, params.columns, params.small_columns, first_x, n_x);
     candidates(row, params.rows, params.small_rows, first_y, n_y);
-    // Rows do not wrap. The clamped range contains all rows that may use the first or
-    // last small row.
+    // Clamps the range of rows, because rows do not wrap. The range still contains all
+    // rows that use the first or last small row.
     first_y = clamp(first_y, 0, int(params.rows) - n_y);
     float sum = 0.0;
     for (int y = first_y; y < first_y + n_y; ++y) {

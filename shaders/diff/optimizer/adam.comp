@@ -13,11 +13,12 @@
 RELIDAR_CONSTANT(bool, PER_FLOAT, false);
 RELIDAR_PARAMS(AdamParams);
 
-/// Updates one value of a row.
+/// Updates one parameter of a row with an Adam step.
 /// @param block,within  position of the value: start of its block, column in the block
 void update(uint row, uint block, uint within, bool has_gradient, float learning_rate) {
     uint i = row * params.stride + block + within;
-    // On a CPU an unconditional load is faster than a branch.
+    // Loads the gradient without a branch if possible, because on a CPU an unconditional
+    // load is faster.
     float g = PER_FLOAT && !has_gradient ? 0.0 : params.gradients.at[i];
     g = has_gradient ? g : 0.0;
     float m = mix(g, params.moment1.at[i], params.beta1);
@@ -28,13 +29,14 @@ void update(uint row, uint block, uint within, bool has_gradient, float learning
         learning_rate * (within == 0u ? params.first_scale : 1.0) * (block == 0u ? params.block_scale : 1.0);
     float value = params.values.at[i] -
                   rate * (m * params.correction1) / (sqrt(v * params.correction2) + params.epsilon);
-    // Does not replace a NaN by the bound, because later checks look for NaNs.
+    // Clamps with a comparison instead of min(), so that a NaN stays. Later checks look
+    // for NaNs.
     if (!is_null(params.bounds) && value > params.bounds.at[row]) value = params.bounds.at[row];
     params.values.at[i] = value;
 }
 
-/// Updates all columns of a row, or one float.
-/// @param i  index among the floats, or the rows, that are updated
+/// Updates all active columns of a row, or one float.
+/// @param i  index among the updated rows, or among the updated floats if PER_FLOAT
 void step_row(uint i) {
     uint n_updated = params.n_blocks * params.n_active, row = PER_FLOAT ? i / n_updated : i;
     if (!is_null(params.rows)) row = params.rows.at[row];
@@ -48,7 +50,8 @@ void step_row(uint i) {
         update(row, k / params.n_active * params.block, k % params.n_active, has_gradient, learning_rate);
         return;
     }
-    // Loops instead of divisions, because a CPU divides integers lane by lane.
+    // Uses nested loops instead of divisions, because a CPU divides integers lane by
+    // lane.
     for (uint block = 0u; block < params.stride; block += params.block)
         for (uint within = 0u; within < params.n_active; ++within)
             update(row, block, within, has_gradient, learning_rate);

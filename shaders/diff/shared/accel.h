@@ -11,31 +11,38 @@ RELIDAR_SHARED_BEGIN
 
 struct ProxyParams {
     Records records;  // input [n], all surfels
-    // Output in m: four corners [n,4,3] per surfel, or twelve [n,12,3] per 3D Gaussian
-    // (proxy = triangles).
+    // Output in m: four corners [n,4,3] per surfel or twelve corners [n,12,3] per 3D
+    // Gaussian. Written only if the proxies are triangles.
     RELIDAR_OF(Floats, ProxyVertices) vertices;
-    RELIDAR_OF(Floats, SurfelBoxes) boxes;  // output [n,6] m: min, max (proxy = boxes)
-    // Maximum [1] in m, bits of a float: largest distance of a point of a 3D Gaussian's
-    // icosahedron from a hit in it (proxy = triangles).
+    // Output [n,6] in m: lower and upper corners of the boxes. Written only if the
+    // proxies are boxes.
+    RELIDAR_OF(Floats, SurfelBoxes) boxes;
+    // Maximum [1] in m, stored as bits of a float: largest distance between a hit and a
+    // point of the icosahedron around its 3D Gaussian. Written only if the proxies are
+    // triangles.
     Uints reach;
-    float alpha_min;     // the proxy ends where sigma G = alpha_min
-    float margin_m;      // added to the proxy's size, so that rounding in a traversal loses no hit
-    float margin_scale;  // factor on the proxy's size, for the same reason
-    uint first_surfel;   // first surfel of the range
+    float alpha_min;  // Opacity threshold. The proxy encloses all points with sigma G >= alpha_min.
+    // Margin added to the size of each proxy, m. It prevents rounding errors of the
+    // traversal from losing a hit.
+    float margin_m;
+    // Factor on the proxy's size. Like the margin, it prevents rounding errors from
+    // losing a hit.
+    float margin_scale;
+    uint first_surfel;  // first surfel of the range
     uint n_surfels;
 };
 
 #define RELIDAR_RADIUS_STRETCH 64u  // surfels per thread of accel/model_radii
 
-/// Parameters of accel/model_radii.comp, which computes the radius of each model around
-/// its origin.
+/// Parameters of the kernel that computes the radius of each model around its origin.
 struct ModelRadiiParams {
-    Records records;                      // input [n], all surfels
-    Models models;                        // input [n_models]
-    RELIDAR_OF(Uints, ModelRadii) radii;  // maximum [n_models] m, bits of floats
-    float alpha_min;                      // a surfel ends where sigma G = alpha_min
-    float margin_m;                       // added to each radius
-    float margin_scale;                   // factor on each radius
+    Records records;  // input [n], all surfels
+    Models models;    // input [n_models]
+    // Maximum [n_models] in m, stored as bits of floats: radius of each model.
+    RELIDAR_OF(Uints, ModelRadii) radii;
+    float alpha_min;     // Opacity threshold. A ray hits a surfel only where sigma G >= alpha_min.
+    float margin_m;      // added to each radius
+    float margin_scale;  // factor on each radius
     uint n_models;
     uint first_surfel;  // first surfel of the range
     uint n_surfels;     // number of surfels of the range

@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the backward kernels: the second cast of the rays, the sums of its hit
-// records by surfel, and the gradients of poses.
+// Parameters of the backward kernels. They trace the rays again, add the gradients of
+// hits by surfel, and compute the gradients of poses.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_BACKWARD_H
 #include "trace.h"
 
 RELIDAR_SHARED_BEGIN
 
-#define RELIDAR_GATHER_BLOCK 32u         // hits that one thread sums
-#define RELIDAR_NO_ROW(n_rows) (n_rows)  // row of a slot without a gradient; sorted behind all other rows
+#define RELIDAR_GATHER_BLOCK 32u  // hits that one thread sums
+// Row number of a slot without a gradient. It is sorted behind all other rows.
+#define RELIDAR_NO_ROW(n_rows) (n_rows)
 
-/// A blended hit, in 16 bytes. All other values of the hit are computed again.
+/// Gradient record of a blended hit, in 16 bytes. Kernels compute all other values of the
+/// hit again.
 struct HitRecord {
     uint ray;  // index in the batch
     uint instance;
@@ -21,38 +23,46 @@ RELIDAR_POINTER(HitRecords, HitRecord);
 
 struct BackwardParams {
     TraceScene scene;
-    RenderedRays rendered;  // input [n_rays], results of the forward pass with the same scene
+    RenderedRays rendered;  // Input [n_rays]: results of the forward pass with the same scene.
     RayGradients upstream;  // input [n_rays]
     // Accumulated [n_rows,16]. Rows are numbered as in InstanceEntry.
     RELIDAR_OF(Floats, RecordGradients) d_records;
     RELIDAR_OF(Floats, Harmonics) d_sh;  // accumulated [n,3,16], if SH are evaluated per hit
-    // Output [n] 1 for surfels that have a hit with a gradient, or address 0.
+    // Output [n]: 1 for surfels that have a hit with a gradient. Address 0 means that it
+    // is not needed.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     // output [n_rays,6] d_origin, d_direction, or address 0
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;
-    RELIDAR_OF(Uints, FirstHits) first_hit;  // input [n_rays] slot of each ray's first hit (gather)
-    HitRecords hits;                         // output [capacity] (gather)
-    RELIDAR_OF(Uints, HitRows) rows;         // output [capacity] (gather)
-    // input [ceil(n/2),n_kept,2] of n threads, hits in the order in which the forward
-    // pass blended them
+    // Input [n_rays]: record slot of each ray's first hit. Used only if hit records are
+    // summed without atomics.
+    RELIDAR_OF(Uints, FirstHits) first_hit;
+    HitRecords hits;                  // output [capacity] (gather)
+    RELIDAR_OF(Uints, HitRows) rows;  // output [capacity] (gather)
+    // Input [ceil(n/2),n_kept,2]: hits of n threads in the order in which the forward
+    // pass blended them.
     Hits kept;
-    uint n_kept;    // hits stored per ray; later hits are searched again
-    uint capacity;  // slots of `hits`; hits in later slots are added with atomics
+    uint n_kept;  // Number of hits stored per ray. The backward pass searches later hits again.
+    // Number of slots of `hits`. The gradients of hits in later slots are added with
+    // atomics.
+    uint capacity;
     uint n_rows;
-    uint with_turn;  // 1: d_records also gets the rotation of SH directions, if SH are evaluated per hit
+    // 1: d_records also receives the rotation gradient of the SH directions. Used only if
+    // SH are evaluated per hit.
+    uint with_turn;
 };
 
-/// Parameters of the sums of hit records by row: kernel gather, then gather_heads for
-/// rows that continue in later blocks.
+/// Parameters of the kernels that add the gradients of hits by row. Kernel gather_heads
+/// adds the rows that are split over several blocks.
 struct GatherParams {
     TraceScene scene;
     RayGradients upstream;               // input [n_rays]
     HitRecords hits;                     // input [capacity]
     RELIDAR_OF(Uints, HitRows) rows;     // input [capacity] ascending
-    RELIDAR_OF(Uints, HitSlots) slots;   // input [capacity] index in `hits`, in the order of rows
+    RELIDAR_OF(Uints, HitSlots) slots;   // Input [capacity]: index into `hits`, sorted by row.
     RELIDAR_OF(Uints, HitCount) n_hits;  // input [1], may exceed capacity
-    // [blocks,2,16 or 64] Two partial sums per block: of a row that began in an earlier
-    // block, and of a row that continues in the next block.
+    // [blocks,2,16 or 64]: two partial sums per block. The first belongs to a row that
+    // began in an earlier block. The second belongs to a row that continues in the next
+    // block.
     RELIDAR_OF(Floats, RowParts) parts;
     RELIDAR_OF(Floats, RecordGradients) d_records;  // accumulated [n_rows,16]
     RELIDAR_OF(Floats, Harmonics) d_sh;             // accumulated [n,3,16], if SH are evaluated per hit
@@ -66,11 +76,12 @@ struct PoseBlock {
     uint first_surfel;
     uint first_row;
     uint n_surfels;
-    uint with_view;  // 1: the instance defines the view direction of the model's SH
+    uint with_view;  // 1: the view direction of the model's SH depends on this instance.
 };
 RELIDAR_POINTER(PoseBlocks, PoseBlock);
 
-// force, torque about the model's origin, dL/d(view origin); in the model frame
+// Number of floats of a sum: force, torque about the model's origin and dL/d(view
+// origin), all in the model frame.
 #define RELIDAR_POSE_SUMS 9
 
 struct PoseBlocksParams {

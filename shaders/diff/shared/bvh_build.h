@@ -10,21 +10,25 @@
 
 RELIDAR_SHARED_BEGIN
 
-#define RELIDAR_BVH_WORKGROUP 256u    // threads of the kernels that use shared memory; at most 64 subgroups
-#define RELIDAR_BVH_TILE 4096u        // elements per workgroup of these kernels: 16 per thread
-#define RELIDAR_BVH_MORTON_BITS 13u   // bits per axis
-#define RELIDAR_BVH_LEAF 0x80000000u  // flag: the child of a binary node is a sorted position
+// Number of threads per workgroup of the kernels that use shared memory. A workgroup has
+// at most 64 subgroups.
+#define RELIDAR_BVH_WORKGROUP 256u
+#define RELIDAR_BVH_TILE 4096u       // elements per workgroup of these kernels: 16 per thread
+#define RELIDAR_BVH_MORTON_BITS 13u  // bits per axis
+// Flag of a child of a binary node: the child is a leaf, given by its sorted position.
+#define RELIDAR_BVH_LEAF 0x80000000u
 
 RELIDAR_POINTER(Uvec2s, uvec2);
 
-/// Parameters of accel/bvh_bounds.comp, which computes the bounds of the surfels of each
-/// model that can be hit.
+/// Parameters of the kernel that computes bounds of each model, over all surfels that can
+/// be hit.
 struct BvhBoundsParams {
-    // input [n,6] m: surfel boxes, empty for surfels that are never hit
+    // Input [n,6] in m: boxes of the surfels. The box of a surfel that is never hit is
+    // empty.
     RELIDAR_OF(Floats, SurfelBoxes) boxes;
     Models models;  // input [n_models]
-    // Accumulated [n_models,6]: minimum ordered bits of the centres' x, y, z, then of -x,
-    // -y, -z.
+    // Accumulated [n_models,6]: minimum of the box centres' x, y, z and of -x, -y, -z.
+    // Floats are stored as integers with the same order.
     RELIDAR_OF(Uints, ModelBounds) bounds;
     uint n_surfels;
     uint n_models;
@@ -42,16 +46,17 @@ struct BvhKeysParams {
     uint n_models;
 };
 
-/// Binary trees over the sorted surfels. A child is a node, or a sorted position with the
-/// bit LEAF. The number of a node is one of the sorted positions of its model.
+/// Binary trees over the sorted surfels. A child is either a node, or a sorted position
+/// with the bit LEAF. The index of a node is also one of the sorted positions of its
+/// model.
 struct BvhBinary {
     RELIDAR_OF(Uvec2s, BinaryChildren) children;  // [n]
     RELIDAR_OF(Floats, BinaryBoxes) boxes;        // [n,6] m
-    // [n,7] Cost of the subtree in at most 1 ... 7 slots of a wide node, m^2.
+    // [n,7]: cost of storing the subtree in at most 1 ... 7 slots of a wide node, m^2.
     RELIDAR_OF(Floats, BinaryCosts) costs;
-    // [n] Distribution of these slots to the children; see accel/bvh_binary.glsl.
+    // [n]: best distribution of the slots to both children. See accel/bvh_binary.glsl.
     RELIDAR_OF(Uints, BinaryDecisions) decisions;
-    // [n] sorted position in a node's subtree that does not number a node yet
+    // [n]: sorted position in a node's subtree that is not yet the index of a node.
     RELIDAR_OF(Uints, SpareNodes) spares;
 };
 
@@ -62,45 +67,45 @@ struct BvhClusterParams {
     RELIDAR_OF(Uvec2s, MortonKeys) keys;       // input [n] sorted
     RELIDAR_OF(Uints, SortedSurfels) surfels;  // input [n] surfel at each sorted position
     Models models;                             // input [n_models]
-    // [n] Initially NO_NODE: other end of the range that first arrived at the split after
-    // a position.
+    // [n]: other end of the range that first reached the split after a position.
+    // Initially NO_NODE.
     RELIDAR_OF(Uints, OtherEnds) other_ends;
-    // [n] Roots of the clusters of a range, from its first position on. Ends with NO_NODE
-    // if there are fewer clusters than slots.
+    // [n]: roots of the clusters of a range, stored from its first position on. NO_NODE
+    // follows the last cluster if slots are left.
     RELIDAR_OF(Uints, BinaryClusters) clusters;
     RELIDAR_OF(Uints, BinaryRoots) roots;  // output [n_models] root of each model
     uint n_surfels;
     uint n_models;
 };
 
-/// Wide nodes and the data that only building and refitting need.
+/// Wide nodes, and the data that only the build and the refit need.
 struct BvhWide {
     BvhNodes nodes;                       // [bound]
     RELIDAR_OF(Uints, LeafOrder) order;   // [n]
     RELIDAR_OF(Uvec2s, WideLinks) links;  // [bound] parent or NO_NODE, first surfel of the model
     RELIDAR_OF(Floats, WideBoxes) boxes;  // [bound,6] m: box of the node before quantisation
-    // [bound] number of inner children that are finished; 0 between launches
+    // [bound]: number of inner children whose boxes are finished. 0 between launches.
     RELIDAR_OF(Uints, Arrivals) arrivals;
     RELIDAR_OF(Uints, WideCount) count;  // [1] number of nodes in use
 };
 
-/// Parameters of the kernels accel/bvh_wide_*.comp, which collapse binary trees into wide
-/// nodes.
+/// Parameters of the kernels accel/bvh_wide_*.comp, which convert binary trees to trees
+/// of wide nodes.
 struct BvhWideParams {
     BvhBinary tree;  // input
     BvhWide wide;    // output
-    // [bound] Binary nodes that become wide nodes: first the roots of the models, then
-    // level by level. The order within a level is arbitrary.
+    // [bound]: binary nodes that become wide nodes. The roots of the models are first,
+    // then level by level. The order within a level is arbitrary.
     RELIDAR_OF(Uints, BinaryRoots) queue;
-    // [bound,8] Children of the wide node of a queue entry. Unused slots are NO_NODE.
+    // [bound,8]: children of the wide node of each queue entry. Unused slots hold
+    // NO_NODE.
     RELIDAR_OF(Uints, WideSlots) slots;
-    // [levels + 1] Number of queue entries of each level. Initially 0; the roots are not
-    // counted.
+    // [levels + 1]: number of queue entries per level, without the roots. Initially 0.
     RELIDAR_OF(Uints, LevelSizes) level_sizes;
-    // [n] Per binary node: wide children + 256 * leaf entries. 0 if the node does not
-    // become wide.
+    // [n]: wide children + 256 * leaf entries of each binary node. 0 if the node does not
+    // become a wide node.
     RELIDAR_OF(Uints, SlotDemands) demands;
-    // [n] Sums of the inner children and leaf entries of the preceding nodes of the tile.
+    // [n]: number of inner children and of leaf entries of all earlier nodes of the tile.
     RELIDAR_OF(Uvec2s, TileOffsets) offsets;
     RELIDAR_OF(Uvec2s, SumsOfTiles) tiles;     // [n_tiles] the same sums over the preceding tiles
     RELIDAR_OF(Uints, WidePlaces) places;      // [n] wide node that replaces a binary node
@@ -121,19 +126,19 @@ struct BvhRefitParams {
     uint last_surfel;                       // last_surfel] are refitted.
 };
 
-/// Parameters of accel/bvh_top.comp, which builds the tree over the instances.
+/// Parameters of the kernel that builds the tree over all instances.
 struct BvhTopParams {
     BvhPointers bvh;                             // output: roots, top_nodes, top_order
     Instances instances;                         // input [n_instances]
     RELIDAR_OF(Uints, InstanceModels) model_of;  // input [n_instances]
     Models models;                               // input [n_models]
-    // Input [n_models,6] m, model frame: boxes of the first wide nodes, which are the
-    // roots.
+    // Input [n_models,6] in m, model frame: boxes of the root nodes. The roots are the
+    // first wide nodes.
     RELIDAR_OF(Floats, WideBoxes) model_boxes;
     RELIDAR_OF(Floats, InstanceBoxes) boxes;  // scratch [n_instances + nodes,6] m, world
     Uvec2s keys;                              // scratch [power of two >= n_instances]
     uint n_instances;
-    uint n_padded;  // the power of two that is the length of `keys`
+    uint n_padded;  // Length of `keys`, a power of two.
 };
 
 /// Parameters of accel/bvh_cost.comp, which computes the surface-area cost.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the densification kernels (docs/method.md section 6): statistics, the
-// action for each surfel, and the move into the new order.
+// Parameters of the densification kernels (docs/method.md section 6). They collect
+// statistics, choose an action for each surfel, and reorder the surfels.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_DENSIFY_H
 #include "relidar/base/lang.h"
@@ -25,39 +25,43 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_DENSIFY_WEIGHT 7   // sum of weights
 #define RELIDAR_DENSIFY_COUNTERS 8
 
-/// Parameters of densify/observe.comp, which adds one batch to the statistics.
+/// Parameters of the kernel that adds one batch to the densification statistics.
 struct ObserveParams {
-    // Input [n,3] gradient with respect to the mean; undefined for surfels that are not
-    // touched.
+    // Input [n,3]: gradient with respect to the mean. Undefined for surfels without a
+    // gradient in this batch.
     RELIDAR_OF(Floats, Means) d_mean;
-    RELIDAR_OF(Uints, TouchedSurfels) touched;      // input [n]
-    RELIDAR_OF(Floats, GradientSums) gradient_sum;  // accumulated [n] norms of the gradient
-    // accumulated [n] number of batches whose frame shows the surfel
+    RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n]
+    // Accumulated [n]: sum of the norms of the gradient over all batches.
+    RELIDAR_OF(Floats, GradientSums) gradient_sum;
+    // Accumulated [n]: number of batches in whose frame the surfel is visible.
     RELIDAR_OF(Uints, SeenBatches) n_seen;
-    // Accumulated [n,n_words] One bit per training frame: the surfel has had a gradient
-    // in it.
+    // Accumulated [n,n_words]: one bit per training frame. The bit is set if the surfel
+    // had a gradient in that frame.
     RELIDAR_OF(Uints, SeenFrames) frames;
     uint n_surfels;
     uint n_words;
     uint frame;        // frame of the batch
-    uint whole_frame;  // 1: the batch holds all rays of the frame
+    uint whole_frame;  // 1: the batch contains all rays of the frame.
 };
 
-/// Parameters of densify/classify.comp, which decides the action for each surfel.
+/// Parameters of the kernel that chooses the action (drop, keep, clone or split) for each
+/// surfel.
 struct ClassifyParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, GradientSums) gradient_sum;  // input [n]
     RELIDAR_OF(Uints, SeenBatches) n_seen;          // input [n]
     RELIDAR_OF(Uints, DensifyActions) action;       // output [n] RELIDAR_DENSIFY_DROP ... SPLIT
-    // output [n] share in the growth, 0 for a surfel that does not grow
+    // Output [n]: weight with which a surfel receives copies. 0 for a surfel that does
+    // not grow.
     RELIDAR_OF(Uints, GrowthWeights) weight;
     RELIDAR_OF(Uints, DensifyCounters) counters;  // accumulated [n_models,RELIDAR_DENSIFY_COUNTERS]
     Models models;                                // input [n_models]
     RELIDAR_OF(Floats, ModelExtents) extents;     // input [n_models] m
     float min_opacity;                            // surfels with a smaller opacity are dropped
-    float max_extent_share;  // surfels with a larger scale, relative to the model's extent, are dropped
-    // surfels with a smaller maximum scale, relative to the model's extent, are cloned,
-    // others are split
+    // Largest allowed scale relative to the model's extent. Larger surfels are dropped.
+    float max_extent_share;
+    // Scale limit relative to the model's extent. Growing surfels below this limit are
+    // cloned, larger ones are split.
     float clone_extent_share;
     float gradient_threshold;  // surfels with a larger mean gradient norm grow
     uint n_surfels;
@@ -69,16 +73,18 @@ struct ClassifyParams {
 struct AllotParams {
     RELIDAR_OF(Uints, GrowthWeights) weight;      // input [n]
     RELIDAR_OF(Uints, WeightsBefore) cumulative;  // input [n] sum of the preceding weights
-    RELIDAR_OF(Uints, DensifyActions) action;     // in place [n] growing surfels without a copy become KEEP
-    RELIDAR_OF(Uints, RowCounts) n_rows;  // output [n] number of rows of each surfel after densification
+    // In place [n]: action of each surfel. Growing surfels that receive no copy become
+    // KEEP.
+    RELIDAR_OF(Uints, DensifyActions) action;
+    // Output [n]: number of rows that each surfel has after densification.
+    RELIDAR_OF(Uints, RowCounts) n_rows;
     uint n_surfels;
     uint n_new;
     uint total_weight;
     uint phase;  // 0 <= phase < total_weight
 };
 
-/// Parameters of densify/move.comp, which moves the rows of one array to their new
-/// positions.
+/// Parameters of the kernel that copies the rows of one array to their new positions.
 struct MoveParams {
     RELIDAR_OF(Uints, OldRows) from;           // input [n,stride] bits of any type
     RELIDAR_OF(Uints, NewRows) to;             // output [sum of n_rows,stride]
@@ -87,11 +93,11 @@ struct MoveParams {
     RELIDAR_OF(Uints, RowStarts) starts;       // input [n] first new row of each surfel
     uint n_surfels;
     uint stride;
-    uint fresh;  // 1: rows of new surfels, and of surfels whose values change, become zero (moments)
+    uint fresh;  // 1: rows of new and changed surfels become zero, as the moments of Adam require.
 };
 
-/// Parameters of densify/spawn.comp, which computes the values of split surfels. Their
-/// new rows hold copies of the old values.
+/// Parameters of the kernel that computes the values of split surfels. Their new rows
+/// hold copies of the old values.
 struct SpawnParams {
     SurfelPointers surfels;                    // in place, in the new order
     RELIDAR_OF(Uints, DensifyActions) action;  // input [n] in the old order
@@ -101,7 +107,7 @@ struct SpawnParams {
     uint key;
 };
 
-/// Parameters of densify/reset_opacity.comp, which lowers the opacity of all surfels.
+/// Parameters of the kernel that lowers the opacity of all surfels.
 struct ResetOpacityParams {
     RELIDAR_OF(Floats, OpacityLogits) opacity_logit;  // in place [n]
     float max_logit;

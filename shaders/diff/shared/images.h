@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images of the ray-drop network: [n_images, channels, rows, columns], columns fastest.
+// Layout of the images of the ray-drop network: [n_images, channels, rows, columns].
+// Neighbouring columns are adjacent in memory.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_IMAGES_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_IMAGES_H
 #include "relidar/base/lang.h"

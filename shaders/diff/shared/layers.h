@@ -6,11 +6,12 @@
 #define RELIDAR_INCLUDED_DIFF_SHARED_LAYERS_H
 #include "images.h"
 
-#define RELIDAR_CONV_OUT 8  // channels that a subgroup of network/conv or network/conv_weights computes
-// Input channels whose weights a workgroup of network/conv holds at a time, or that a
-// subgroup of network/conv_weights processes (1x1).
+#define RELIDAR_CONV_OUT 8  // Number of output channels that a subgroup of a convolution kernel computes.
+// Number of input channels whose weights a workgroup of network/conv holds at a time.
+// Also the number of input channels that a subgroup of network/conv_weights processes for
+// 1x1 convolutions.
 #define RELIDAR_CONV_IN 8
-// pixels of a channel that a thread of network/norm or network/norm_vjp computes
+// Number of pixels of a channel that one thread of the normalisation kernels computes.
 #define RELIDAR_NORM_PIXELS 8
 
 RELIDAR_SHARED_BEGIN
@@ -26,14 +27,17 @@ struct ConvParams {
     uint columns;
     uint n_in;
     uint n_out;
-    uint transposed;  // 1: derivative with respect to the input: swapped channels, mirrored taps
-    uint accumulate;  // 1: adds to the stored values
+    // 1: computes the derivative with respect to the input, with swapped channels and
+    // mirrored taps.
+    uint transposed;
+    uint accumulate;  // 1: adds the result to the stored values instead of overwriting them.
 };
 
 struct ConvWeightsParams {
     ImageSlice from;  // input [n_images, n_in, rows, columns]
     ImageSlice d_to;  // input [n_images, n_out, rows, columns]
-    // Output [n_parts, n_out, n_in, TAPS] sums over the rows of a part.
+    // Output [n_parts, n_out, n_in, TAPS]: gradient of the weights, summed over the rows
+    // of a part.
     RELIDAR_OF(Floats, PartSums) partial;
     uint n_images;
     uint rows;
@@ -50,7 +54,8 @@ struct SumPartsParams {
     uint n;
 };
 
-// Parameters of the sums over the pixels of channels, split into parts.
+// Parameters of the kernel that sums over the pixels of each channel. The pixels are
+// split into parts.
 struct ChannelSumsParams {
     ImageSlice from;  // input
     ImageSlice d_to;  // input, for kSums_norm_vjp: gradient of the output of network/norm
@@ -62,12 +67,14 @@ struct ChannelSumsParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint n_channels;
-    uint n_parts;  // a multiple of n_images, because a part lies within one image
+    // Number of parts. It is a multiple of n_images, because each part lies within one
+    // image.
+    uint n_parts;
     uint dropout_key;
     float dropout;
 };
 #ifdef __cplusplus
-constexpr uint kSums_moments = 0;   // mean of the part, and sum of squares about the mean
+constexpr uint kSums_moments = 0;   // Kind of sums: mean of the part, and sum of squares about this mean.
 constexpr uint kSums_norm_vjp = 1;  // dL/d(beta), dL/d(gamma)
 constexpr uint kSums_plain = 2;     // the sum: derivative with respect to a bias
 #else
@@ -77,17 +84,19 @@ const uint kSums_moments = 0u, kSums_norm_vjp = 1u, kSums_plain = 2u;
 struct NormFinishParams {
     RELIDAR_OF(Floats, PartSums) partial;     // input [n_parts, channels, 2] of kSums_moments
     RELIDAR_OF(Vec2s, BetaGamma) beta_gamma;  // input [channels]
-    // In place [channels] mean and variance; only read if `training` is 0.
+    // In place [channels]: running mean and variance. They are updated in training and
+    // used in evaluation (`training` is 0).
     RELIDAR_OF(Vec2s, RunningMoments) running;
     RELIDAR_OF(Vec2s, NormMoments) moments;  // output [channels] mean and 1 / deviation
-    // Output [channels]: gamma * normalised + beta = scale x + shift.
+    // Output [channels]: scale and shift, so that gamma * normalised + beta = scale x +
+    // shift.
     RELIDAR_OF(Vec2s, ScaleShift) scale_shift;
     uint n_channels;
     uint n_parts;  // parts of all images
     uint n_images;
     uint n_pixels;  // pixels per image
     uint training;
-    float momentum;  // weight of the new batch in `running`
+    float momentum;  // Weight of the new batch when the running mean and variance are updated.
     float epsilon;
 };
 
@@ -98,8 +107,10 @@ struct NormParams {
     uint n_images;
     uint n_pixels;  // pixels per image
     uint n_channels;
-    uint dropout_key;  // the dropout mask depends only on this key and on the position of a value
-    float dropout;     // share of dropped values; 0: no dropout
+    // Key of the random dropout mask. The mask depends only on this key and on the
+    // position of a value.
+    uint dropout_key;
+    float dropout;  // Share of values that dropout sets to 0. 0 means no dropout.
 };
 
 struct NormVjpParams {
@@ -114,13 +125,13 @@ struct NormVjpParams {
     uint n_channels;
     uint dropout_key;
     float dropout;
-    uint accumulate;  // 1: adds to the stored values
+    uint accumulate;  // 1: adds the result to the stored values instead of overwriting them.
 };
 
 struct ResampleParams {
     ImageSlice from;    // input
     ImageSlice to;      // output; in place for network/pool_vjp
-    ImageSlice pooled;  // input of the pooling; only for network/pool_vjp
+    ImageSlice pooled;  // Input images of the max pooling. Only the derivative of the pooling reads them.
     uint n_images;
     uint n_channels;
     uint rows;  // size of the larger images

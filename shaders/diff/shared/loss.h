@@ -11,7 +11,7 @@
 
 RELIDAR_SHARED_BEGIN
 
-// Constants kTerm_depth, ...: column of each term in a row of `terms`.
+// Constants kTerm_depth, ...: column of each loss term in a row of `terms`.
 #define RELIDAR_TERM(index, name, setting, maker, standard, accepts, meaning) const uint kTerm_##name = index;
 RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
@@ -24,20 +24,23 @@ struct ImageLossParams {
     float depth_weight;
     float intensity_weight;
     float drop_weight;
-    float opacity_weight;   // of (1 - W)^2 on pixels with a return
-    float intensity_delta;  // threshold of the Huber loss; 0: L1
+    // Weight of the loss (1 - W)^2 on pixels with a return, where W is the blended
+    // weight.
+    float opacity_weight;
+    float intensity_delta;  // Threshold of the Huber loss of the intensity. 0 selects the L1 loss.
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    uint normalised_depth;  // 1: compare D / W, 0: compare D (paper)
+    // 1: the loss compares the measured range with D / W. 0: with D (as in the paper).
+    uint normalised_depth;
 };
 
-// Floats per pixel: derivatives with respect to the mean, the variance (times two) and
-// the covariance, over the sum of weights, then both means.
+// Number of floats per pixel: derivatives with respect to the mean, the variance (times
+// two) and the covariance, each divided by the sum of weights, then both means.
 #define RELIDAR_SSIM_FLOATS 5
 
-/// Parameters of the structural similarity of the intensity image and its derivative.
-/// Kernel loss/ssim writes `statistics`, and loss/ssim_vjp reads it.
+/// Parameters of the kernels for the structural similarity of the intensity image and its
+/// derivative. Kernel loss/ssim writes `statistics`, and loss/ssim_vjp reads it.
 struct SsimParams {
     RenderedRays rendered;  // input [rows,columns]
     Targets targets;        // input
@@ -45,7 +48,7 @@ struct SsimParams {
     RELIDAR_OF(Floats, SsimStatistics) statistics;
     RayGradients upstream;                // [rows,columns] accumulated by ssim_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by ssim
-    float weight;                         // weight of 1 - S of one pixel
+    float weight;                         // Weight of the loss 1 - S of one pixel, where S is the similarity.
     uint first_ray;
     uint ray_stride;
     uint rows;
@@ -53,30 +56,34 @@ struct SsimParams {
     uint circular;  // 1: the first column follows the last column
 };
 
-// Value of all coordinates if a ray has no point.
+// Value of all three coordinates if a ray has no point.
 #define RELIDAR_NO_POINT 1e30
 #define RELIDAR_NO_INDEX 0xffffffffu
 
-/// Parameters of the kernel that computes the points of each ray.
+/// Parameters of the kernel that computes the simulated and the measured point of each
+/// ray.
 struct ChamferPointsParams {
     Rays rays;              // input
     RenderedRays rendered;  // input [n_rays]
     Targets targets;        // input
-    // Output [n_rays] m, relative to the origin of the batch's first ray.
+    // Output [n_rays] in m: simulated points, relative to the origin of the first ray of
+    // the batch.
     RELIDAR_OF(Vec3s, SimulatedPoints) simulated;
     RELIDAR_OF(Vec3s, MeasuredPoints) measured;  // output [n_rays]
     RELIDAR_OF(Floats, PointCounts) counts;      // accumulated [2] simulated, measured points
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    uint normalised_depth;  // 1: the range is D / W, 0: the range is D
+    uint normalised_depth;  // 1: the range of a simulated point is D / W. 0: the range is D.
 };
 
-/// Parameters of the kernel that bounds rectangles of points or of boxes.
+/// Parameters of the kernel that computes bounding boxes of tiles of points, or of tiles
+/// of boxes.
 struct ChamferBoxesParams {
     RELIDAR_OF(Vec3s, LowCorners) low;    // input [rows,columns]
     RELIDAR_OF(Vec3s, HighCorners) high;  // input [rows,columns]
-    // Output [tiles], row by row; RELIDAR_NO_POINT for an empty tile.
+    // Output [tiles], row by row: lower corner of each tile's box. RELIDAR_NO_POINT for
+    // an empty tile.
     RELIDAR_OF(Vec3s, TileLows) tile_low;
     RELIDAR_OF(Vec3s, TileHighs) tile_high;  // output [tiles]
     uint rows;
@@ -85,7 +92,7 @@ struct ChamferBoxesParams {
     uint tile_columns;
 };
 
-/// A point cloud in image order with two levels of bounding boxes.
+/// Point cloud in the order of an image, with two levels of bounding boxes for searches.
 struct ChamferCloud {
     RELIDAR_OF(Vec3s, CloudPoints) points;  // [rows,columns]
     RELIDAR_OF(Vec3s, TileLows) tile_low;   // boxes over tile_rows x tile_columns points
@@ -94,12 +101,13 @@ struct ChamferCloud {
     RELIDAR_OF(Vec3s, GroupHighs) group_high;
 };
 
-/// Parameters of the nearest-point search between two clouds of one shape.
+/// Parameters of the kernel that finds nearest points between two clouds of the same
+/// image size.
 struct ChamferNearestParams {
     RELIDAR_OF(Vec3s, QueryPoints) queries;  // input [rows,columns]
     ChamferCloud cloud;                      // input
-    // Output [rows,columns] index in cloud.points. RELIDAR_NO_INDEX if the query is no
-    // point or the cloud has no points.
+    // Output [rows,columns]: index of the nearest point in cloud.points. RELIDAR_NO_INDEX
+    // if the query has no point or the cloud is empty.
     Uints nearest;
     uint rows;
     uint columns;
@@ -107,8 +115,8 @@ struct ChamferNearestParams {
     uint tile_columns;
 };
 
-/// Parameters of the squared distances in both directions (loss/chamfer) and their
-/// gradient (loss/chamfer_vjp).
+/// Parameters of the Chamfer loss, which sums squared distances in both directions, and
+/// of its derivative.
 struct ChamferParams {
     Rays rays;                                     // input
     RenderedRays rendered;                         // input [n_rays]
@@ -119,7 +127,8 @@ struct ChamferParams {
     // input [n_rays] index, per measured point
     RELIDAR_OF(Uints, NearestSimulated) nearest_simulated;
     RELIDAR_OF(Floats, PointCounts) counts;  // input [2]
-    // [n_rays,2] Fixed point, m: accumulated by chamfer, input of chamfer_vjp.
+    // [n_rays,2] in m, fixed point: gradients of simulated points that are nearest to a
+    // measured point. Kernel chamfer accumulates them, and chamfer_vjp reads them.
     RELIDAR_OF(Uints, FoundGradients) d_found;
     RayGradients upstream;                // accumulated [n_rays] by chamfer_vjp
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated by chamfer
@@ -130,15 +139,15 @@ struct ChamferParams {
     uint normalised_depth;
 };
 
-/// Parameters of the loss that penalises surfels outside their actor's box.
+/// Parameters of the loss that penalises surfels outside the box of their actor.
 struct SurfelLossParams {
     SurfelPointers surfels;    // input
     SurfelPointers d_surfels;  // accumulated: mean, log_scale
-    // Input [n] rows whose gradients are defined, or address 0 = all rows.
+    // Input [n]: marks rows whose gradients are defined. Address 0 means all rows.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
     RELIDAR_OF(Floats, LossTerms) terms;  // accumulated
     Models models;                        // input [n_models]
-    // A larger scale, relative to half the box's diagonal, counts as outside.
+    // Largest scale without a penalty, relative to half the diagonal of the box.
     float box_scale_share;
     float box_weight;
     uint first_surfel;  // first surfel of the launch

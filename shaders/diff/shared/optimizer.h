@@ -11,14 +11,15 @@ struct AdamParams {
     RELIDAR_OF(Floats, AdamGradients) gradients;  // input [n_rows,stride]
     RELIDAR_OF(Floats, FirstMoments) moment1;     // in place
     RELIDAR_OF(Floats, SecondMoments) moment2;    // in place
-    // input [n_rows] rows with a gradient, or address 0 = all rows
+    // Input [n_rows]: marks the rows that have a gradient. Address 0 means all rows.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
-    // Input [n_listed] rows that are updated, or address 0 = all n_rows.
+    // Input [n_listed]: rows that are updated. Address 0 means all n_rows rows.
     RELIDAR_OF(Uints, TouchedRows) rows;
     RELIDAR_OF(Uints, TouchedCount) n_listed;  // input [1]
-    // Input [n_rows] upper bound of the values of each row, or address 0 = no bounds.
+    // Input [n_rows]: upper bound of the values in each row. Address 0 means no bounds.
     RELIDAR_OF(Floats, ScaleBounds) bounds;
-    // Input [n_models] learning-rate factor of the rows of each model, or address 0 = 1.
+    // Input [n_models]: factor on the learning rate for the rows of each model. Address 0
+    // means a factor of 1.
     RELIDAR_OF(Floats, ModelRates) model_scale;
     Models models;  // input [n_models], if there are factors
     float learning_rate;
@@ -27,17 +28,19 @@ struct AdamParams {
     float epsilon;
     float correction1;  // 1 / (1 - beta1^step)
     float correction2;  // 1 / (1 - beta2^step)
-    float first_scale;  // learning-rate factor of column 0 of each block (SH: DC coefficient)
-    // Learning-rate factor of the first block (SH: the intensity, in contrast to the drop
-    // logits).
+    // Factor on the learning rate of column 0 of each block. For SH this column is the
+    // constant (DC) coefficient.
+    float first_scale;
+    // Factor on the learning rate of the first block. For SH this block is the intensity,
+    // the others are the drop logits.
     float block_scale;
     uint n_models;
     uint first_row;  // surfel of row 0
     uint n_rows;
     uint stride;    // floats per row
-    uint block;     // columns per block; column 0 of each block has a separate rate
+    uint block;     // Number of columns per block. Column 0 of each block has a separate learning rate.
     uint n_blocks;  // blocks per row
-    uint n_active;  // number of leading columns of each block that are updated
+    uint n_active;  // Number of columns at the start of each block that are updated.
 };
 
 RELIDAR_SHARED_END

@@ -1,23 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the ray-drop network's kernels that are not layers on images: matrix
-// products, inputs and loss.
+// Parameters of the remaining kernels of the ray-drop network: matrix products, softmax,
+// inputs and loss.
 #ifndef RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #define RELIDAR_INCLUDED_DIFF_SHARED_REFINE_H
 #include "layers.h"
 
-#define RELIDAR_MATMUL_ROWS 8  // rows that a subgroup of network/matmul computes
+#define RELIDAR_MATMUL_ROWS 8  // Number of matrix rows that a subgroup of network/matmul computes.
 
 RELIDAR_SHARED_BEGIN
 
-// A matrix with strides, for C[b,h][i,j] = scale sum_k A[b,h][i,k] B[b,h][k,j].
+// View of a matrix with strides, for batched products C[b,h][i,j] = scale sum_k
+// A[b,h][i,k] B[b,h][k,j].
 struct MatrixView {
     Floats values;
     uint first;
-    uint batch;  // stride from one b to the next
-    uint head;   // stride from one h to the next
+    uint batch;  // Distance in floats between the matrices of two consecutive batch entries.
+    uint head;   // Distance in floats between the matrices of two consecutive heads.
     uint row;
     uint column;
-    uint unused;  // pads to 32 bytes, so that later fields have the same offset in C++ and GLSL
+    // Pads the struct to 32 bytes, so that later fields have the same offset in C++ and
+    // GLSL.
+    uint unused;
 };
 struct MatmulParams {
     MatrixView a;  // input
@@ -32,10 +35,12 @@ struct MatmulParams {
 };
 
 struct SoftmaxParams {
-    // In place [n_rows, n]: softmax of each row. For the derivative: input, the softmax.
+    // In place [n_rows, n]: replaced by the softmax of each row. The derivative reads the
+    // softmax from here.
     RELIDAR_OF(Floats, SoftmaxValues) values;
-    // In place [n_rows, n]: d_softmax is replaced by the derivative with respect to the
-    // input of the softmax. Address 0: forward pass.
+    // In place [n_rows, n]: derivative with respect to the softmax, replaced by the
+    // derivative with respect to its input. Address 0 means that this is the forward
+    // pass.
     RELIDAR_OF(Floats, SoftmaxGradients) d_values;
     uint n_rows;
     uint n;
@@ -44,20 +49,23 @@ struct SoftmaxParams {
 struct DropLossParams {
     RELIDAR_OF(Floats, DropLogits) logit;   // input [n]
     RELIDAR_OF(Floats, StartLogits) start;  // input [n], added to logit, or address 0
-    // Input [n] 1 dropped, 0 returned, negative: unknown. Address 0: all unknown.
+    // Input [n]: 1 for a dropped ray, 0 for a return, negative for an unknown ray.
+    // Address 0 means that all rays are unknown.
     RELIDAR_OF(Floats, DropTargets) target;
-    // Output [n] derivative of `weight` times the sum over the known pixels.
+    // Output [n]: derivative of `weight` times the sum of the cross-entropy over the
+    // known pixels.
     RELIDAR_OF(Floats, DropLogitGradients) d_logit;
     RELIDAR_OF(Floats, DropProbabilities) probability;  // output [n], or address 0
-    // Output [n_parts, 2] per part: sum of the cross-entropies, number of correct pixels.
+    // Output [n_parts, 2]: sum of the cross-entropies and number of correct pixels of
+    // each part.
     RELIDAR_OF(Floats, PartSums) partial;
     uint n;
     uint n_parts;
     float weight;  // weight per pixel
 };
 
-// Parameters of the kernel that assembles a batch of images from the samples on the
-// device.
+// Parameters of the kernel that assembles a batch of input images from the stored
+// samples.
 struct DropInputsParams {
     RELIDAR_OF(Floats, DropSamples) samples;    // input [n_samples, channels, n_pixels] rendered values
     RELIDAR_OF(Floats, SampleTargets) targets;  // input [n_samples, n_pixels], or address 0
@@ -70,7 +78,9 @@ struct DropInputsParams {
     RELIDAR_OF(Floats, DropTargets) target;  // output [n_images, n_pixels]
     uint n_images;
     uint n_channels;
-    uint n_fixed;  // number of last channels that belong to the sensor's pixels and are not rotated
+    // Number of channels at the end that belong to the sensor's pixels and are not
+    // rotated.
+    uint n_fixed;
     uint logit_channel;
     uint rows;
     uint columns;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Traversal backend that tests every surfel of every instance. The tests compare the
-// other backends with it on the device.
+// Finds hits by testing every surfel of every instance. Tests compare the acceleration
+// structures with this search.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_BRUTE_FORCE_GLSL
 

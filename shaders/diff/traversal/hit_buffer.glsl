@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Hit buffer that next_hits() fills. Each thread has one. It holds the nearest CHUNK hits
-// of the ray in order.
+// Buffer for the nearest hits of a ray. Each thread has one buffer, which holds at most
+// CHUNK hits in order. next_hits() fills it.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_BUFFER_GLSL
 RELIDAR_CONSTANT(uint, CHUNK, 16u);
@@ -17,17 +17,22 @@ float placed_alpha[SLOTS];
 uint placed_instance[SLOTS];
 uint placed_surfel[SLOTS];
 uint n_hits;
-uint n_places;     // slots used so far
-uint free_place;   // first free slot of a dropped hit, CHUNK if none; next_nearer links the free slots
+uint n_places;  // slots used so far
+// First free slot of a removed hit, or CHUNK if no slot is free. The array next_nearer
+// links the free slots.
+uint free_place;
 uint latest;       // slot of the hit that was inserted last
-float latest_t;    // -kFar if that hit was dropped
+float latest_t;    // Distance of the hit that was inserted last, or -kFar if this hit was removed.
 float farthest_t;  // distance of the farthest hit, if hits_closed
-bool hits_closed;  // hits beyond the last one cannot contribute in this pass, so the search may end there
+// True if hits beyond the last hit cannot contribute in this pass, so that the search may
+// end there.
+bool hits_closed;
 float hits_transmittance;  // product of 1 - alpha over the buffer
-// below this transmittance, hits farther away cannot be blended; 0: keep all hits
+// Transmittance below which the ray ends, so hits farther away are not needed. 0 keeps
+// all hits.
 float least_transmittance;
 
-// Slots of a filled buffer in the order of the hits' keys, nearest first.
+// Slots of the hits of a filled buffer, sorted from near to far.
 uint hit_place[SLOTS];
 
 Hit placed_hit(uint place) {
@@ -35,7 +40,7 @@ Hit placed_hit(uint place) {
 }
 Key placed_key(uint place) { return Key(placed_t[place], placed_instance[place], placed_surfel[place]); }
 
-/// Returns hit i of the filled buffer. Hit 0 is the nearest.
+/// Returns hit i of the filled buffer. Hit 0 is the nearest hit.
 Hit hit_at(uint i) { return placed_hit(hit_place[i]); }
 Key hit_key(uint i) { return placed_key(hit_place[i]); }
 
@@ -54,7 +59,7 @@ void append_hit(Hit hit) {
     ++n_hits;
 }
 
-/// Writes the slots of a filled ring to hit_place in order.
+/// Writes the slots of a filled buffer to hit_place, from near to far.
 void order_hits() {
     uint place = next_nearer[CHUNK];
     for (uint i = n_hits; i > 0u; --i) {
@@ -63,8 +68,8 @@ void order_hits() {
     }
 }
 
-/// Removes the farthest hit.
-/// @param left  transmittance of the other hits
+/// Removes the farthest hit from the buffer.
+/// @param left  transmittance of the remaining hits
 /// @return slot of the removed hit
 uint drop_farthest(float left) {
     uint place = next_nearer[CHUNK];
@@ -75,15 +80,16 @@ uint drop_farthest(float left) {
     return place;
 }
 
-/// Returns the transmittance of all hits except the farthest.
+/// Returns the transmittance of all hits in the buffer except the farthest hit.
 float left_before_farthest(float alpha_max) {
     return hits_transmittance / (1.0 - min(placed_alpha[next_nearer[CHUNK]], alpha_max));
 }
 
-/// Drops the farthest hits while the nearer hits alone end the ray. Their transmittance
-/// is then below T_min, so hits behind them cannot matter.
+/// Removes the farthest hits if the nearer hits already reduce the transmittance below
+/// T_min. Hits behind these cannot contribute.
 void cut_by_transmittance(float alpha_max) {
-    // The usual case. Without this test a CPU would run through the loop once.
+    // Returns early in the usual case. Without this test a CPU would execute the loop
+    // body once.
     if (!(hits_transmittance < least_transmittance)) return;
     while (n_hits > 1u) {
         float left = left_before_farthest(alpha_max);
@@ -95,7 +101,7 @@ void cut_by_transmittance(float alpha_max) {
     }
 }
 
-/// Returns a slot for a hit: the slot of a dropped hit, or a new slot.
+/// Returns a slot for a new hit: the slot of a removed hit, or an unused slot.
 uint take_place(float alpha_max) {
     if (n_hits == CHUNK) return drop_farthest(left_before_farthest(alpha_max));
     uint place = free_place;
@@ -104,7 +110,7 @@ uint take_place(float alpha_max) {
     return place;
 }
 
-/// Inserts a hit into the buffer. Drops the farthest hit if the buffer is full.
+/// Inserts a hit into the sorted buffer. Removes the farthest hit if the buffer is full.
 void insert(Key key, float alpha, float alpha_max) {
     uint farther = key.t < latest_t ? latest : CHUNK, nearer = next_nearer[farther];
     for (;;) {
@@ -112,8 +118,8 @@ void insert(Key key, float alpha, float alpha_max) {
         if (!(t >= key.t)) break;
         if (t == key.t) {  // equal distances are rare
             Key present_key = placed_key(nearer);
-            // The surfel is in the buffer already, because the ray also hit its other
-            // triangle or the driver reported its box twice.
+            // Ignores a surfel that is already in the buffer. The ray also hit its other
+            // triangle, or the driver reported its box twice.
             if (present_key == key) return;
             if (before(present_key, key)) break;
         }
@@ -121,7 +127,9 @@ void insert(Key key, float alpha, float alpha_max) {
         nearer = next_nearer[nearer];
     }
     uint slot = take_place(alpha_max);
-    if (slot == farther) farther = CHUNK;  // the slot belonged to the farthest hit, which was dropped
+    // The new slot belonged to the farthest hit, which was removed, so the sentinel
+    // replaces it as neighbour.
+    if (slot == farther) farther = CHUNK;
     place_hit(slot, Hit(key.t, alpha, key.instance, key.surfel));
     latest = slot;
     latest_t = key.t;
@@ -134,10 +142,11 @@ void insert(Key key, float alpha, float alpha_max) {
     if (hits_closed) farthest_t = placed_t[next_nearer[CHUNK]];
 }
 
-/// Returns the distance of the last hit. A closed buffer accepts no hits behind it.
+/// Returns the distance of the farthest hit in the buffer. A closed buffer accepts no
+/// hits behind it.
 float last_hit_t() { return farthest_t; }
 
-/// Returns true if a hit cannot contribute in this pass any more.
+/// Returns true if a hit is too far away to contribute in this pass.
 bool is_behind(Key key) {
     if (!hits_closed || key.t < farthest_t) return false;
     return key.t > farthest_t || !before(key, placed_key(next_nearer[CHUNK]));

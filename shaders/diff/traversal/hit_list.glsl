@@ -14,24 +14,28 @@
 
 HitLists listed;  // hit lists of the launch
 uint own_list;
-uint n_hits;       // hits so far, including hits that do not fit into the list
-bool hits_closed;  // hits behind end_t cannot contribute any more
+uint n_hits;       // Number of hits so far, including hits that do not fit into the list.
+bool hits_closed;  // True if hits behind the distance end_t cannot contribute any more.
 float end_t;
-float set_transmittance;    // product of 1 - alpha over the hits since the list was last closed
-float least_transmittance;  // a set of hits closes the list if its product is below this value
-float farthest_t;           // farthest hit of the current set
+// Product of 1 - alpha over the hits since the far end of the list was last shortened.
+float set_transmittance;
+// Limit of the transmittance product. When the product falls below it, the far end of the
+// list is shortened.
+float least_transmittance;
+float farthest_t;  // Distance of the farthest hit since the far end of the list was last shortened.
 
-/// Returns the distance of the last hit that can contribute. A closed list accepts no
-/// hits behind it.
+/// Returns the distance of the last hit that can contribute. Hits behind this distance
+/// are not added to a closed list.
 float last_hit_t() { return end_t; }
 
 /// Returns true if a hit cannot contribute any more.
 bool is_behind(Key key) { return hits_closed && key.t > end_t; }
 
-/// Returns the transmittance that one report of a hit contributes to the product.
+/// Returns the factor by which one reported hit reduces the transmittance product.
 float left_by(float alpha) {
 #ifdef RELIDAR_TRAVERSAL_RAY_QUERY
-    // A driver reports an icosahedron where the ray enters and where it leaves.
+    // A driver reports an icosahedron twice: where the ray enters and where the ray
+    // leaves. So each report counts half.
     if (proxy_triangles() == kProxy_icosahedron) return sqrt(1.0 - alpha);
 #endif
     return 1.0 - alpha;
@@ -40,7 +44,7 @@ float left_by(float alpha) {
 /// Appends a hit to the list.
 void insert(Key key, float alpha, float alpha_max) {
     uint slot = n_hits++;
-    if (slot >= listed.room) {  // the list is full; forward/trace renders this ray
+    if (slot >= listed.room) {  // The list is full, so forward/trace must render this ray.
         hits_closed = true;
         end_t = 0.0;
         return;

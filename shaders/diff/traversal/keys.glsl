@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sort order of the hits of a ray, and the memory layout of hit lists.
+// Defines the sort order of the hits of a ray and the memory layout of hit lists.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_KEYS_GLSL
 
@@ -15,9 +15,10 @@ bool before(Key a, Key b) {
     return a.surfel < b.surfel;
 }
 
-/// Returns the index of hit k of a hit list with capacity `room`. Each tracing thread has
-/// one list. A few lists are interleaved. So both threads that each read their own list
-/// and lanes that read one list together use complete cache sectors.
+/// Returns the index of hit k of a hit list that has space for `room` hits. Each thread
+/// has one list. A few lists are interleaved, so that memory accesses use complete cache
+/// sectors. This holds if each thread reads its list, and if the lanes read one list
+/// together.
 uint list_entry(uint room, uint list, uint k) {
     return ((list / RELIDAR_SIDE_BY_SIDE) * room + k) * RELIDAR_SIDE_BY_SIDE + list % RELIDAR_SIDE_BY_SIDE;
 }

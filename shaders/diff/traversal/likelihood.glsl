@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Likelihood of a hit given the range that its ray measured (docs/method.md M12), for
-// kernels that are built with it. Include this file after includes.glsl.
+// Likelihood of a hit given the measured range of its ray (docs/method.md M12). Only
+// kernels that are built with this feature use it. Include this file after includes.glsl.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_LIKELIHOOD_GLSL
 RELIDAR_CONSTANT(uint, LIKELIHOOD, 0u);
 
 // Measurement of this thread's ray, if LIKELIHOOD is set.
-float measured_range = 0.0;      // measured range in m; 0: dropped or unknown
+// Measured range in m. 0 if the ray was dropped or its measurement is unknown.
+float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
 /// Loads the measurement of a ray of the batch.
@@ -18,14 +19,16 @@ void take_measured(TraceScene scene, uint ray) {
     measured_per_scale = 1.0 / scene.likelihood_scale_m;
 }
 
-/// Returns k = 1 / (1 + ((t - z) / s)^2).
+/// Returns the likelihood k = 1 / (1 + ((t - z) / s)^2) of a hit at t, where z is the
+/// measured range and s its scale. Returns 0 if no range was measured.
 float range_kernel(float t) {
     if (!(measured_range > 0.0)) return 0.0;
     float d = (t - measured_range) * measured_per_scale;
     return 1.0 / (1.0 + d * d);
 }
 
-/// Returns dk/dt = -2 (t - z) / s^2 k^2.
+/// Returns the derivative of the likelihood k with respect to t: dk/dt = -2 (t - z) / s^2
+/// k^2.
 float range_kernel_by_t(float t) {
     float k = range_kernel(t);
     return -2.0 * (t - measured_range) * measured_per_scale * measured_per_scale * k * k;

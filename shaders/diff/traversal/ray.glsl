@@ -1,23 +1,24 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns rays to threads and transforms a ray into the frame of a model.
+// Assigns rays to threads, and transforms rays into the frame of a model.
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_GLSL
 
 struct Ray {
     vec3 origin;     // world, m
     vec3 direction;  // world, unit length
-    float time_s;    // firing time relative to the sweep's reference time, or RELIDAR_NO_TIME
+    float time_s;    // Firing time relative to the reference time of the sweep, or RELIDAR_NO_TIME.
 };
 
 Ray ray_of(DeviceRay entry) { return Ray(entry.origin, entry.direction, entry.time_s); }
 
-// The ray in the frame of the last entered instance. It is cached because consecutive
+// Ray in the frame of the instance that was used last. It is cached because consecutive
 // candidates usually belong to one instance.
 uint entered_instance = 0xffffffffu;
 uint entered_first_surfel;
 vec3 entered_origin;
 vec3 entered_direction;
-// rotation of the model since its reference time, in the model's axes; see turned_by()
+// Rotation of the model since its reference time as a Rodrigues vector, in the model's
+// axes. turned_by() applies it.
 vec3 entered_turn = vec3(0.0);
 
 /// Returns the ray of this thread in the order of the batch, or at least n_rays if the
@@ -50,17 +51,18 @@ vec3 exact_cross(vec3 a, vec3 b) {
     return product;
 }
 
-/// Turns a vector by the rotation whose Rodrigues vector (axis times tangent of half the
-/// angle) is g. It keeps lengths for every g, so that t is the same in the world and in a
-/// model that turns.
+/// Rotates a vector by a Rodrigues vector g (axis times tangent of half the angle). The
+/// length of the vector never changes, so the distance t is the same in the world and in
+/// a rotating model.
 vec3 turned_by(vec3 g, vec3 p) {
     vec3 q = exact_cross(g, p), r = exact_cross(g, q);
     precise vec3 result = p + 2.0 / (1.0 + exact_dot(g, g)) * (q + r);
     return result;
 }
 
-/// The Rodrigues vector of a rotation vector, by the series of the tangent: exact to
-/// float for turns of up to half a radian.
+/// Converts a rotation vector (axis times angle) to a Rodrigues vector (axis times
+/// tangent of half the angle). The series is exact to float precision for angles of up to
+/// half a radian.
 vec3 rodrigues_vector(vec3 turn) {
     float x = 0.25 * exact_dot(turn, turn);
     precise vec3 g =
@@ -68,7 +70,8 @@ vec3 rodrigues_vector(vec3 turn) {
     return g;
 }
 
-/// Moves the entered ray into the frame that a moving model has at the ray's firing time.
+/// Transforms the cached ray into the frame that a moving model has at the ray's firing
+/// time.
 void follow_motion(TraceScene scene, uint instance, float time_s) {
     vec3 velocity = scene.instances.at[instance].velocity, turn_rate = scene.instances.at[instance].turn_rate;
     float span_s = scene.instances.at[instance].half_span_s;
@@ -81,8 +84,8 @@ void follow_motion(TraceScene scene, uint instance, float time_s) {
     entered_direction = turned_by(-entered_turn, entered_direction);
 }
 
-/// Enters an instance: moves the ray into the frame of its model, at the pose that the
-/// model has at the ray's firing time. All kernels and backends use this function.
+/// Transforms the ray into the frame of an instance's model, with the model's pose at the
+/// ray's firing time. All kernels and traversal backends use this function.
 void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (entered_instance == instance) return;
     InstanceEntry m = scene.instances.at[instance];
@@ -94,9 +97,8 @@ void enter_instance(TraceScene scene, Ray ray, uint instance) {
     if (m.moves != 0u) follow_motion(scene, instance, ray.time_s);
 }
 
-/// Turns a vector of the entered instance's model into the world. Loads the instance at
-/// this place, because rows that a caller loads early occupy 12 registers until they are
-/// used.
+/// Rotates a vector from the model of the current instance into the world frame. Loads
+/// the instance here, because an earlier load would occupy 12 registers until it is used.
 vec3 world_vector(TraceScene scene, vec3 g) {
     InstanceEntry m = scene.instances.at[entered_instance];
     vec3 v = g;

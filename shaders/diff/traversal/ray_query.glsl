@@ -19,7 +19,7 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_RAY_QUERY_GLSL
 RELIDAR_CONSTANT(uint, BOXES, 0u);
 
-/// Returns true if the entered ray comes within the radius of its model.
+/// Returns true if the ray passes the origin of its model within the given radius.
 bool comes_near(float radius) {
     float along = dot(entered_origin, entered_direction);
     vec3 nearest = along < 0.0 ? entered_origin - along * entered_direction : entered_origin;
@@ -32,10 +32,12 @@ struct Search {
     vec3 origin;  // world, m
     vec3 direction;
     uint mask;
-    uint instance;  // the only instance whose candidates count; RELIDAR_NO_INSTANCE: all instances
+    // The query accepts only candidates of this instance. RELIDAR_NO_INSTANCE means all
+    // instances.
+    uint instance;
 };
 
-/// Prepares the query for a moving instance.
+/// Initialises the query for one moving instance.
 /// @return false if the ray cannot hit the instance
 bool search_moving(TraceScene scene, Ray ray, MovingInstance moving, out Search search) {
     enter_instance(scene, ray, moving.instance);

@@ -9,10 +9,10 @@ RELIDAR_CONSTANT(uint, SH_PER_SURFEL, 1u);
 RELIDAR_CONSTANT(uint, SINGLE_DROP_LOGIT, 0u);
 
 const uint kNoInstance = 0xffffffffu;
-float ray_basis[16];  // SH basis of the current ray in the frame of ray_basis_instance
+float ray_basis[16];  // SH basis functions for the current ray, in the frame of ray_basis_instance.
 uint ray_basis_instance;
 
-/// Evaluates ray_basis for an instance's frame, if SH are evaluated per hit.
+/// Computes the SH basis for an instance's frame if SH are evaluated per hit.
 void use_basis(TraceScene scene, Ray ray, uint instance) {
     if (SH_PER_SURFEL != 0u || ray_basis_instance == instance) return;
     enter_instance(scene, ray, instance);
@@ -27,8 +27,8 @@ float evaluate_channel(TraceScene scene, uint surfel, uint channel) {
     return value;
 }
 
-/// Evaluates all three channels in one loop, so that the dynamically indexed array of the
-/// basis is read only once.
+/// Evaluates the SH of all three channels in one loop, so that the array of basis
+/// functions is read only once.
 vec3 evaluate_channels(TraceScene scene, uint surfel) {
     vec3 value = vec3(0.5);
     uint x = surfel * RELIDAR_SH_FLOATS, y = x + RELIDAR_SH_COEFFICIENTS, z = y + RELIDAR_SH_COEFFICIENTS;
@@ -39,7 +39,7 @@ vec3 evaluate_channels(TraceScene scene, uint surfel) {
     return value;
 }
 
-/// Returns the intensity (clamped to at least 0), the hit logit and the drop logit.
+/// Returns the channel values of a hit: intensity (at least 0), hit logit, drop logit.
 vec3 hit_channels(TraceScene scene, Ray ray, uint instance, uint surfel, SurfelRecord record) {
     if (SH_PER_SURFEL != 0u)
         return vec3(record.intensity, SINGLE_DROP_LOGIT != 0u ? 0.0 : record.hit_logit, record.drop_logit);

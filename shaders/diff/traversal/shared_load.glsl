@@ -7,16 +7,20 @@
 #ifndef RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_SHARED_LOAD_GLSL
 
-// Sizes of BvhNode and SurfelRecord. Their words are in the order of declaration.
+// Sizes of BvhNode and SurfelRecord in 32-bit words. The words have the order of
+// declaration.
 const uint kNodeWords = 20u, kRecordWords = 16u;
-const uint kMostParts = 5u;  // parts of a node in a subgroup of 4 lanes, the smallest size
+// Number of loads per node in a subgroup of 4 lanes, which is the smallest supported
+// size.
+const uint kMostParts = 5u;
 
-/// Words of a struct. Lane k % size of the subgroup holds word k in part k / size.
+/// Words of a struct, distributed over the lanes of a subgroup. Lane k % size holds word
+/// k in part k / size.
 struct SharedWords {
     uint part[kMostParts];
 };
 
-/// Loads n words, distributed over the lanes of the subgroup.
+/// Loads n words of a struct. Each lane of the subgroup loads a different word.
 /// @param from,first,n  must be equal in all lanes
 SharedWords load_words(Uints from, uint first, uint n) {
     SharedWords words;
@@ -28,7 +32,7 @@ SharedWords load_words(Uints from, uint first, uint n) {
     return words;
 }
 
-/// Returns word k.
+/// Returns word k of the struct to all lanes.
 /// @param k  must be equal in all lanes
 uint word_of(SharedWords words, uint k) {
     uint part = words.part[0];

@@ -50,27 +50,31 @@ RELIDAR_CONSTANT(uint, TOGETHER, 0u);
 const uint kSharesLoads = 2u;
 RELIDAR_CONSTANT(uint, COUNT_VISITS, 0u);
 
-// Capacity of the stack. At most 7 entries remain per level, so 64 entries suffice for 9
-// levels of full nodes, 8^9 surfels. If a tree needs more, the ray ends early and is
+// Capacity of the traversal stack. Each level adds at most 7 entries, so 64 entries are
+// enough for 9 levels of full nodes. If a tree is deeper, the ray ends early and is
 // counted as an error.
 const uint kStackSize = 64u;
 const uint kInstanceEntry = 0x80000000u;  // flag of entries that are instances
-// Flag of nodes of the top tree. Other nodes belong to the last entered instance.
+// Marks an entry as a node of the top tree. All other nodes belong to the current
+// instance.
 const uint kTopEntry = 0x40000000u;
 const float kNever = 1e30;
-const float kSlack = 5e-7;  // relative rounding error of a slab distance: 8 roundings of 2^-24
+// Relative rounding error of the distance to a box side: 8 roundings of 2^-24 each.
+const float kSlack = 5e-7;
 const float kLeastSlope = 1e-12;
 
-uint stack_entry[SLOTS];  // SLOTS is one more than the used size
-float stack_t[SLOTS];     // distance at which this ray enters the node, kNever if it does not
+uint stack_entry[SLOTS];  // Traversal stack. SLOTS is one larger than the number of entries in use.
+// Distance at which the ray enters the node on the stack, or kNever if the ray misses the
+// node.
+float stack_t[SLOTS];
 uint stack_size;
 bool stack_full;
 
-/// A ray prepared for box tests, in the frame of the current tree.
+/// Ray with precomputed values for box tests, in the frame of the current tree.
 struct BoxRay {
     vec3 origin;
     vec3 inverse;  // 1 / direction, per axis
-    float start;   // m along the ray: boxes before `start` and behind `end` are skipped
+    float start;   // Distance along the ray in m. Boxes before `start` and behind `end` are skipped.
     float end;
 };
 
@@ -84,10 +88,10 @@ uint byte_of(uvec2 bytes, uint slot) {
     return ((slot < 4u ? bytes.x : bytes.y) >> (8u * (slot & 3u))) & 255u;
 }
 
-/// Intersects a ray with the boxes of a node.
-/// @param t  output: distance at which the ray enters the box of each slot, if it does
-/// @return bit mask of the slots whose box the ray meets within [start, end]; it may
-/// include empty slots
+/// Intersects a ray with the eight child boxes of a node.
+/// @param t  output: distance at which the ray enters each box that it meets
+/// @return bit mask of the boxes that the ray meets within [start, end]. It may include
+/// empty slots.
 uint meet_boxes(BvhNode node, BoxRay ray, out float t[RELIDAR_BVH_WIDTH]) {
     vec3 scale =
         uintBitsToFloat((uvec3(node.exponents, node.exponents >> 8u, node.exponents >> 16u) & 255u) << 23u) *
@@ -125,11 +129,11 @@ void push_entry(uint entry, float t) {
     ++stack_size;
 }
 
-/// Pushes the inner slots that a ray must open, the nearest on top. A slot and its entry
-/// distance are packed into one integer, so that the network that sorts eight of them
-/// needs only minima and maxima. The packed distance loses four bits and is rounded
-/// towards the ray's origin.
-/// @param first  entry of the first inner slot
+/// Pushes the inner children that a ray must visit onto the stack, the nearest on top.
+/// The index and the distance of a child are packed into one integer, so that the sorting
+/// network needs only minima and maxima. The packed distance loses four bits and is
+/// rounded towards the ray's origin.
+/// @param first  entry of the first inner child
 void push_own_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WIDTH]) {
     const uint kThere = 0x80000000u;
     uint key[RELIDAR_BVH_WIDTH];
@@ -151,8 +155,8 @@ void push_own_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WID
     }
 }
 
-/// Pushes the inner slots that any ray of the subgroup must open, for rays that walk
-/// together. Uses the order of the subgroup's first ray.
+/// Pushes the inner children that any ray of the subgroup must visit, for rays that walk
+/// together. All rays use the order of the subgroup's first ray.
 void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDAR_BVH_WIDTH]) {
     float key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
@@ -174,8 +178,8 @@ void push_children(uint first, uint inner, uint opened, uint met, float t[RELIDA
     } while (left != 0u);
 }
 
-/// Returns a bit mask of the entries of `order` in the opened leaf slots, relative to the
-/// first leaf entry of the node.
+/// Returns a bit mask of the surfels or instances in the selected leaf slots of a node.
+/// Bit k stands for the k-th leaf entry of the node.
 uint leaf_entries(BvhNode node, uint opened) {
     uvec2 leaves = uvec2(node.leaves[0], node.leaves[1]);
     uint entries = 0u;
@@ -186,21 +190,21 @@ uint leaf_entries(BvhNode node, uint opened) {
     return entries;
 }
 
-/// Removes the lowest entry from a set.
-/// @return index of the entry
+/// Removes the lowest entry from a bit mask.
+/// @return index of the removed entry
 uint take_lowest(inout uint entries) {
     uint lowest = uint(findLSB(entries));
     entries &= entries - 1u;
     return lowest;
 }
 
-/// Returns true if the lanes of this subgroup can load cooperatively. At the end of a
-/// batch some lanes may be inactive, or have ended before the others.
+/// Returns true if all lanes of this subgroup are active, so that they can load a struct
+/// together. At the end of a batch some lanes may be inactive or finished.
 bool shares_loads() {
     return TOGETHER == kSharesLoads && subgroupBallotBitCount(subgroupBallot(true)) == gl_SubgroupSize;
 }
 
-/// Offers opened leaf entries to all rays of a full subgroup.
+/// Tests the selected leaf entries of a node against all rays of a full subgroup.
 /// @param entries  must be equal in all lanes
 void offer_together(TraceScene scene, Key after, uint instance, uint first_surfel, uint first_leaf,
                     uint entries) {
@@ -212,7 +216,8 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
         float own_x = 0.0;
         if (own < end && (entries & (1u << own)) != 0u) {
             own_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
-            // Each lane touches a different record, so that their cache misses overlap.
+            // Each lane reads a different record first, so that the cache misses of all
+            // lanes overlap.
             own_x = scene.records.at[own_surfel].mean.x;
         }
         do {
@@ -224,8 +229,8 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
     } while (entries != 0u);
 }
 
-/// Offers opened leaf entries to a ray that walks alone. Loads the next record before the
-/// current one is tested, to hide the latency.
+/// Tests the selected leaf entries of a node against one ray. Loads the next record
+/// before it tests the current record, to hide the latency.
 void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
     while (entries != 0u) {
         uint entry = first_leaf + take_lowest(entries),
@@ -240,16 +245,17 @@ void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, ui
     }
 }
 
-/// Transforms the ray for box tests into the frame of an instance's model, or of the
-/// world.
+/// Transforms the ray for box tests into the frame of an instance's model, or into the
+/// world frame for the top tree.
 void enter_tree(TraceScene scene, Ray ray, uint instance, inout BoxRay walked) {
     if (instance != RELIDAR_BVH_NO_NODE) enter_instance(scene, ray, instance);
     bool in_model = instance != RELIDAR_BVH_NO_NODE;
     set_box_ray(walked, in_model ? entered_origin : ray.origin, in_model ? entered_direction : ray.direction);
 }
 
-/// Visits a node: offers its leaf entries and pushes its inner slots.
-/// @param tree  instance whose model has the node; RELIDAR_BVH_NO_NODE: the top tree
+/// Visits a node: tests its leaf entries and pushes its inner children onto the stack.
+/// @param tree  instance whose model contains the node, or RELIDAR_BVH_NO_NODE for the
+/// top tree
 /// @param full_subgroup  result of shares_loads()
 /// @return number of tested surfels
 uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool full_subgroup,
@@ -291,7 +297,7 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     BoxRay walked;
     walked.start = search_start(after);
     walked.end = kNever;
-    // instance whose model is walked; RELIDAR_BVH_NO_NODE: the top tree
+    // Instance whose model the ray traverses, or RELIDAR_BVH_NO_NODE for the top tree.
     uint instance = RELIDAR_BVH_NO_NODE;
     uint n_nodes = 0u, n_tested = 0u;
     bool full_subgroup = shares_loads();
@@ -305,7 +311,9 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
             uint own_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
-            if (own_entry != entry || instance != tree) continue;  // this ray waits for its turn
+            // Skips this ray in this step, because the subgroup processes a different
+            // node.
+            if (own_entry != entry || instance != tree) continue;
         }
         --stack_size;
         bool is_needed = stack_t[stack_size] <= walked.end;

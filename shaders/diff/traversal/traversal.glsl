@@ -25,8 +25,9 @@ const uint SLOTS = 65u;
 #include "hit_buffer.glsl"
 #endif
 
-/// Tests a candidate that a backend proposes and inserts it if it is a hit.
-/// @param surfel  index in the scene; belongs to the last entered instance
+/// Intersects the ray with a surfel that a backend proposes, and inserts the hit if there
+/// is one.
+/// @param surfel  index in the scene. The surfel belongs to the current instance.
 void offer_record(TraceScene scene, Key after, uint instance, uint surfel, SurfelRecord record) {
     SurfelHit hit;
     if (!intersect(record, entered_origin, entered_direction, hit)) return;
@@ -41,25 +42,24 @@ void offer_surfel(TraceScene scene, Key after, uint instance, uint surfel) {
     offer_record(scene, after, instance, surfel, scene.records.at[surfel]);
 }
 
-/// Offers a surfel of any instance.
+/// Loads and tests a surfel that a backend proposes.
 /// @param local_surfel  index relative to the first surfel of the instance
 void offer(TraceScene scene, Ray ray, Key after, uint instance, uint local_surfel) {
     enter_instance(scene, ray, instance);
     offer_surfel(scene, after, instance, entered_first_surfel + local_surfel);
 }
 
-/// Returns the key before the first hit that a sensor can see. Hits at t <= near are
+/// Returns a sort key before all hits that the sensor can see. Hits at t <= near_m are
 /// ignored.
 Key first_key(TraceScene scene) { return Key(scene.near_m, 0xffffffffu, 0xffffffffu); }
 
-/// Returns the distance at which a continued search may start. All earlier hits are
-/// known. The margin is much larger than the rounding error of a backend's t (docs:
-/// platform).
+/// Returns the distance at which a continued search may start, because all nearer hits
+/// are known. The margin is much larger than the rounding error of a backend's t.
 float search_start(Key after) { return max(after.t - (1e-4 + 1e-5 * after.t), 0.0); }
 
-/// Returns the transmittance of further hits at which a ray ends.
-/// @param transmittance  transmittance of the ray so far; the factor 0.99 allows for
-/// rounding of the product
+/// Returns the limit for the transmittance of further hits at which the ray ends. The
+/// factor 0.99 allows for rounding of the product.
+/// @param transmittance  transmittance of the ray so far
 float least_of_rest(TraceScene scene, float transmittance) {
     return 0.99 * scene.transmittance_min / transmittance;
 }

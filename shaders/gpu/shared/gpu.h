@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Parameters of general-purpose kernels: prefix sums, a stable radix sort and a copy.
-// Sums and sort give the same result in every run. Their workgroups have 256 threads and
-// process a tile of 4096 elements each.
+// Prefix sums and sort give the same result in every run. A workgroup of 256 threads
+// processes a tile of 4096 elements.
 #ifndef RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #define RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #include "relidar/base/lang.h"
@@ -11,32 +11,38 @@ RELIDAR_SHARED_BEGIN
 #define RELIDAR_TILE_THREADS 256u
 #define RELIDAR_TILE_SIZE 4096u
 #define RELIDAR_SORT_BITS 8u      // Bits of a digit.
-#define RELIDAR_SORT_DIGITS 256u  // Number of values of a digit; each is handled by one thread.
+#define RELIDAR_SORT_DIGITS 256u  // Number of values of a digit. One thread processes one value.
 
 /// Exclusive prefix sum (gpu/scan_sums.comp, scan_write.comp).
 struct ScanParams {
     RELIDAR_OF(Uints, ScanCounts) counts;  // Input: element i is counts[offset + i * stride].
-    // Sums of the tiles, [tiles]: output of scan_sums. Input of scan_write as prefix
-    // sums; address 0 = one tile.
+    // [tiles] Sum of each tile. Kernel scan_sums writes it. Kernel scan_write reads its
+    // prefix sums. Address 0 means that only one tile exists.
     RELIDAR_OF(Uints, ScanTileSums) tile_sums;
-    RELIDAR_OF(Uints, ScanPrefix) prefix;  // Output of scan_write, [n]; may be `counts` if stride is 1.
-    RELIDAR_OF(Uints, ScanTotal) total;    // Output of scan_write, [1]: total sum; address 0 = not needed.
+    // Output of scan_write, [n]: prefix sums. May be the same array as `counts` if the
+    // stride is 1.
+    RELIDAR_OF(Uints, ScanPrefix) prefix;
+    // Output of scan_write, [1]: sum of all counts. Address 0 means that the sum is not
+    // needed.
+    RELIDAR_OF(Uints, ScanTotal) total;
     uint n;
     uint offset;
     uint stride;
 };
 
-/// Pass of a stable sort by a digit (gpu/radix_count.comp, radix_scan.comp,
-/// radix_scatter.comp).
+/// Parameters of one pass of a stable radix sort. Each pass sorts by one digit of the
+/// keys.
 struct RadixSortParams {
-    // Input, [1]: number of keys, limited by the capacity; address 0 = capacity.
+    // Input [1]: number of keys. Values above the capacity are clamped. Address 0 means
+    // that the number equals the capacity.
     RELIDAR_OF(Uints, SortCount) n_keys;
-    RELIDAR_OF(Uints, SortKeys) keys;           // Input: keys, [n,KEY_WORDS], low word first.
-    RELIDAR_OF(Uints, SortOrder) order;         // Input: original indices, [n]; address 0 = 0, 1, 2, ...
+    RELIDAR_OF(Uints, SortKeys) keys;  // Input: keys, [n,KEY_WORDS], low word first.
+    // Input [n]: original index of each key. Address 0 means 0, 1, 2, ...
+    RELIDAR_OF(Uints, SortOrder) order;
     RELIDAR_OF(Uints, SortKeys) sorted_keys;    // Output: sorted keys.
     RELIDAR_OF(Uints, SortOrder) sorted_order;  // Output: original indices of the sorted keys.
-    // Number of keys with each digit in each tile, [digits,tiles]; after radix_scan the
-    // number in all earlier tiles.
+    // [digits,tiles] Number of keys with each digit in each tile. Kernel radix_scan
+    // replaces it by the number of such keys in all earlier tiles.
     RELIDAR_OF(Uints, DigitCounts) counts;
     RELIDAR_OF(Uints, DigitTotals) totals;  // Number of keys with each digit, [digits].
     uint capacity;

@@ -15,14 +15,16 @@ struct Gait {
 
 const float kTurn = 6.283185307;
 
-/// Returns the gait of a surfel at a phase.
-/// @param at  phase of the model in turns; below 0: the model is rigid, and its surfels
-/// do not move
+/// Returns the periodic motion of a surfel of a walking actor.
+/// @param at  phase of the gait in full cycles (0 to 1). A negative value means that the
+/// model is rigid and its surfels do not move.
 Gait gait_of(Floats gaits, uint surfel, float at) {
     if (is_null(gaits) || at < 0.0) return Gait(0.0, vec3(0.0), 0.0, 1.0, 1.0);
     uint i = 5u * surfel;
     float off = at - gaits.at[i];
-    off = kTurn * (off - round(off));  // wraps to half a turn, because sine and cosine are accurate there
+    // Wraps the phase difference to half a cycle, because sine and cosine are accurate in
+    // this range.
+    off = kTurn * (off - round(off));
     float sharpness = gaits.at[i + 1u], cosine = cos(off);
     return Gait(sharpness, vec3(gaits.at[i + 2u], gaits.at[i + 3u], gaits.at[i + 4u]), sin(off), cosine,
                 exp(sharpness * sharpness * (cosine - 1.0)));
@@ -30,7 +32,7 @@ Gait gait_of(Floats gaits, uint surfel, float at) {
 
 /// Computes the gradient of the five gait parameters.
 /// @param d_mean  gradient of the moved mean
-/// @param d_presence  gradient of the presence
+/// @param d_presence  gradient of the factor on the opacity
 void gait_vjp(Gait g, vec3 d_mean, float d_presence, out float d_gait[5]) {
     d_gait[0] = -kTurn * (g.cosine * dot(g.swing, d_mean) -
                           g.sharpness * g.sharpness * g.sine * g.presence * d_presence);

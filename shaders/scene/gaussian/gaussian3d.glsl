@@ -46,9 +46,9 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
 
 /// Derivative of intersect_gaussian(). q is perpendicular to b, so |q|^2 does not change
 /// with t:
-///   dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
+///    dalpha = -alpha q . dq with t held constant,  dt = (b . da - (q + t b) . db) / b.b
 /// @param d_t      dL/dt at fixed alpha
-/// @param d_alpha  dL/d(sigma G); 0 if alpha was clamped
+/// @param d_alpha  dL/d(sigma G). Must be 0 if alpha was clamped.
 SurfelHitGradient intersect_gaussian_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit,
                                          float d_t, float d_alpha) {
     SurfelHitGradient g;

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Rotation matrix of an unnormalised quaternion (w, x, y, z), and its derivative. The
-// gradient has no radial component.
+// Rotation matrix of a quaternion (w, x, y, z) of any length, and its derivative. The
+// gradient is perpendicular to the quaternion.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_QUATERNION_GLSL
 
-/// Returns R(q / |q|). Its columns are the surfel's a_u, a_v and normal.
+/// Returns the rotation matrix of q / |q|. Its columns are the surfel's two axes a_u and
+/// a_v and its normal.
 mat3 rotation_matrix(vec4 q) {
     q = normalize(q);
     float w = q.x, x = q.y, y = q.z, z = q.w;
@@ -13,7 +14,8 @@ mat3 rotation_matrix(vec4 q) {
                 vec3(2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)));
 }
 
-/// Returns dL/dq from dL/dR. Column j of d_matrix is the gradient of column j of R.
+/// Returns dL/dq from dL/dR. Column j of `d_matrix` is the gradient of column j of the
+/// rotation matrix R.
 vec4 rotation_matrix_vjp(vec4 q, mat3 d_matrix) {
     float inverse_length = inversesqrt(dot(q, q));
     vec4 unit = q * inverse_length;

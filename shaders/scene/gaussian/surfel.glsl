@@ -1,14 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Intersection of a ray with a surfel (M1, M2), and its derivative (M8). `precise` makes
-// t and alpha identical in every kernel. Kernels call intersect() of primitive.glsl.
+// Intersection of a ray with a surfel, and its derivative. The keyword `precise` makes
+// the distance t and alpha identical in every kernel. Kernels call intersect() of
+// primitive.glsl instead of these functions.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_SURFEL_GLSL
 
-/// Intersection of a ray with a primitive, in the frame of the record.
+/// Result of intersecting a ray with a surfel or 3D Gaussian, in the frame of its model.
 struct SurfelHit {
-    float t;        // m along the ray
-    float u, v, w;  // in standard deviations; w is only for 3D Gaussians and is 0 for surfels
-    float alpha;    // sigma G, not clamped
+    float t;  // m along the ray
+    // Position of the hit in standard deviations. w is used only for 3D Gaussians and is
+    // 0 for surfels.
+    float u, v, w;
+    float alpha;  // sigma G, not clamped
 };
 
 float exact_dot(vec3 a, vec3 b) {
@@ -19,7 +22,8 @@ float exact_dot(vec3 a, vec3 b) {
 /// Intersects a ray with a surfel.
 /// @param origin  origin of the ray, model frame, m
 /// @param direction  direction of the ray, model frame
-/// @return false if the ray is in the plane (n . d = 0) or a value is not finite
+/// @return false if the ray is parallel to the surfel's plane (n . d = 0) or a value is
+/// not finite
 bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit hit) {
     precise vec3 to_mean = s.mean - origin;
     precise float facing = exact_dot(s.normal, direction);
@@ -35,7 +39,7 @@ bool intersect_surfel(SurfelRecord s, vec3 origin, vec3 direction, out SurfelHit
     return facing != 0.0 && !isinf(t) && !isnan(t) && !isnan(hit.alpha);
 }
 
-/// Gradient of a record, in the same layout, and of the ray.
+/// Gradients of the surfel's record, in the layout of the record, and of the ray.
 struct SurfelHitGradient {
     vec3 d_mean;
     vec3 d_axis_u;
@@ -48,7 +52,7 @@ struct SurfelHitGradient {
 
 /// Derivative of intersect_surfel().
 /// @param d_t      dL/dt at fixed u, v
-/// @param d_alpha  dL/d(sigma G); 0 if alpha was clamped
+/// @param d_alpha  dL/d(sigma G). Must be 0 if alpha was clamped.
 SurfelHitGradient intersect_surfel_vjp(SurfelRecord s, vec3 origin, vec3 direction, SurfelHit hit, float d_t,
                                        float d_alpha) {
     SurfelHitGradient g;

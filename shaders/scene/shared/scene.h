@@ -1,17 +1,17 @@
 // SPDX-License-Identifier: Apache-2.0
-// Data of surfels in kernels: parameters, which are optimised, and records, which are
-// read for each hit (docs/method.md sections 2 and 4). Quaternions are w, x, y, z
-// everywhere.
+// Data of surfels in kernels. The optimizer changes the parameters. The tracing kernels
+// read records that are computed from the parameters. Quaternions are stored as w, x, y,
+// z.
 #ifndef RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #define RELIDAR_INCLUDED_SCENE_SHARED_SCENE_H
 #include "relidar/scene/surfels.h"
 
-#define RELIDAR_LIST_STRETCH 16u  // rows for each thread of scene/list_touched
+#define RELIDAR_LIST_STRETCH 16u  // Number of rows that each thread of scene/list_touched checks.
 
 RELIDAR_SHARED_BEGIN
 
-/// Parameters, gradients or moments of all surfels, with an array for each parameter
-/// group.
+/// Arrays of all surfels, one per parameter group. They hold parameters, gradients or the
+/// moments of Adam.
 struct SurfelPointers {
     RELIDAR_OF(Floats, Means) mean;                   // [n,3]
     RELIDAR_OF(Floats, Rotations) rotation;           // [n,4]
@@ -22,49 +22,58 @@ struct SurfelPointers {
     RELIDAR_OF(Floats, Gaits) gait;                   // [n,5] if actors deform, otherwise address 0
 };
 
-/// Computes the records of all surfels from their parameters (scene/activate.comp).
+/// Parameters of scene/activate.comp, which computes the records of all surfels from
+/// their parameters.
 struct ActivateParams {
     SurfelPointers surfels;  // input
     Records records;         // output [n]
     Models models;           // input [n_models]
-    // input [n_models] origins of SH directions, model frame, m (only if SH are evaluated
-    // per surfel)
+    // Input [n_models]: origin of the view directions for SH, model frame, m. Used only
+    // if SH are evaluated per surfel.
     Vec3s view_origins;
-    // input [n_models] phases in turns, below 0 for rigid models; only used with a gait
+    // Input [n_models]: phase of each model's gait in full cycles (0 to 1). Negative for
+    // rigid models.
     RELIDAR_OF(Floats, GaitPhases) phases;
     float alpha_min;  // surfels with a lower opacity get opacity 0
     uint n_surfels;
     uint n_models;
-    uint sh_degree;      // active degree 0..3
-    uint sh_per_surfel;  // 1: SH channels are evaluated once for each surfel, here; 0: at each hit
+    uint sh_degree;  // active degree 0..3
+    // 1: this kernel evaluates the SH once per surfel. 0: tracing kernels evaluate the SH
+    // at each hit.
+    uint sh_per_surfel;
 };
 
-/// Computes parameter gradients from record gradients (scene/activate_vjp.comp).
+/// Parameters of the kernel that computes parameter gradients from record gradients.
 struct ActivateVjpParams {
     SurfelPointers surfels;                         // input
     RELIDAR_OF(Floats, RecordGradients) d_records;  // input [n_rows,16] in the layout of SurfelRecord
     Models models;                                  // input [n_models]
-    // input: first row of each additional placement, model by model
+    // Input: first row of each instance of a model after its first instance, sorted by
+    // model.
     RELIDAR_OF(Uints, FurtherRows) more_rows;
     Vec3s view_origins;                     // input [n_models] same as for the activation
     RELIDAR_OF(Floats, GaitPhases) phases;  // input [n_models] same as for the activation
-    SurfelPointers d_surfels;               // output; sh is accumulated if SH are evaluated at each hit
-    // output [n] 1 if a record gradient is not zero; written only for listed surfels
+    // Output: gradients of the surfels' parameters. The gradients of SH are added to the
+    // array if SH are evaluated at each hit.
+    SurfelPointers d_surfels;
+    // Output [n]: 1 if a record gradient is not zero. Written only for surfels in the
+    // list.
     RELIDAR_OF(Uints, TouchedSurfels) touched;
-    // input [n_listed] surfels that may have a gradient; address 0 = all
+    // Input [n_listed]: indices of surfels that may have a gradient. Address 0 means all
+    // surfels.
     RELIDAR_OF(Uints, TouchedRows) rows;
     RELIDAR_OF(Uints, TouchedCount) n_listed;  // input [1]
-    // output [n,3] dL/d(view origin) through each surfel (only if SH are evaluated per
-    // surfel), or address 0
+    // Output [n,3]: dL/d(view origin) through each surfel, or address 0. Used only if SH
+    // are evaluated per surfel.
     RELIDAR_OF(Floats, ViewGradients) d_view;
     uint n_surfels;
     uint n_models;
     uint sh_degree;
     uint sh_per_surfel;
-    uint zero_untouched;  // 1: write zeros if touched is 0
+    uint zero_untouched;  // 1: writes zero gradients for surfels without a record gradient.
 };
 
-/// Lists the rows with a gradient (scene/list_touched.comp).
+/// Parameters of the kernel that lists the rows with a gradient.
 struct ListTouchedParams {
     RELIDAR_OF(Uints, TouchedSurfels) touched;  // input [n_rows] 0 or 1
     RELIDAR_OF(Uints, TouchedRows) rows;        // output, at most [n_rows]

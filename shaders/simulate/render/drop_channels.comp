@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the inputs of a ray-drop network. Each input depends only on the ray, and none
-// on the yaw of the sensor. One thread per ray. Input: rays, measured, channels.
-// Output: samples.
+// Computes the inputs of the ray-drop network for each ray. The inputs do not depend on
+// the yaw of the sensor. One thread per ray. Input: rays, measured, channels. Output:
+// samples.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"
 #include "../shared/render.h"
 RELIDAR_PARAMS(DropChannelsParams);
 
-// clamps the probability of a drop or a return, so that logits are within 9.2
+// Minimum probability of a drop and of a return. It limits the logits to +-9.2.
 const float kLeastProbability = 1e-4;
 
 float channel_of(uint i, uint channel) {

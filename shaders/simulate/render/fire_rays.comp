@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the rays of a sensor in the world frame, each from the sensor's pose at its
-// firing time. One thread per ray. Input: rays, poses. Output: fired.
+// Transforms each ray into the world frame with the sensor's pose at the firing time of
+// the ray. One thread per ray. Input: rays, poses. Output: fired.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

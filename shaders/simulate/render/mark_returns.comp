@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Marks the rays of a scan that return: they have hit something, and their drop
-// probability is below the threshold. A probability of 1 means that the sensor cannot see
-// the surface; a network does not change it. One thread per ray. Input: measured,
-// drop_prob. Output: marks.
+// Marks the rays that produce a return. Such a ray hit a surface, and its drop
+// probability is below the threshold. A ray with the measured probability 1 never
+// returns, whatever the network predicts. One thread per ray. Input: measured, drop_prob.
+// Output: marks.
 #version 460
 #extension GL_GOOGLE_include_directive : require
 #include "../../base/kernel.glsl"

@@ -3,7 +3,7 @@
 // probability (method.md, M6)
 //   drop_prob = 1 - sees (1 - 1 / (1 + exp(hit - drop))),
 // or 1 if the ray hit nothing within the sensor's range limits. A ray with a drop_prob of
-// 1 never returns; no other kernel changes this. One thread per ray. Input: rays, fired,
+// 1 never returns. No other kernel changes this. One thread per ray. Input: rays, fired,
 // rendered, surfaces, beams, response. Output: measured.
 #version 460
 #extension GL_GOOGLE_include_directive : require
@@ -11,8 +11,8 @@
 #include "../shared/render.h"
 RELIDAR_PARAMS(MeasureRaysParams);
 
-/// Returns the intensity factor at a range. It is linear between the entries of the
-/// response and constant beyond them.
+/// Returns the intensity factor at a range. Interpolates linearly between the entries of
+/// the response table. Uses the first or last entry outside the table.
 float fall_at(float range_m) {
     if (params.n_response == 0u) return 1.0;
     vec2 before = params.response.at[0];
@@ -25,9 +25,9 @@ float fall_at(float range_m) {
     return before.y;
 }
 
-/// Returns the range of the image before the beam's offset is added.
+/// Returns the range of the range image before the offset of the beam is added.
 /// @param mode_m  range of the surface with the largest weight
-/// @param normalised  D / W
+/// @param normalised  blended depth divided by blended weight, D / W
 float chosen_range(RenderedRay r, float mode_m, float normalised) {
     if (params.range_kind == RELIDAR_RANGE_EXPECTED) return r.depth;
     if (r.weight < params.min_weight) return 0.0;
@@ -38,14 +38,14 @@ float chosen_range(RenderedRay r, float mode_m, float normalised) {
 float measured_range(float surface_m, SensorBeam beam) {
     return surface_m > 0.0 ? max(surface_m + beam.range_offset_m, 0.0) : surface_m;
 }
-/// Returns true if a range is within the sensor's limits. Same as
-/// RangeLimits::contains().
+/// Returns true if a range is within the limits of the sensor. Must match
+/// RangeLimits::contains() on the host.
 bool within_limits(float range_m) {
     return range_m > 0.0 && range_m >= params.min_range_m && range_m <= params.max_range_m;
 }
 
-/// Returns the cosine between a ray and the blended normal of the surfaces it hit, or 0
-/// without a normal.
+/// Returns the cosine of the incidence angle between a ray and the blended normal.
+/// Returns 0 if the normal is zero.
 float incidence(vec3 normal, vec3 direction) {
     float size = length(normal);
     return size > 0.0 ? clamp(-dot(normal, direction) / size, 0.0, 1.0) : 0.0;

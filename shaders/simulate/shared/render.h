@@ -11,12 +11,14 @@ struct SensorRay {
     vec3 origin;          // m
     vec3 direction;       // unit vector
     float time_offset_s;  // firing time relative to the sweep's reference time
-    float sees;           // 1 - drop probability of the sensor in this direction, independent of the scene
-    uint channel;         // beam number
+    // Probability that the sensor can receive a return in this direction, independent of
+    // the scene.
+    float sees;
+    uint channel;  // beam number
 };
 RELIDAR_POINTER(SensorRays, SensorRay);
 
-/// A pose of the sensor, and the motion from this pose to the next one.
+/// Pose of the sensor, and its motion from this pose to the next pose.
 struct SensorPose {
     vec3 x;  // axes of the sensor
     vec3 y;
@@ -26,7 +28,7 @@ struct SensorPose {
     vec3 way;             // translation to the next pose, m
     vec3 turn;            // rotation vector to the next pose, rad
     float time_offset_s;  // relative to the sweep's reference time
-    float per_s;          // 1 / seconds to the next pose; 0 if it is the last pose
+    float per_s;          // Inverse of the time to the next pose, 1/s. 0 for the last pose.
 };
 RELIDAR_POINTER(SensorPoses, SensorPose);
 
@@ -48,14 +50,19 @@ RELIDAR_POINTER(SensorBeams, SensorBeam);
 
 /// Measurement of a ray of a scan.
 struct MeasuredRay {
-    float range_m;         // range selected by config.render.range; 0 if nothing was hit
-    float median_range_m;  // range of the dominant surface; range_m if no surface dominates
-    float mean_range_m;    // D / W; range_m if no surface dominates
-    float intensity;       // 0..1
-    float drop_prob;       // drop probability (M6); 1 if nothing was hit within the sensor's limits
-    float weight;          // W
-    float incidence;       // cosine between the ray and the blended normal; 0 without a normal
-    uint instance;         // instance that was hit, or RELIDAR_NO_INSTANCE
+    float range_m;  // Range that config.render.range selects, or 0 if the ray hit nothing.
+    // Range of the surface with the largest weight. Equals range_m if no surface was
+    // found.
+    float median_range_m;
+    float mean_range_m;  // Expected range D / W. Equals range_m if no surface was found.
+    float intensity;     // 0..1
+    // Probability that the ray has no return. 1 if the ray hit nothing within the
+    // sensor's limits.
+    float drop_prob;
+    float weight;  // W
+    // Cosine of the angle between the ray and the blended normal. 0 if no normal exists.
+    float incidence;
+    uint instance;  // instance that was hit, or RELIDAR_NO_INSTANCE
 };
 RELIDAR_POINTER(MeasuredRays, MeasuredRay);
 
@@ -69,22 +76,26 @@ struct MeasureRaysParams {
     SensorRays rays;            // input [n_rays]
     Rays fired;                 // input [n_rays] the same rays in the world frame
     RenderedRays rendered;      // input [n_rays]
-    RenderedSurfaces surfaces;  // input [n_surfaces] one per ray, or a single entry of zeros
-    SensorBeams beams;          // input [n_beams]; other channels use an offset of 0 and a gain of 1
-    Vec2s response;             // input [n_response] range in m, intensity factor; if empty, the factor is 1
-    MeasuredRays measured;      // output [n_rays]
+    RenderedSurfaces surfaces;  // Input [n_surfaces]: surface of each ray, or one entry of zeros.
+    // Input [n_beams]: range offset and gain of each beam. Other channels use offset 0
+    // and gain 1.
+    SensorBeams beams;
+    // Input [n_response]: pairs of range in m and intensity factor. The factor is 1 if
+    // the array is empty.
+    Vec2s response;
+    MeasuredRays measured;  // output [n_rays]
     uint n_rays;
     uint n_surfaces;
     uint n_beams;
     uint n_response;
     uint range_kind;
-    float min_weight;  // a ray with a smaller weight counts as having hit nothing
+    float min_weight;  // Minimum blended weight of a hit. A ray with a smaller weight hit nothing.
     float min_range_m;
     float max_range_m;
 };
 
-// Inputs of a ray-drop network (drop_channel_names() in relidar/diff/network.hpp). An
-// origin has three channels: x, y, z.
+// Input channels of the ray-drop network. The origin of the ray takes three channels: x,
+// y, z.
 #define RELIDAR_DROP_LOG_RANGE 0u
 #define RELIDAR_DROP_INTENSITY 1u
 #define RELIDAR_DROP_LOGIT 2u
@@ -108,31 +119,35 @@ struct DropChannelsParams {
 struct ReturnedPoint {
     vec3 position;        // m
     float intensity;      // 0..1
-    float time_offset_s;  // firing time of its ray, relative to the sweep's reference time
+    float time_offset_s;  // Firing time of the point's ray, relative to the reference time of the sweep.
     uint ring;            // beam number
-    uint instance;        // instance on whose surface the point lies, or RELIDAR_NO_INSTANCE
+    uint instance;        // Instance that contains the point, or RELIDAR_NO_INSTANCE.
 };
 RELIDAR_POINTER(ReturnedPoints, ReturnedPoint);
 
 struct MarkReturnsParams {
     MeasuredRays measured;  // input [n_rays]
-    // input [n_rays] from a network; used if `refined` is 1
+    // Input [n_rays]: drop probabilities from the network. Used if `refined` is 1.
     RELIDAR_OF(Floats, DropProbabilities) drop_prob;
     RELIDAR_OF(Uints, ReturnMarks) marks;  // output [n_rays] 1 for returned rays, otherwise 0
     uint n_rays;
     uint refined;
-    uint of_image;         // 1: points use the range of the image; 0: the range of the dominant surface
-    float drop_threshold;  // a ray with a drop probability at or above this value does not return
+    // 1: points use the range of the range image. 0: points use the range of the surface
+    // with the largest weight.
+    uint of_image;
+    float drop_threshold;  // A ray has no return if its drop probability is at or above this threshold.
 };
 
 struct GatherPointsParams {
-    SensorRays rays;                       // input [n_rays]
-    MeasuredRays measured;                 // input [n_rays]
-    SensorPoses poses;                     // input [n_poses] poses of the sensor, in the frame of the points
+    SensorRays rays;        // input [n_rays]
+    MeasuredRays measured;  // input [n_rays]
+    SensorPoses poses;      // Input [n_poses]: poses of the sensor, in the frame of the output points.
     RELIDAR_OF(Uints, ReturnMarks) marks;  // input [n_rays]
-    RELIDAR_OF(Uints, ReturnPlaces) places;  // input [n_rays] number of returned rays before each ray
-    ReturnedPoints points;                   // output [number of returned rays]
-    // output [n_asked] ranges of the dominant surfaces of rays k n_rays / n_asked
+    // Input [n_rays]: number of rays with a return before each ray.
+    RELIDAR_OF(Uints, ReturnPlaces) places;
+    ReturnedPoints points;  // output [number of returned rays]
+    // Output [n_asked]: range of the surface with the largest weight, for evenly spaced
+    // rays k n_rays / n_asked.
     RELIDAR_OF(Floats, AskedRanges) asked;
     uint n_rays;
     uint n_poses;

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of the kernels for batches of rays and for pose gradients.
+// Parameters of the kernels that select batches of rays and compute the gradients of
+// sensor poses.
 #ifndef RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
 #define RELIDAR_INCLUDED_TRAIN_SHARED_TRAIN_H
 #include "../../diff/shared/trace.h"
 
 RELIDAR_SHARED_BEGIN
 
-// As wide as a tile of eight rays, which a CPU traces together (traversal/ray.glsl).
+// Number of columns in a group. It is the width of a tile of eight rays, which a CPU
+// traces together.
 #define RELIDAR_COLUMN_GROUP 4u
 
 /// Copies columns of a frame next to each other as a new image. The columns are groups of
@@ -25,15 +27,15 @@ struct GatherColumnsParams {
     uint n_columns;
 };
 
-/// Position of a ray between poses of the sensor: it moves with (1 - s) of knot `left`
-/// and s of the next knot.
+/// Position of a ray between two sensor poses. The ray moves with weight 1 - s of pose
+/// `left` and weight s of the next pose.
 struct RayPlace {
     uint left;
     float s;
 };
 RELIDAR_POINTER(RayPlaces, RayPlace);
 
-/// A pose of the sensor and its correction, world frame.
+/// A sensor pose and its correction in the world frame.
 struct PoseKnot {
     vec3 position;     // uncorrected position, m
     vec3 translation;  // correction of the position, m
@@ -41,7 +43,8 @@ struct PoseKnot {
 };
 RELIDAR_POINTER(PoseKnots, PoseKnot);
 
-/// Computes the rays of a frame for the corrected poses.
+/// Parameters of the kernel that computes the rays of a frame from the corrected sensor
+/// poses.
 struct MoveRaysParams {
     Rays rays;         // input [n_rays]
     RayPlaces places;  // input [n_rays]
@@ -52,21 +55,21 @@ struct MoveRaysParams {
 
 #define RELIDAR_KNOT_WORKGROUP 256
 
-/// Converts gradients of rays to gradients of the knots' corrections. Ray k of the batch
-/// is entry first_ray + k * ray_stride of `moved`. It is the same entry of `places`,
-/// unless the batch is a copy of columns.
+/// Parameters of the kernel that converts gradients of rays to gradients of the pose
+/// corrections. Ray k of the batch is entry first_ray + k * ray_stride of `moved`. It is
+/// the same entry of `places`, unless the batch was copied from columns.
 struct KnotGradientsParams {
-    Rays moved;                                     // input
-    RayPlaces places;                               // input: places of the full frame
-    PoseKnots knots;                                // input
+    Rays moved;        // input
+    RayPlaces places;  // Input: position of each ray of the frame between two sensor poses.
+    PoseKnots knots;   // input
     RELIDAR_OF(Floats, DeviceRayGradients) d_rays;  // input [n_rays,6]
-    // output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation); each row is the sum
-    // over the rays of a workgroup
+    // Output [n_rows,n_knots,6]: dL/d(translation), dL/d(rotation). Each row is the sum
+    // over the rays of one workgroup.
     RELIDAR_OF(Floats, KnotGradientRows) rows;
     uint n_rays;
     uint first_ray;
     uint ray_stride;
-    uint columns;  // columns of the frame; 0: the batch is not a copy of columns
+    uint columns;  // Number of columns of the frame. 0 means that the batch was not copied from columns.
     uint first_column;
     uint column_stride;
     uint n_columns;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the tables of a flatbuffer by field number. Entry n of a table's vtable, after
-// its two sizes, has the offset of field n.
+// Reads the tables of a flatbuffer by field number. A table refers to a vtable. The
+// vtable has two sizes, then the offset of each field.
 #include "base/codecs/arrow_metadata.hpp"
 
 #include <cstring>
@@ -13,7 +13,8 @@
 namespace relidar::arrow {
 namespace {
 
-// Maximum number of tables in a file; datasets have tens of columns.
+// Largest accepted number of tables in a file. The columns of a dataset need tens of
+// tables.
 constexpr flatbuffers::uoffset_t kMostTables = 10000;
 constexpr std::size_t kLongestName = 200;
 
@@ -26,7 +27,8 @@ constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
     throw DataError(fmt::format("malformed metadata ({}), expected an Arrow IPC file", what));
 }
 
-/// Aligned copy of a flatbuffer, because the verifier checks alignment.
+/// Aligned copy of a flatbuffer. The flatbuffer verifier checks alignment, so the bytes
+/// must be aligned.
 struct Bytes {
     std::vector<std::uint64_t> words;
     flatbuffers::Verifier verifier;
@@ -46,7 +48,7 @@ private:
     }
 };
 
-/// Table of a flatbuffer. Each field is verified when it is read.
+/// A table in a flatbuffer. Each field is checked when it is read.
 class Table {
 public:
     static Table root(Bytes& bytes) {
@@ -74,8 +76,8 @@ public:
         if (!text || !bytes_->verifier.VerifyString(text) || text->size() > kLongestName) malformed("name");
         return text->str();
     }
-    /// Returns a vector of structs. It has a length of 4 bytes, followed by the structs,
-    /// which need not be aligned.
+    /// Returns the structs of a vector field. The vector has a length of 4 bytes,
+    /// followed by structs that need not be aligned.
     template <class Struct>
     std::vector<Struct> structs(int field) const {
         const std::uint8_t* vector = verified_vector(field, sizeof(Struct));
@@ -102,8 +104,8 @@ private:
     Table(Bytes& bytes, const std::uint8_t* at)
         : bytes_(&bytes), table_(reinterpret_cast<const flatbuffers::Table*>(at)) {
         if (!table_->VerifyTableStart(bytes.verifier)) malformed("table");
-        // The nesting depth need not be tracked, because the code that reads tables
-        // limits it.
+        // Ends the check of the table immediately, because the code that reads tables
+        // already limits the nesting depth.
         bytes.verifier.EndTable();
     }
 
@@ -153,7 +155,7 @@ Field field_of(const Table& table) {
     return field;
 }
 
-/// Returns the codec that compresses each buffer of a batch.
+/// Returns the compression codec of the buffers of a record batch.
 Codec codec_of(const Table& batch) {
     const std::optional<Table> compression = batch.table(3);
     if (!compression) return Codec::none;

@@ -16,12 +16,12 @@ namespace relidar::arrow {
 enum class Kind { integer, floating, text };
 enum class Codec { none, lz4_frame, zstd };
 
-/// Column of a table. A dictionary-encoded column has the type of the dictionary's values
-/// and the type of the indices.
+/// A column of an Arrow table. A dictionary-encoded column also has the type of its
+/// indices.
 struct Field {
     struct Type {
         Kind kind = Kind::text;
-        int bits = 0;            ///< Bits per number: 8, 16, 32 or 64; 0 for text.
+        int bits = 0;            ///< Number of bits of a number: 8, 16, 32 or 64. 0 for text.
         bool is_signed = false;  ///< True for signed integers.
     };
     std::string name;
@@ -32,20 +32,22 @@ struct Field {
     };
     std::optional<Dictionary> dictionary;
 
-    /// Number of buffers of this column in a record batch: validity and values. Text has
-    /// validity, offsets and characters.
+    /// Returns the number of buffers that a record batch stores for this column. Numbers
+    /// have two buffers: validity and values. Text has three: validity, offsets and
+    /// characters.
     std::size_t count_buffers() const { return type.kind == Kind::text && !dictionary ? 3 : 2; }
 };
 
-/// Position of a record batch in the file: the message, then the body.
+/// Position of a record batch in the file. The batch consists of a message and a body.
 struct Block {
     std::int64_t offset;
-    std::int32_t metadata_bytes;  ///< Size of the message, including the 8 bytes before it.
+    /// Size of the message in bytes, including the 8 bytes before the message.
+    std::int32_t metadata_bytes;
     std::int32_t padding;
     std::int64_t body_bytes;
 };
 
-/// Number of rows of a column in a record batch.
+/// Number of rows and of missing values of a column in a record batch.
 struct Node {
     std::int64_t length;
     std::int64_t null_count;
@@ -63,8 +65,8 @@ struct Footer {
 };
 
 struct RecordBatch {
-    /// Id of the dictionary whose values the batch holds; nullopt if the batch holds rows
-    /// of the table.
+    /// Id of the dictionary if the batch contains dictionary values. nullopt if the batch
+    /// contains rows of the table.
     std::optional<std::int64_t> dictionary;
     std::int64_t length = 0;
     std::vector<Node> nodes;
@@ -72,13 +74,13 @@ struct RecordBatch {
     Codec codec = Codec::none;
 };
 
-/// Parses the footer of a file.
+/// Parses the footer of an Arrow file.
 /// @param bytes flatbuffer of the footer
 /// @throws DataError with the reason, without the file name
 Footer parse_footer(std::string_view bytes);
 /// Parses the message of a record batch.
 /// @param bytes flatbuffer of the message
-/// @throws DataError as parse_footer()
+/// @throws DataError with the reason, without the file name
 RecordBatch parse_batch(std::string_view bytes);
 
 }  // namespace relidar::arrow

@@ -25,12 +25,14 @@ namespace fs = std::filesystem;
 using export_detail::system_message;
 
 [[noreturn]] void fail(const fs::path& path, std::string why) {
-    // Messages of libraries may have several lines; an error message has one line.
+    // Replaces line breaks, because messages of libraries may have several lines, but an
+    // error message must have one line.
     std::replace(why.begin(), why.end(), '\n', ' ');
     throw DataError(fmt::format("writing '{}': {}", path.string(), why));
 }
 
-/// Removes the temporary file, unless it was renamed to its final name.
+/// Scope object that removes the temporary file at the end, unless the file was renamed
+/// to its final name.
 struct TemporaryFile {
     fs::path path;
     bool renamed = false;
@@ -40,9 +42,9 @@ struct TemporaryFile {
     }
 };
 
-/// Returns the path to write to. Follows a link, so that it stays a link. Rejects targets
-/// that are not regular files, because renaming a file onto a device would replace the
-/// device.
+/// Returns the path of the file to write. If the path is a symbolic link, returns its
+/// target, so that the link stays. Rejects targets that are not regular files, because
+/// renaming would replace a device by a file.
 fs::path final_path(const fs::path& path) {
     if (!path.has_filename()) fail(path, "the path names no file");
     std::error_code error;
@@ -66,7 +68,8 @@ void call_writer(const fs::path& path, const fs::path& temporary,
     try {
         write(temporary);
     } catch (const Error& error) {
-        // A device that fails while the data is downloaded is not a file error.
+        // Rethrows other errors unchanged. A GPU that fails while data is downloaded is
+        // not a file error.
         if (error.code() != ExitCode::data) throw;
         fail(path, error.what());
     } catch (const std::bad_alloc&) {
@@ -84,8 +87,8 @@ void flush_file(const fs::path& path, const fs::path& temporary) {
     if (result != 0) fail(path, "flushing to disk: " + system_message(error));
 }
 
-/// Flushes the folder, so that the rename survives a power failure. Ignores folders that
-/// cannot be opened for reading, and file systems that cannot flush folders.
+/// Flushes the folder, so that the new file name survives a power failure. Ignores
+/// folders that cannot be opened for reading and file systems that cannot flush folders.
 void flush_folder(const fs::path& path) {
     const int folder = ::open(path.parent_path().c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
     if (folder < 0) return;

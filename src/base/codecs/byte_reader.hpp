@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads binary records: little-endian numbers, and bytes with a length prefix.
+// Reads binary data: little-endian numbers, and byte strings with a length prefix.
 #pragma once
 
 #include <bit>
@@ -16,8 +16,8 @@ namespace relidar::bag {
 
 static_assert(std::endian::native == std::endian::little, "numbers are taken as they lie");
 
-/// Reads values in order and never beyond the end of the bytes.
-/// @throws DataError if there are not enough bytes
+/// Reads values from bytes in order.
+/// @throws DataError if there are not enough bytes for a value
 class ByteReader {
 public:
     explicit ByteReader(std::string_view bytes) : bytes_(bytes) {}

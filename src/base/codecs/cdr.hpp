@@ -10,8 +10,8 @@
 
 namespace relidar::scan_files {
 
-/// Little-endian CDR writer. Each number is aligned to a multiple of its size, counted
-/// from the fifth byte.
+/// Writes values in little-endian CDR. Each number is aligned to a multiple of its size,
+/// counted from the fifth byte.
 class Cdr {
 public:
     template <class T>

@@ -49,7 +49,8 @@ std::span<const Colour> stops_of(const std::string& map) {
     throw UsageError(fmt::format("colour map '{}', expected turbo, gray or heat", map));
 }
 
-/// Interpolates between the colours of a map.
+/// Returns the colour at a position of a colour map. Interpolates between the colours of
+/// the map.
 /// @param t position in the map, [0, 1]
 Colour interpolate(std::span<const Colour> stops, double t) {
     const double position = t * double(stops.size() - 1);

@@ -22,7 +22,7 @@
 namespace relidar {
 namespace {
 
-/// Memory stream that OpenEXR writes to instead of a file.
+/// Memory buffer to which OpenEXR writes an image instead of a file.
 class MemoryStream : public OPENEXR_IMF_NAMESPACE::OStream {
 public:
     MemoryStream() : OStream("memory") {}

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads OpenEXR scan-line images. Parses the header before OpenEXR does, by the published
-// file layout, because OpenEXR allocates the memory that a header requests without
-// checking whether the file can have so much data.
+// Reads OpenEXR scan-line images. Parses the header itself before OpenEXR does. OpenEXR
+// allocates the memory that a header requests without checking whether the file can
+// contain so much data.
 #include <relidar/base/images.hpp>
 
 #include <algorithm>
@@ -29,11 +29,14 @@ namespace imf = OPENEXR_IMF_NAMESPACE;
 constexpr std::uint32_t kExrMagic = 20000630, kVersionBits = 0xFF, kTiles = 0x200, kDeep = 0x800,
                         kParts = 0x1000;
 constexpr std::size_t kMostChannels = 256, kLongestNote = 10000;  // Maximum length in bytes.
-// Maximum compression ratio of deflate; a larger image is impossible.
+// Maximum compression ratio of deflate. An image that would need a higher ratio is
+// invalid.
 constexpr std::size_t kMostInflated = 1032;
-// Images up to this size in bytes are accepted without a check of the compression ratio.
+// Size in bytes up to which an image is accepted without a check of the compression
+// ratio.
 constexpr std::size_t kAlwaysFits = 16 << 20;
-// Number of rows that OpenEXR decompresses together, by compression method.
+// Number of rows that OpenEXR compresses as one block. The index is the compression
+// method.
 constexpr std::int64_t kRowsAtOnce[] = {1, 1, 1, 16, 32, 16, 32, 32, 32, 256};
 
 /// Reads the bytes of a header in order.
@@ -68,7 +71,8 @@ private:
     std::size_t at_ = 0;
 };
 
-constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;  // 500 MB of memory as rays with their scan.
+// Largest accepted number of pixels. As rays of a scan they need 500 MB of memory.
+constexpr std::int64_t kMaxPixels = std::int64_t(1) << 24;
 
 /// Image description from a header.
 struct ImageHeader {
@@ -83,7 +87,8 @@ void read_window(std::string_view bytes, ImageHeader& image_header) {
     std::memcpy(corner, bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
     image_header.rows = std::int64_t(corner[3]) - corner[1] + 1;
-    // Limit of a corner coordinate, because OpenEXR computes with ints.
+    // Largest accepted corner coordinate. OpenEXR computes with 32-bit integers, so
+    // larger values could overflow.
     constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
@@ -118,9 +123,8 @@ void read_channels(std::string_view bytes, ImageHeader& image_header) {
         throw DataError("its list of channels ends before the bytes that it is said to have");
 }
 
-/// Checks that an attribute has the number of bytes that its type needs. OpenEXR ignores
-/// the stored size, and would continue at a wrong position, where sizes have not been
-/// checked.
+/// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
+/// size, so a wrong size would let it read unchecked data at a wrong position.
 void check_layout(const std::string& name, const std::string& type, std::string_view bytes) {
     static const std::map<std::string_view, std::size_t> kSizes = {{"box2i", 16},
                                                                    {"box2f", 16},
@@ -186,7 +190,8 @@ ImageHeader read_header(const std::string& file) {
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
-        // These types contain sizes that are not checked here.
+        // Rejects these attribute types, because they contain sizes that are not checked
+        // here.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(
                 fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));
@@ -201,7 +206,7 @@ ImageHeader read_header(const std::string& file) {
     return image_header;
 }
 
-/// Checks that the file is large enough for the image that its header describes.
+/// Checks that the file is large enough for the image size in its header.
 void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())

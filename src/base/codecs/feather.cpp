@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads Arrow IPC files: "ARROW1", messages, footer, 4 bytes with the footer's length,
-// "ARROW1". A compressed buffer begins with 8 bytes with its uncompressed length; -1
-// means that it is not compressed.
+// "ARROW1". A compressed buffer begins with 8 bytes that hold its uncompressed length. A
+// length of -1 means that the buffer is not compressed.
 #include "base/codecs/feather.hpp"
 
 #include <cmath>
@@ -24,10 +24,11 @@ using arrow::Kind;
 using Batch = Feather::Batch;
 
 constexpr std::string_view kMagic = "ARROW1";
-// Maximum number of rows and of text bytes for each byte of the file. lz4 has a ratio of
-// up to 255, and zstd a higher one for equal values.
+// Largest accepted number of rows and of text bytes per byte of the file. The limit
+// prevents huge allocations. lz4 compresses by a factor of up to 255, and zstd compresses
+// equal values more.
 constexpr std::size_t kMostRows = 64, kMostText = 1024;
-constexpr std::size_t kPadding = 64;  // Writers may pad buffers by up to this number of bytes.
+constexpr std::size_t kPadding = 64;  // Number of padding bytes that a writer may add to a buffer.
 
 template <class T>
 T load(std::string_view bytes, std::size_t at) {
@@ -56,8 +57,8 @@ std::string_view footer_of(std::string_view bytes) {
     return part(bytes, end - n, n, "a footer");
 }
 
-/// Returns the record batch of a block. A message begins with 0xFFFFFFFF and the length
-/// of its flatbuffer.
+/// Reads the record batch at a position of the file. The message of a batch begins with
+/// 0xFFFFFFFF and the length of its flatbuffer.
 Batch batch_at(std::string_view bytes, const arrow::Block& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message = part(bytes, block.offset, block.metadata_bytes, "a message");
@@ -69,8 +70,8 @@ Batch batch_at(std::string_view bytes, const arrow::Block& block) {
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
 }
 
-/// Returns a buffer of a batch with at least n_bytes. Its uncompressed length must match,
-/// except for padding, before memory is allocated.
+/// Returns an uncompressed buffer of a record batch with at least n_bytes. Before it
+/// allocates memory, it checks that the stored length matches, except for padding.
 std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     const arrow::Buffer& place = batch.layout.buffers.at(at);
     std::string_view stored = part(batch.body, place.offset, place.length, "a buffer");
@@ -92,7 +93,8 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     return bytes;
 }
 
-/// Returns the number of rows of a column in a batch. Rejects missing values.
+/// Returns the number of rows of a column in a record batch. Throws an error if values
+/// are missing.
 std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffer) {
     if (node >= batch.layout.nodes.size() || last_buffer >= batch.layout.buffers.size())
         throw DataError(fmt::format("a record batch of {} columns and {} buffers, expected more",
@@ -147,7 +149,8 @@ void append_floats(std::vector<double>& values, const Batch& batch, const Feathe
                                [](std::uint16_t half) { return double(glm::unpackHalf1x16(half)); });
 }
 
-/// Appends texts. Text i is stored between offsets i and i + 1.
+/// Appends the texts of a column to `values`. Text i is stored between offsets i and i +
+/// 1.
 /// @param most maximum number of text bytes
 void append_texts(std::vector<std::string>& values, const Batch& batch, std::size_t node,
                   std::size_t first_buffer, std::size_t most) {
@@ -166,7 +169,7 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
 }
 
-/// Returns the number of rows of all batches.
+/// Returns the total number of rows of all record batches.
 /// @throws DataError if there are more rows than the file size allows
 std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
     std::size_t rows = 0;

@@ -18,11 +18,11 @@ namespace relidar {
 /// rows, and 1024 bytes of text per column, for each of its bytes.
 class Feather {
 public:
-    /// Reads a file.
+    /// Reads a Feather file into memory.
     /// @throws DataError naming the file if it is missing, truncated or damaged
     explicit Feather(const std::filesystem::path& file);
-    /// Reads a table from bytes.
-    /// @param name name of the bytes in messages
+    /// Parses the bytes of a Feather file.
+    /// @param name name of the data in error messages
     Feather(std::string name, std::string bytes);
     Feather(const Feather&) = delete;  // Not copyable, because batches refer to the bytes.
     Feather& operator=(const Feather&) = delete;
@@ -30,22 +30,24 @@ public:
     const std::string& name() const { return name_; }
     std::size_t rows() const { return rows_; }
 
-    /// Returns the values of a numeric column, all of them finite.
+    /// Returns the values of a numeric column. All values are finite.
     /// @throws DataError naming file and column if the column is missing, has another
     /// type, or is damaged
     std::vector<double> numbers(const std::string& column) const;
     /// Returns the values of an integer column.
-    /// @throws DataError as numbers()
+    /// @throws DataError naming file and column if the column is missing, has another
+    /// type, or is damaged
     std::vector<std::int64_t> integers(const std::string& column) const;
-    /// Returns the values of a text column, plain or dictionary-encoded.
-    /// @throws DataError as numbers()
+    /// Returns the values of a text column. The column may be dictionary-encoded.
+    /// @throws DataError naming file and column if the column is missing, has another
+    /// type, or is damaged
     std::vector<std::string> texts(const std::string& column) const;
 
     struct Batch {
         arrow::RecordBatch layout;
         std::string_view body;
     };
-    /// Column and its position among the nodes and buffers of each batch.
+    /// A column, and the index of its first node and first buffer in each record batch.
     struct Column {
         arrow::Field field;
         std::size_t node = 0, buffer = 0;
@@ -58,7 +60,8 @@ private:
     std::size_t rows_ = 0;
 
     const Column& find(const std::string& name) const;
-    /// Runs a task, and adds file and column to the message of a failure.
+    /// Runs a task that reads a column. If it fails, adds the names of file and column to
+    /// the error message.
     template <class Task>
     auto reading(const std::string& column, const Task& task) const;
 };

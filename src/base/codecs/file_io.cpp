@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads bytes of files. Uses C streams instead of C++ streams, because C
-// streams report errno.
+// Reads and writes the bytes of files. Uses C streams instead of C++ streams, because C
+// streams report errors by errno.
 #include "file_io.hpp"
 
 #include <algorithm>

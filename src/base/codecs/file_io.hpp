@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads bytes of files, and detects every failure: short writes, failed
-// flushes, files that shrink during reading. Messages contain only the failed operation;
-// write_atomically() and the readers add path and purpose. Private to base/codecs.
+// Writes and reads the bytes of files, and detects every failure: short writes, failed
+// flushes, files that shrink during reading. Error messages contain only the failed
+// operation. write_atomically() and the readers add the path and the purpose. Private to
+// base/codecs.
 #pragma once
 
 #include <bit>
@@ -17,8 +18,8 @@ namespace relidar::export_detail {
 
 static_assert(std::endian::native == std::endian::little, "every format written here is little-endian");
 
-/// File opened for writing. If close() was not called, the destructor leaves the file as
-/// it is, and buffered data is lost.
+/// A file that is open for writing. Call close() at the end: without it, the destructor
+/// discards buffered data.
 class OutputFile {
 public:
     explicit OutputFile(const std::filesystem::path& path);
@@ -28,7 +29,7 @@ public:
 
     void write(const void* data, std::size_t n_bytes);
     void write(std::string_view bytes) { write(bytes.data(), bytes.size()); }
-    /// Flushes and closes the file.
+    /// Writes all buffered data and closes the file.
     /// @throws DataError if the system could not write all bytes
     void close();
 
@@ -43,10 +44,10 @@ void write_file(const std::filesystem::path& path, std::string_view bytes);
 /// @throws DataError naming the path
 std::vector<std::byte> read_file(const std::filesystem::path& path);
 
-/// Formats a metadata entry as one line of a file header.
+/// Returns a metadata entry (key and value) as one line of a file header.
 std::string note_line(const std::pair<std::string, std::string>& note);
 
-/// Returns the message of a system error number, like strerror.
+/// Returns the text for a system error number (errno), like strerror.
 std::string system_message(int error);
 
 }  // namespace relidar::export_detail

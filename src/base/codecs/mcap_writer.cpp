@@ -123,12 +123,15 @@ void McapWriter::end_chunk() {
     std::string body;
     append(body, chunk_first_ns_), append(body, chunk_last_ns_), append(body, std::uint64_t(chunk_.size()));
     append(body, std::uint32_t(crc32(0, reinterpret_cast<const Bytef*>(chunk_.data()), uInt(chunk_.size()))));
-    append_text(body, "");  // Not compressed, because the floats of a scan compress poorly.
+    // An empty name means no compression, because the floats of a scan compress poorly.
+    append_text(body, "");
     append(body, std::uint64_t(chunk_.size()));
     put(record(kChunk, body + chunk_));
     const std::uint64_t end = written_;
 
-    std::string index_positions;  // Positions of the message indices by channel, for the chunk index.
+    // File positions of the message indices of each channel. The chunk index needs these
+    // positions.
+    std::string index_positions;
     for (const auto& [channel, messages] : chunk_index_) {
         append(index_positions, channel), append(index_positions, written_);
         std::string index, entries;
@@ -162,8 +165,8 @@ std::string McapWriter::statistics() const {
     return record(kStatistics, body);
 }
 
-/// Returns the records of the summary, which starts at the current end of the file.
-/// Records of the same code form a group.
+/// Returns the bytes of the summary section, which follows at the end of the file.
+/// Records with the same code form a group.
 std::string McapWriter::summary(std::vector<Group>& groups) const {
     std::string bytes;
     const auto add = [&](Code code, const std::string& records) {
@@ -178,7 +181,8 @@ std::string McapWriter::summary(std::vector<Group>& groups) const {
 void McapWriter::close() {
     end_chunk();
     std::string end, footer;
-    append(end, std::uint32_t(0));  // No checksum of the complete file, because chunks have checksums.
+    // A value of 0 means no checksum for the complete file. The chunks have checksums.
+    append(end, std::uint32_t(0));
     put(record(kDataEnd, end));
     const std::uint64_t begin = written_;
     std::vector<Group> groups;

@@ -19,23 +19,25 @@ class McapWriter {
 public:
     using Values = std::map<std::string, std::string>;  ///< Values by name.
 
-    /// Creates the file.
+    /// Creates an MCAP file.
     /// @param profile "ros2" for messages of ROS 2, otherwise empty
-    /// @throws DataError if the file cannot be written; all other functions that write
-    /// throw it too
+    /// @throws DataError if the file cannot be written. All other functions that write
+    /// throw it too.
     McapWriter(std::filesystem::path path, std::string_view profile);
 
-    /// Adds a schema or a channel. Both must precede all messages.
+    /// Adds a schema or a channel to the file. Add all schemas and channels before the
+    /// first message.
     /// @return id of the schema or channel
     std::uint16_t add_schema(std::string_view name, std::string_view encoding, std::string_view definition);
     std::uint16_t add_channel(std::uint16_t schema, std::string_view topic, std::string_view encoding,
                               const Values& metadata = {});
     void add_metadata(std::string_view name, const Values& values);
     void add_message(std::uint16_t channel, std::uint64_t time_ns, std::string_view message);
-    /// Ends the chunk with the messages since the last chunk. Readers load a chunk as a
+    /// Writes the messages since the last call as one chunk. Readers load a chunk as a
     /// unit.
     void end_chunk();
-    /// Writes the summary and the footer, which readers read first. No data may follow.
+    /// Writes the summary and the footer, which readers read first. Do not write any data
+    /// after this call.
     void close();
 
 private:

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays with a name, a type and a shape, and the checks that npz and safetensors share.
+// Checks the name, the type and the shape of arrays. The codecs for npz and safetensors
+// use these checks.
 #include "named_array.hpp"
 
 #include <algorithm>
@@ -90,10 +91,10 @@ std::vector<Out> values_of(const NamedArray& array) {
     return function(array);
 }
 
-/// Converts UTF-8 to Unicode code points. Replaces each byte that is not valid UTF-8 by
-/// U+FFFD.
+/// Converts UTF-8 to Unicode code points. Replaces each invalid byte by U+FFFD.
 std::u32string code_points(std::string_view utf8) {
-    // Smallest code point for each length; overlong encodings are invalid.
+    // Smallest valid code point for each length of a UTF-8 sequence. A smaller code point
+    // has an overlong encoding, which is invalid.
     constexpr char32_t kReplacement = 0xFFFD, kLeast[] = {0, 0x80, 0x800, 0x10000};
     std::u32string points;
     for (std::size_t i = 0; i < utf8.size();) {
@@ -140,7 +141,7 @@ std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std
         empty = empty || extent == 0;
         overflow = __builtin_mul_overflow(product, extent, &product) || overflow;
     }
-    if (empty) return 0;  // If one extent is 0, the other extents may have any value.
+    if (empty) return 0;  // An array with an extent of 0 has no bytes, whatever the other extents are.
     if (overflow) return std::nullopt;
     return product;
 }

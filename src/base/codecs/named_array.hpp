@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks of arrays that npz and safetensors share. Private to base/codecs.
+// Checks of arrays, used by the codecs for npz and safetensors.
 #pragma once
 
 #include <cstddef>
@@ -11,17 +11,17 @@
 
 namespace relidar::export_detail {
 
-/// Returns the bytes per element of a type; 0 for a type that NamedArray does not
-/// support.
+/// Returns the number of bytes per element of a type. Returns 0 if NamedArray does not
+/// support the type.
 std::size_t item_size(std::string_view dtype);
 
-/// Returns the number of bytes of an array with this shape; nullopt if it exceeds the
-/// address space.
+/// Returns the number of bytes of an array with this shape. Returns nullopt if the number
+/// exceeds the address space.
 std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std::size_t item_size);
 
-/// Checks the name, type and size of an array.
+/// Checks the name, the type and the size of an array.
 /// @throws DataError if the array has no name or an unknown type, or if the number of
-/// bytes does not match its shape
+/// bytes does not match the shape
 void check_array(const NamedArray& array);
 
 }  // namespace relidar::export_detail

@@ -24,7 +24,7 @@ namespace {
 constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
 constexpr std::size_t kAlignment = 64;
 
-/// Parses the dict of a header from left to right.
+/// Parses the Python dict in the header of a .npy file, from left to right.
 class HeaderParser {
 public:
     explicit HeaderParser(std::string_view text) : text_(text) {}
@@ -130,7 +130,9 @@ std::string npy_header(const NamedArray& array) {
     std::string shape;
     for (std::size_t extent : array.shape) shape += fmt::format("{}, ", extent);
     if (array.shape.size() > 1) shape.resize(shape.size() - 2);
-    if (array.shape.size() == 1) shape.pop_back();  // In Python, (n,) is a tuple, but (n) is not.
+    // Keeps the comma if the shape has one extent: in Python, (n,) is a tuple, but (n) is
+    // a number.
+    if (array.shape.size() == 1) shape.pop_back();
     std::string dict = fmt::format("{{'descr': '{}{}', 'fortran_order': False, 'shape': ({}), }}", order,
                                    array.dtype, shape);
     constexpr std::size_t kPrefix = 10;  // Magic, version and length.

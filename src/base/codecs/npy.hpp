@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and parses .npy data, the format of each array in an npz file: magic, version,
-// and a Python dict with type, order and shape. Private to base/codecs.
+// Writes and parses .npy data, which an npz file contains for each array. It consists of
+// magic bytes, a version, and a Python dict with type, order and shape.
 #pragma once
 
 #include <cstddef>
@@ -11,10 +11,12 @@
 
 namespace relidar::export_detail {
 
-/// Returns the header (version 1.0) of an array, padded to a multiple of 64 bytes.
+/// Returns the .npy header (version 1.0) of an array. The header is padded to a multiple
+/// of 64 bytes.
 std::string npy_header(const NamedArray& array);
 
-/// Parses the bytes of a .npy file of versions 1 to 3, little-endian and row-major.
+/// Parses the bytes of a .npy file. Supports versions 1 to 3, little-endian numbers and
+/// row-major order.
 /// @throws DataError with the reason if the file has any other form
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes);
 

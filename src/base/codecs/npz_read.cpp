@@ -27,7 +27,7 @@ constexpr std::uint32_t kEnd64Signature = 0x06064b50, kLocator64Signature = 0x07
 constexpr std::size_t kLocalSize = 30, kCentralSize = 46, kEndSize = 22, kEnd64Size = 56, kLocator64Size = 20;
 constexpr std::uint16_t kZip64Extra = 1;
 constexpr std::uint32_t kSee64 = 0xFFFFFFFF;
-// Maximum compression ratio of deflate; a larger size is impossible.
+// Maximum compression ratio of deflate. An entry with a larger size is invalid.
 constexpr std::size_t kMaxExpansion = 1032;
 constexpr std::size_t kPiece = 1 << 30;  // zlib counts bytes with 32 bits.
 
@@ -56,8 +56,8 @@ struct Directory {
     std::uint64_t n_entries = 0, size = 0, offset = 0;
 };
 
-/// Returns the position of the end record: the last one whose comment ends exactly at the
-/// end of the file.
+/// Returns the position of the zip end record. It is the last record whose comment ends
+/// exactly at the end of the file.
 std::size_t find_end(const Archive& archive) {
     const std::size_t n = archive.bytes.size();
     if (n < kEndSize) throw DataError(fmt::format("{} bytes are too few for a zip archive", n));
@@ -102,8 +102,8 @@ struct NpzEntry {
     std::uint64_t packed_size = 0, size = 0, offset = 0;
 };
 
-/// Replaces fields with the value "see zip64" by the values of the extra field. It
-/// contains exactly these fields, in this order.
+/// Reads the 64-bit values of zip64 from the extra field. The extra field contains one
+/// value for each field that is marked "see zip64", in the same order.
 void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     for (std::size_t at = 0; at + 4 <= extra.size();) {
         const std::size_t size = get<std::uint16_t>(extra, at + 2);
@@ -120,7 +120,7 @@ void apply_zip64(NpzEntry& entry, std::span<const std::byte> extra) {
     }
 }
 
-/// Parses the directory entry at `at`, and advances `at` to the next entry.
+/// Parses the zip directory entry at position `at`. Then sets `at` to the next entry.
 NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
     const auto record = directory.subspan(at);
     if (get<std::uint32_t>(record, 0) != kCentralSignature || record.size() < kCentralSize)
@@ -148,7 +148,9 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     if (inflateInit2(&stream, -MAX_WBITS) != Z_OK) throw std::bad_alloc();
     int status = Z_OK;
     std::size_t consumed = 0, produced = 0;
-    Bytef none = 0;  // zlib needs a valid output pointer even if no output is expected.
+    // Provides a valid output pointer, because zlib requires it even if no output is
+    // expected.
+    Bytef none = 0;
     while (status == Z_OK) {
         stream.next_in = reinterpret_cast<Bytef*>(const_cast<std::byte*>(packed.data() + consumed));
         stream.avail_in = uInt(std::min(packed.size() - consumed, kPiece));

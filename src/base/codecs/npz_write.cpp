@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Writes npz files: zip archives of deflated .npy files, like numpy.savez_compressed.
-// Entries have a fixed time (1980-01-01), so that equal arrays give identical files. Uses
-// plain zip only; rejects entries and archives of 4 GiB or more.
+// Entries have a fixed time (1980-01-01), so that equal arrays give identical files. Does
+// not use zip64, so it rejects entries and archives of 4 GiB or more.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/files.hpp>
 
@@ -29,14 +29,15 @@ constexpr std::uint16_t kDate = 0x0021;  // 1980-01-01, the earliest date of the
 // This value means "see zip64".
 constexpr std::uint64_t kLimit = std::numeric_limits<std::uint32_t>::max();
 
-/// File of the archive, as described in the local header and the central directory.
+/// A file in the zip archive. Its description is written to the local header and to the
+/// central directory.
 struct Entry {
     std::string name;
     std::uint32_t crc = 0, packed_size = 0, size = 0, offset = 0;
 };
 
-/// Compresses consecutive pieces with raw deflate (no zlib header) and computes the
-/// checksum of the input.
+/// Compresses consecutive pieces of data with raw deflate (without a zlib header). Also
+/// computes the checksum of the uncompressed data.
 class Deflater {
 public:
     Deflater() {
@@ -72,7 +73,8 @@ private:
     z_stream stream_{};
 };
 
-/// Appends the fields that both headers share, from "version needed" to "name length".
+/// Appends the fields that the local header and the central directory have in common,
+/// from "version needed" to "name length".
 void append_common(std::string& bytes, const Entry& entry) {
     append(bytes, kVersion);
     append(bytes, kUtf8Names);

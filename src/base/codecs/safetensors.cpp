@@ -26,8 +26,8 @@ using Json = nlohmann::json;
 using export_detail::byte_count;
 using export_detail::item_size;
 
-// The format allows 100 MB, which need 24 times that memory when parsed. Our headers have
-// a few kB.
+// Largest accepted header in bytes. The format allows 100 MB, but a parsed header needs
+// 24 times its size in memory. Our headers have a few kB.
 constexpr std::size_t kMaxHeader = 4u << 20;
 constexpr std::size_t kMaxName = 200, kMaxDimensions = 16;
 constexpr const char* kMetadata = "__metadata__";
@@ -64,8 +64,8 @@ std::string numpy_type(const std::string& name, const std::string& type) {
     return std::string(it->second);
 }
 
-/// Returns the header with the arrays in their given order, so that readers list them in
-/// this order.
+/// Returns the JSON header of a file. Lists the arrays in their given order, so that
+/// readers see the same order.
 std::string make_header(const std::vector<NamedArray>& arrays,
                         const std::map<std::string, std::string>& metadata) {
     nlohmann::ordered_json header = nlohmann::ordered_json::object();
@@ -86,8 +86,8 @@ std::string make_header(const std::vector<NamedArray>& arrays,
     return text;
 }
 
-/// Parsed header of a file. `names` has the names in file order, which orders arrays
-/// without bytes.
+/// Parsed header of a file. `names` contains the array names in file order, because
+/// positions do not order empty arrays.
 struct Header {
     Json json;
     std::vector<std::string> names;
@@ -145,7 +145,8 @@ struct Range {
     std::size_t begin = 0, end = 0;
 };
 
-/// Returns the description of an array without its bytes, and the range of its bytes.
+/// Returns the name, type and shape of an array without its data, and the byte range of
+/// the data.
 std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
         throw DataError(fmt::format("array '{}': no string 'dtype'", name));

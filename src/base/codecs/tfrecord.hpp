@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads TFRecord files. Each record has a u64 length, a u32 masked CRC-32C of these 8
-// bytes, the data, and a u32 masked CRC-32C of the data. Numbers are little-endian; the
+// bytes, the data, and a u32 masked CRC-32C of the data. Numbers are little-endian. The
 // file has no header.
 #pragma once
 
@@ -12,20 +12,21 @@
 
 namespace relidar {
 
-/// Returns the CRC-32C (Castagnoli) with the mask of TFRecord: rotated right by 15 bits,
-/// plus 0xa282ead8.
+/// Returns the CRC-32C (Castagnoli) of bytes with the mask of TFRecord: rotated right by
+/// 15 bits, plus 0xa282ead8.
 std::uint32_t masked_crc32c(std::string_view bytes);
 
-/// Records of a file, which are read one at a time.
+/// Gives access to the records of a TFRecord file. Each record is read from the file when
+/// it is requested.
 class TfRecords {
 public:
-    /// Finds all records of the file.
+    /// Finds the positions of all records in the file.
     /// @throws DataError naming the record whose length or end is wrong
     explicit TfRecords(std::filesystem::path file);
 
     std::size_t size() const { return records_.size(); }
     const std::filesystem::path& file() const { return file_; }
-    /// Returns the data of a record. Thread-safe.
+    /// Reads the data of a record from the file. Thread-safe.
     /// @throws DataError if the record cannot be read or its CRC is wrong
     std::string read(std::size_t record) const;
 

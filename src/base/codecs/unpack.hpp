@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decompresses data whose uncompressed size is stored in the file.
+// Decompresses lz4 and zstd data. The caller must know the uncompressed size.
 #pragma once
 
 #include <span>
@@ -7,10 +7,10 @@
 
 namespace relidar {
 
-/// Decompresses one lz4 frame into `to`, which must have the uncompressed size.
+/// Decompresses one lz4 frame into `to`. The size of `to` must be the uncompressed size.
 /// @throws DataError if the frame is damaged or has another size
 void unpack_lz4(std::string_view from, std::span<char> to);
-/// Decompresses one zstd frame into `to`, which must have the uncompressed size.
+/// Decompresses one zstd frame into `to`. The size of `to` must be the uncompressed size.
 /// @throws DataError if the frame is damaged or has another size
 void unpack_zstd(std::string_view from, std::span<char> to);
 

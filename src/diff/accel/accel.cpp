@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Common interface of the driver's acceleration structures and the software tree. Decides
-// when either is rebuilt instead of refitted.
+// when an acceleration structure is rebuilt instead of refitted.
 #include <relidar/diff/accel.hpp>
 
 #include "diff/accel/bvh.hpp"
@@ -11,7 +11,7 @@ namespace relidar {
 Proxy resolve(Proxy proxy, const Device& device) {
     if (device.traversal() == Traversal::software) return Proxy::boxes;
     if (proxy != Proxy::automatic) return proxy;
-    // Ray-tracing hardware intersects triangles itself, so triangles are faster on a GPU
+    // A GPU intersects triangles in hardware, so triangles are faster than boxes there
     // (docs/performance.md).
     return device.info().type == "CPU" ? Proxy::boxes : Proxy::triangles;
 }
@@ -22,9 +22,11 @@ struct Accel::Impl {
     std::unique_ptr<HardwareAccel> hardware;  ///< exactly one of `hardware` and `software` is set
     std::unique_ptr<Bvh> software;
     bool built = false;
-    bool outgrown = false;         ///< set by check_growth(): the cost has grown too much
+    /// True if the cost of the tree has grown too much, so that the next update rebuilds
+    /// it.
+    bool outgrown = false;
     int refits = 0;                ///< refits since the last build
-    bool measured = false;         ///< true if a cost was recorded since the last build
+    bool measured = false;         ///< True if the cost of the tree was measured since the last build.
     double cost_when_built = 0.0;  ///< 0: not known yet
     std::uint64_t n_updates = 0;
 
@@ -86,8 +88,8 @@ void Accel::update(Stream& stream, const DeviceScene& scene, bool rebuild) {
 void Accel::bend(Stream& stream, const DeviceScene& scene) {
     Impl& a = *impl_;
     if (!a.built) return update(stream, scene);
-    // Does not count as a refit. Gaits return to earlier poses, so the tree does not
-    // degrade.
+    // Does not count this refit towards a rebuild. Walking actors return to earlier
+    // poses, so the tree does not degrade.
     a.refit(stream, scene, find_bending_ranges(scene.layout().models));
     ++a.n_updates;
 }

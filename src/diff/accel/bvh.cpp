@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Records the kernels that build and refit the software tree and build its top tree.
+// Submits the kernels that build and refit the software BVH and its top tree over the
+// instances.
 #include "diff/accel/bvh.hpp"
 
 #include <algorithm>
@@ -23,21 +24,22 @@ static_assert(sizeof(shared::BvhNode) == 80);
 namespace {
 
 constexpr std::uint32_t kWorkgroup = RELIDAR_BVH_WORKGROUP;
-constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};  // for kernels that use shared memory
+// Workgroup size of the kernels that use shared memory.
+constexpr Constant kShares{ConstantId::WORKGROUP_SIZE, kWorkgroup};
 
-// Threads of a refit on a CPU. The capacity in nodes exceeds the number of nodes. A CPU
-// gives each of its threads a contiguous part of a launch. With few invocations that each
-// process nodes from the full range, the work is balanced.
+// Number of threads of a refit on a CPU. A CPU gives each of its threads a contiguous
+// part of a launch. With few invocations that each process nodes from the full range, the
+// work is balanced.
 constexpr std::uint32_t kRefitThreadsOfCpu = 1 << 12;
 
-/// Rounds the length of a scratch array up, so that each array of 4-byte entries begins
-/// at a multiple of 16 bytes.
+/// Rounds the length of a scratch array up to a multiple of 4, so that the next array
+/// begins at a multiple of 16 bytes.
 std::uint32_t padded(std::uint32_t n) { return (n + 3) / 4 * 4; }
 
 std::uint32_t groups_of(std::uint32_t n_threads) { return (n_threads + kWorkgroup - 1) / kWorkgroup; }
 std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RELIDAR_BVH_TILE; }
 
-/// Returns the number of lanes of a subgroup.
+/// Returns the number of lanes in a subgroup of the device.
 /// @throws DeviceError if the device lacks a feature that the kernels need
 std::uint32_t subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
@@ -53,8 +55,8 @@ std::vector<std::uint32_t> model_of_instances(const DeviceScene& scene) {
     return models;
 }
 
-/// Returns the number of nodes in the top tree of n instances, with eight children per
-/// node.
+/// Returns the number of nodes in the tree over n instances. Each node has eight
+/// children.
 std::uint32_t top_nodes(std::uint32_t n) {
     std::uint32_t n_nodes = 0;
     do {
@@ -66,11 +68,12 @@ std::uint32_t top_nodes(std::uint32_t n) {
 
 }  // namespace
 
-/// Upper bound that includes every model, also models without surfels.
+/// Upper limit of surfel indices that selects all models, including models without
+/// surfels.
 constexpr std::uint32_t kAllModels = std::numeric_limits<std::uint32_t>::max();
 
-/// Layout of the scratch memory, in words per surfel (padded). The collapse reuses the
-/// memory of keys, boxes and costs for its arrays.
+/// Offsets of the scratch arrays, in words per surfel. The conversion to wide nodes
+/// reuses the memory of keys, boxes and costs.
 constexpr std::uint32_t kChildrenAt = 0, kDecisionsAt = 2, kValuesAt = 3, kDemandsAt = 4, kKeysAt = 5,
                         kBoxesAt = 7, kCostsAt = 13, kSparesAt = 20, kOtherEndsAt = 21, kClustersAt = 22,
                         kScratchWords = 23;
@@ -90,13 +93,14 @@ struct Bvh::Impl {
     Array<std::uint32_t, shared::InstanceModels> model_of;  ///< [n_instances] model of each instance
     Array<float, shared::SurfelBoxes> boxes;                ///< [n,6] boxes of the surfels, in m
     Array<std::uint32_t, shared::ModelBounds> bounds;       ///< [n_models,6] bounds of the box centres
-    Array<std::uint32_t> scratch;                           ///< binary trees, and keys during the sort
-    Array<std::uint32_t, shared::BinaryRoots> queue;        ///< [bound] binary nodes that become wide
-    Array<std::uint32_t, shared::LevelSizes> level_sizes;   ///< entries of the queue per level
+    /// Scratch memory for the binary trees, and for sort keys during the sort.
+    Array<std::uint32_t> scratch;
+    Array<std::uint32_t, shared::BinaryRoots> queue;       ///< [bound] binary nodes that become wide
+    Array<std::uint32_t, shared::LevelSizes> level_sizes;  ///< entries of the queue per level
     Array<glm::uvec2, shared::SumsOfTiles> tiles;
     Array<shared::BvhNode> nodes;                   ///< [bound] wide nodes of all models
     Array<std::uint32_t, shared::LeafOrder> order;  ///< [n] surfels in the order of the leaves
-    /// [bound] parent of each node, and first surfel of its model
+    /// [bound]: parent of each node, and first surfel of the node's model.
     Array<glm::uvec2, shared::WideLinks> links;
     Array<float, shared::WideBoxes> node_boxes;  ///< [bound,6] boxes of the nodes before quantisation
     /// [bound] number of children that have been refitted
@@ -119,8 +123,8 @@ struct Bvh::Impl {
     Address<T, Meaning> at(std::uint32_t words_a_surfel) const {
         return scratch.address_as<T, Meaning>(words_a_surfel * std::size_t(padded(n)));
     }
-    /// Offset of a set of sort keys. Set 0 holds the result, set 1 is later overwritten
-    /// by the costs of the binary nodes.
+    /// Returns the offset of one of two sets of sort keys. Set 0 holds the result. The
+    /// costs of the binary nodes later overwrite set 1.
     std::uint32_t keys_at(int set) const { return set == 0 ? kKeysAt : kCostsAt; }
     SortSet sort_set(int set) const;
     std::uint32_t levels() const;
@@ -132,7 +136,8 @@ struct Bvh::Impl {
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                     const SurfelRange& range);
     SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
-    /// Records the node boxes of the models whose first surfel is in [first, last].
+    /// Adds kernels to the stream that compute the node boxes of some models: those whose
+    /// first surfel is in [first, last].
     void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
 };
 
@@ -183,8 +188,8 @@ Bvh::Impl::Impl(Device& d, const DeviceScene& scene)
       cost_sums(d, groups_of(bound), "cost sums"),
       costs(d, groups_of(bound) * sizeof(float), "cost sums") {}
 
-/// Returns the number of bvh_wide_mark launches, each as large as its level can be. A
-/// full tree with this capacity has 4 levels fewer.
+/// Returns the number of launches of bvh_wide_mark, one per level of the tree. A full
+/// tree with this capacity has 4 levels fewer.
 std::uint32_t Bvh::Impl::levels() const {
     std::uint32_t n_levels = 4;
     for (std::uint64_t width = n_models; width < bound; width *= RELIDAR_BVH_WIDTH) ++n_levels;
@@ -235,7 +240,7 @@ SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
          .bounds = bounds.address(),
          .n_surfels = n,
          .n_models = n_models});
-    // chosen so that the result is in set 0
+    // Selects the first set of sort keys, so that the sorted keys end in set 0.
     const int first_set = static_cast<int>(RadixSort::passes(key_bits()) % 2);
     run(stream, keys_kernel, n,
         {.records = scene.records().address(),

@@ -21,51 +21,54 @@
 
 namespace relidar {
 
-/// Copy of a structure on the host, for tests and measurements.
+/// Copy of the BVH on the host, for tests and measurements.
 struct BvhOnHost {
     std::vector<shared::BvhNode> nodes;  ///< nodes in use
     std::vector<std::uint32_t> order;    ///< [n] surfels in the order of the leaves
     std::vector<std::uint32_t> roots;    ///< [n_instances] root node of each instance's model
     std::vector<shared::BvhNode> top_nodes;
     std::vector<std::uint32_t> top_order;  ///< [n_instances] instances in the order of the leaves
-    /// [n,6] m: boxes of the surfels; low above high for surfels that are never hit
+    /// [n,6] in m: boxes of the surfels. The lower corner is above the upper corner for
+    /// surfels that are never hit.
     std::vector<float> boxes;
 };
 
 class Bvh {
 public:
     /// Allocates memory for the surfels, models and instances of a scene. Does not build
-    /// the structure.
+    /// the BVH.
     /// @throws DeviceError if compute shaders lack subgroup arithmetic or ballots, or
     /// subgroups have fewer than 4 lanes
     Bvh(Device& device, const DeviceScene& scene);
     ~Bvh();
 
-    /// Records the surfel boxes and a full build of all model trees and the top tree.
+    /// Submits kernels to the stream that compute the surfel boxes and build the trees of
+    /// all models and the top tree.
     void build(Stream& stream, const DeviceScene& scene, const AccelOptions& options);
-    /// Records new surfel boxes, new node boxes with the same topology, and the top tree.
-    /// build() must have been called before.
-    /// @param ranges  models to update; the surfels of other models must not have changed
+    /// Submits kernels to the stream that update all boxes without changing the trees,
+    /// and rebuild the top tree. build() must have been called before.
+    /// @param ranges  models to update. The surfels of other models must not have
+    /// changed.
     void refit(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                const std::vector<SurfelRange>& ranges);
-    /// Records only the top tree. Call it after instances have moved.
+    /// Submits kernels to the stream that rebuild only the tree over the instances. Call
+    /// it after instances have moved.
     void move(Stream& stream, const DeviceScene& scene);
 
     shared::BvhPointers pointers() const;
     std::uint64_t memory_bytes() const;
-    /// Computes the surface-area cost of all current trees in m^2: half areas of nodes,
-    /// and of leaf slots times the cost of testing their surfels. Compare the cost with
-    /// its value after the last build. record_cost() records the kernel. take_cost()
-    /// waits for the result and returns it, or nothing if no cost was recorded since the
-    /// last call.
+    /// Computes the surface-area cost of all trees in m^2. Compare the cost with its
+    /// value after the last build to decide about a rebuild. record_cost() submits the
+    /// kernel. take_cost() waits for the result and returns it, or nothing if
+    /// record_cost() was not called since the last take_cost().
     void record_cost(Stream& stream);
     std::optional<double> take_cost(Stream& stream);
-    /// Copies the structure to the host and blocks. All recorded commands must have been
-    /// submitted.
+    /// Copies the BVH to the host and blocks. All recorded commands must have been
+    /// submitted before.
     BvhOnHost download() const;
 
-    /// Returns the capacity in wide nodes. n surfels make at most n / 4 nodes besides the
-    /// roots (diff/accel/bvh_wide_mark).
+    /// Returns the largest possible number of wide nodes. n surfels create at most n / 4
+    /// nodes, plus one root per model.
     static std::uint32_t node_bound(std::uint32_t n_surfels, std::uint32_t n_models) {
         return n_surfels / 4 + n_models;
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bottom levels (one per model) and the top level (one instance per placed model), which
-// the driver builds and refits.
+// Acceleration structures that the Vulkan driver builds and refits: one bottom level per
+// model, and one top level with all instances.
 #include "diff/accel/hardware.hpp"
 
 #include <algorithm>
@@ -47,15 +47,15 @@ struct Structure {
     Structure& operator=(const Structure&) = delete;
 };
 
-/// Input of one build. The parts stay together because Vulkan structs point to each
-/// other.
+/// Input of one acceleration structure build. The parts are stored together because
+/// Vulkan structs point to each other.
 struct BuildInput {
     VkAccelerationStructureGeometryKHR geometry{VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_GEOMETRY_KHR};
     VkAccelerationStructureBuildGeometryInfoKHR info{
         VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_BUILD_GEOMETRY_INFO_KHR};
     VkAccelerationStructureBuildRangeInfoKHR range{};
 
-    /// Queries the memory sizes of a build.
+    /// Queries the memory that a build needs.
     /// @param n  number of primitives or instances
     VkAccelerationStructureBuildSizesInfoKHR sizes(Device::Impl& device, std::uint32_t n) {
         range.primitiveCount = n;
@@ -77,8 +77,8 @@ struct BuildInput {
     }
 };
 
-/// Records one command for all builds, so that the device can run them concurrently.
-/// Copies the inputs.
+/// Adds one command with all builds to the stream, so that the device can run the builds
+/// concurrently. Copies the inputs.
 void record_builds(Stream::Impl& stream, const std::string& name, std::vector<BuildInput> inputs) {
     stream.record(name, [inputs = std::move(inputs)](VkCommandBuffer commands) {
         std::vector<VkAccelerationStructureBuildGeometryInfoKHR> infos;
@@ -123,11 +123,13 @@ struct HardwareAccel::Impl {
     Kernel<shared::ProxyParams> proxies;
     Array<float> geometry;       ///< vertices [n,corners,3] or boxes [n,6]
     Array<std::uint32_t> reach;  ///< [1] reach of the icosahedra
-    /// for the largest model; all models share it with different first vertices
+    /// Triangle indices of the largest model. All models use these indices with different
+    /// first vertices.
     Array<std::uint32_t> indices;
     std::vector<std::unique_ptr<Structure>> blas;  ///< one per model, null for a model without surfels
     std::vector<BuildInput> blas_input;
-    /// one offset per model, because models are built concurrently
+    /// Offset of each model's scratch memory. Models need separate memory because they
+    /// are built concurrently.
     std::vector<std::uint64_t> blas_scratch;
     std::unique_ptr<Structure> tlas;
     BuildInput tlas_input;
@@ -162,7 +164,7 @@ struct HardwareAccel::Impl {
 };
 
 /// Describes the geometry of one bottom level: the model's part of the proxy array. The
-/// geometry is not opaque, because every candidate must be offered.
+/// geometry is not opaque, because the shader must test every candidate.
 void HardwareAccel::Impl::describe_model(const Model& model) {
     BuildInput& input = blas_input.emplace_back();
     if (proxy == Proxy::boxes) {
@@ -194,7 +196,8 @@ void HardwareAccel::Impl::write_moving(Stream::Impl& stream, const std::vector<s
     if (n_moving > 0) stream.write(moving.buffer(), all.data(), all.size() * sizeof(all[0]));
 }
 
-/// Writes the instances of models that have surfels into memory of the stream.
+/// Writes the instances of all models that have surfels to temporary memory of the
+/// stream.
 /// @return device address of the instances
 std::uint64_t HardwareAccel::Impl::write_instances(Stream::Impl& stream, const DeviceScene& scene) {
     const Scene& layout = scene.layout();
@@ -302,10 +305,12 @@ void HardwareAccel::record(Stream& stream, const DeviceScene& scene, const Accel
     Impl& a = *impl_;
     std::uint32_t n = 0;
     for (const SurfelRange& range : ranges) n += range.count;
-    // a partial update must keep the maximum of the other models
+    // Clears the maximum only in a full update, because a partial update must keep the
+    // maximum of the other models.
     if (a.reach.size() && n == scene.size()) stream.fill(a.reach);
     for (const SurfelRange& range : ranges) a.make_proxies(stream, scene, options, range);
-    // a partial update must keep the radii of the other models
+    // Clears the radii only in a full update, because a partial update must keep the
+    // radii of the other models.
     if (n == scene.size()) stream.fill(a.radii);
     for (const SurfelRange& range : ranges) a.measure_radii(stream, scene, options, range);
     std::vector<BuildInput> inputs;
@@ -333,7 +338,8 @@ void HardwareAccel::move(Stream& stream, const DeviceScene& scene) {
 void HardwareAccel::fill(AccelAddresses& addresses) const {
     const Impl& a = *impl_;
     addresses.tlas = {a.tlas->address};
-    // The bits of a positive float have the same order as the float.
+    // Reads an integer maximum as a float. This works because the bits of positive floats
+    // have the same order as the floats.
     addresses.proxy_reach = a.reach.address_as<float, shared::ProxyReach>();
     addresses.moving = a.moving.address();
     addresses.model_radii = a.radii.address_as<float, shared::ModelRadii>();  // also bits of floats

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Acceleration structures of the driver over the proxies (M3), for ray query. One bottom
-// level per model, one instance per placed model. Needs a device with ray query.
+// Acceleration structures of the Vulkan driver for ray queries. They contain proxies that
+// enclose the surfels. Each model has one bottom level, and each instance of a model is
+// one instance in the top level. Needs a device with ray query.
 #pragma once
 
 #include <cstdint>
@@ -15,14 +16,15 @@ namespace relidar {
 
 class HardwareAccel {
 public:
-    /// Allocates memory for the scene. Does not build the structures.
-    /// @param proxy  triangles or boxes
+    /// Allocates memory for the acceleration structures of a scene. Does not build them.
+    /// @param proxy  geometry that encloses the surfels: triangles or boxes
     HardwareAccel(Device& device, const DeviceScene& scene, Proxy proxy);
     ~HardwareAccel();
 
-    /// Records the proxies, a build or refit of bottom levels, and the top level. A refit
-    /// needs an earlier build.
-    /// @param ranges  models to update; the surfels of other models must not have changed
+    /// Adds commands to the stream that compute the proxies, build or refit the bottom
+    /// levels, and build the top level. A refit needs an earlier build.
+    /// @param ranges  models to update. The surfels of other models must not have
+    /// changed.
     void record(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                 const std::vector<SurfelRange>& ranges, bool refit);
     /// Records only the top level.

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/backward/trace: casts the rays again, sums the gradients of the hits,
-// and applies the chain rule per surfel (Eq. 9, M7, M8).
+// Host side of the backward pass: traces the rays again, sums the gradients of the hits,
+// and applies the chain rule per surfel (Eq. 9).
 #include <relidar/diff/backward.hpp>
 
 #include <fmt/format.h>
@@ -28,11 +28,10 @@ bool gathers(const Device& device, Reduction reduction, ShDirection direction) {
     return direction == ShDirection::ray || !device.info().float_atomics;
 }
 
-/// Returns true if lanes exchange rows before they add them. The cost of an atomic
-/// instruction depends on the number of cache sectors on a GPU, but on the number of
-/// lanes on a CPU (docs/performance.md). Lanes leave the loops of hits at different
-/// times. The specification guarantees a correct exchange only if the device supports
-/// maximal reconvergence.
+/// Returns true if lanes exchange rows in shared memory before they add them. An atomic
+/// instruction costs time per cache sector on a GPU, but per lane on a CPU. Lanes leave
+/// the loops over hits at different times. The Vulkan specification guarantees a correct
+/// exchange only for devices with maximal reconvergence.
 bool exchanges_rows(const Device& device, const BackwardOptions& backward, bool gathered) {
     return !gathered && backward.coalesced_atomics.value_or(coalesces(device) && reconverges(device));
 }
@@ -45,7 +44,8 @@ struct BackwardPass::Impl {
     Kernel<shared::BackwardParams> trace;
     PoseGradients poses;
     std::unique_ptr<HitGather> gather;  ///< null: uses atomics
-    /// The forward pass reports the count. Here it must only not be null.
+    /// Counter that the kernel requires. Its value is not used here, because the forward
+    /// pass has already reported the count.
     Array<std::uint32_t, shared::PassCapCount> pass_cap;
 
     static std::vector<Constant> constants(const Device& device, const ImageModel& m, Proxy proxy,
@@ -55,8 +55,8 @@ struct BackwardPass::Impl {
         all.push_back({ConstantId::GATHER, gathered ? 1u : 0u});
         const bool exchanged = exchanges_rows(device, backward, gathered);
         all.push_back({ConstantId::COALESCED_ATOMICS, exchanged ? 1u : 0u});
-        // One subgroup per workgroup, because lavapipe treats a subgroup barrier as a
-        // barrier of the workgroup.
+        // Uses one subgroup per workgroup, because lavapipe treats a subgroup barrier as
+        // a barrier of the workgroup.
         if (exchanged)
             all.push_back(
                 {ConstantId::WORKGROUP_SIZE, static_cast<std::uint32_t>(device.info().subgroup_size)});

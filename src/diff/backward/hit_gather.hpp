@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Hit records of the backward pass, sorted by surfel and summed without atomics
-// (diff/backward/gather, gather_heads).
+// Sums the gradients of hits by surfel without atomics. The backward pass writes one
+// record per hit, and the records are sorted by surfel.
 #pragma once
 
 #include <memory>
@@ -15,22 +15,24 @@ namespace relidar {
 
 class HitGather {
 public:
-    /// Creates the kernels.
+    /// Creates the kernels that sort and sum hit records.
     /// @param hits_per_ray  capacity in records per ray of the largest batch
     HitGather(Device& device, const ImageModel& model, std::uint32_t hits_per_ray,
               const TraceOptions& options);
-    /// Allocates memory for a batch. Records the assignment of slots to rays: one slot
-    /// per rendered hit, in the order of rays. Waits if a batch is larger than all
-    /// batches before.
+    /// Assigns record slots to the rays of a batch: one slot per rendered hit, in the
+    /// order of rays. Allocates memory, and waits for the device if the batch is larger
+    /// than all earlier batches.
     void assign_slots(Stream& stream, const RenderedBatch& batch);
     /// Sets the output addresses of the backward kernel.
     void fill(shared::BackwardParams& params) const;
-    /// Sums the records by row into the gradient arrays of `params`.
+    /// Adds the gradients of all hit records to the gradient arrays of `params`, row by
+    /// row.
     void run(Stream& stream, const shared::BackwardParams& params);
-    /// Largest number of hits [1] of a batch since the value was reset to 0.
+    /// Returns the largest number of hits of a batch, [1] on the device. It counts from
+    /// the last reset to 0.
     const Array<std::uint32_t>& most_hits() const { return most_hits_; }
     std::uint64_t capacity() const { return sort_ ? sort_->capacity() : 0; }
-    /// Allocates memory for at least this many hits. The device must be idle.
+    /// Allocates memory for at least `n_hits` hits. The device must be idle.
     void reserve(std::uint64_t n_hits);
 
 private:

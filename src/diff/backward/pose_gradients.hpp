@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes gradients of instance poses and of the sensor's pose from record gradients
-// (diff/backward/pose_blocks, poses, sensor_pose).
+// Computes the gradients of the poses of instances and of the sensor from the gradients
+// of surfel records.
 #pragma once
 
 #include <relidar/diff/backward.hpp>
@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// Blocks of surfels of all instances, and the sum of each block.
+/// Lists the blocks of surfels of all instances, and stores the sum of each block.
 struct Gradients::PoseSums {
     Array<shared::PoseBlock> blocks;
     Array<std::uint32_t> first_block;            ///< [instances + 1] first block of each instance
@@ -24,8 +24,8 @@ struct Gradients::PoseSums {
 class PoseGradients {
 public:
     explicit PoseGradients(Device& device);
-    /// Computes gradients.poses and gradients.sensor from gradients.records and from the
-    /// output of activate_vjp in pose_sums.
+    /// Computes gradients.poses and gradients.sensor. Reads gradients.records and the
+    /// gradients of the view directions in pose_sums.
     void run(Stream& stream, const DeviceScene& scene, const ImageModel& model,
              const glm::vec3& view_origin_m, Gradients& gradients);
 

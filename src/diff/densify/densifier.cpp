@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/densify/observe, classify, spawn and reset_opacity, and the steps of a
-// densification: classify, read the counts back, allocate memory, distribute copies, move
-// every array, compute the values of new surfels.
+// Host side of densification: classifies surfels, reads the counts back, allocates
+// memory, distributes copies, moves every array, and computes the values of new surfels.
 #include <relidar/diff/densify.hpp>
 
 #include <cmath>
@@ -31,10 +30,11 @@ struct Rules {
     float max_extent_share = kUnbounded;
 };
 
-/// Salt for each use of random numbers.
+/// Makes the random numbers for different purposes independent of each other.
 enum class Draw : std::uint64_t { classify = 1, phase = 2 };
 
-// reset surfels must stay visible, otherwise they would get no gradient
+// Opacity after a reset, relative to alpha_min. Surfels must stay visible after a reset,
+// otherwise they would get no gradient.
 constexpr double kResetOverAlphaMin = 2.5;
 
 }  // namespace
@@ -119,9 +119,10 @@ std::vector<ModelCounts> Densifier::Impl::counts(Stream& stream, const DeviceSce
     return result;
 }
 
-/// Allocates memory for a densification.
-/// @return the largest tested size, at most `wanted`, that fits into memory; the arrays
-/// then have this capacity
+/// Allocates memory for a densification. Tries smaller sizes if the memory is not
+/// sufficient.
+/// @return the largest tested size that fits into memory, at most `wanted`. The arrays
+/// then have this capacity.
 std::uint32_t Densifier::Impl::make_room(DeviceScene& scene, Adam& adam, std::uint32_t wanted,
                                          double others_bytes, std::string& why) {
     const std::uint32_t before = scene.size();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the number of new surfels and the new range of each model from the counts of
-// the classification. Private to densify.
+// Computes the number of new surfels and the new range of each model. The input is the
+// number of surfels of each class. Used only by densify.
 #pragma once
 
 #include <array>
@@ -14,7 +14,8 @@
 
 namespace relidar {
 
-/// Counters of one model, indexed by RELIDAR_DENSIFY_KEPT and so on.
+/// Number of surfels of one model per outcome. The index is RELIDAR_DENSIFY_KEPT and so
+/// on.
 using ModelCounts = std::array<std::uint32_t, RELIDAR_DENSIFY_COUNTERS>;
 
 struct GrowthPlan {
@@ -24,19 +25,21 @@ struct GrowthPlan {
     std::uint32_t phase = 0;  ///< phase of the sampling, below total_weight
 
     std::uint32_t size() const { return survivors + n_new; }
-    /// Returns the number of copies of the surfels before a position in the cumulative
-    /// weights. Same formula as diff/densify/allot.
+    /// Returns the number of copies that the surfels before a position receive. The
+    /// position is given in the cumulative weights. Must use the same formula as
+    /// diff/densify/allot.
     std::uint32_t allotted_before(std::uint64_t weight) const;
     /// Returns the models with their new ranges.
     std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
 };
 
-/// Plans the growth: all survivors, and one new surfel per growing surfel, up to
-/// DensifyOptions::max_surfels.
-/// @param random  random number that determines the phase
+/// Plans the growth of all models: all survivors, plus one new surfel per growing surfel,
+/// up to DensifyOptions::max_surfels.
+/// @param random  random number that determines which surfels receive the rounded copies
 GrowthPlan plan_growth(const std::vector<ModelCounts>& counts, const DensifyOptions& options,
                        std::uint64_t random);
-/// Limits a plan to a total number of surfels. Survivors always stay.
+/// Reduces the number of new surfels of a plan to reach a total size. Survivors always
+/// stay.
 GrowthPlan limited_to(GrowthPlan plan, std::uint32_t size);
 
 /// Sums the counts of all models into a report.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Arrays of a densification, and the move of all per-surfel arrays into the new order.
-// One spare set of arrays is swapped with each set in turn. Private to densify.
+// Owns the arrays of a densification, and moves all arrays of surfels into the new order.
+// Moves one set of arrays at a time into a spare set and swaps both. Used only by
+// densify.
 #pragma once
 
 #include <relidar/diff/densify.hpp>
@@ -14,23 +15,24 @@ namespace relidar {
 class Rearrangement {
 public:
     Rearrangement(Device& device, std::uint32_t n_surfels, std::uint32_t n_frames, ParameterSet of);
-    /// Allocates memory for a number of surfels. No commands may be pending.
-    /// @throws DeviceError if memory is exhausted; the data stays valid
+    /// Allocates memory for a number of surfels. No commands may be pending on the
+    /// device.
+    /// @throws DeviceError if memory is exhausted. The data stays valid.
     void reserve(std::uint32_t capacity);
     std::uint32_t capacity() const;
     /// Returns the memory per surfel in bytes.
     std::size_t bytes_per_surfel() const;
-    /// Records the distribution of copies and the new position of each row, from `action`
-    /// and `weight`.
+    /// Submits the kernels that distribute the copies and compute the new position of
+    /// each row, from `action` and `weight`.
     void allot(Stream& stream, const GrowthPlan& plan, std::uint32_t before);
-    /// Records the move of a set of arrays into the new order.
-    /// @param fresh  as in shared::MoveParams
+    /// Submits the kernels that move a set of arrays into the new order.
+    /// @param fresh  true: rows of new and changed surfels become zero
     /// @param after  number of surfels after the move
     void move(Stream& stream, SurfelArrays& set, bool fresh, std::uint32_t after);
-    /// Records the move of the statistics and resets them. Keeps only the frames in which
-    /// a surfel was visible.
+    /// Submits the kernels that move the statistics into the new order and reset them.
+    /// Keeps only the frames in which each surfel was visible.
     void move_statistics(Stream& stream);
-    /// Records zeros in sums and counts.
+    /// Submits commands that reset the sums of gradient norms and the counts to zero.
     void start_over(Stream& stream);
 
     SurfelStatistics statistics;

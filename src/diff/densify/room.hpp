@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks for free device memory before arrays are moved, so that a failed densification
-// changes nothing. Private to densify.
+// Checks for free device memory before any array is moved, so that a failed densification
+// changes nothing. Used only by densify.
 #pragma once
 
 #include <algorithm>
@@ -12,8 +12,8 @@
 
 namespace relidar {
 
-/// Tries to allocate this many bytes in pieces.
-/// @return an empty string, or the reason why it failed
+/// Tries to allocate this many bytes on the device, in pieces.
+/// @return an empty string, or the reason why the allocation failed
 inline std::string missing_memory(Device& device, double n_bytes) {
     // drivers limit single allocations in addition to their sum
     constexpr double kPiece = double(256 << 20);

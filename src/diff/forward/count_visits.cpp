@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Repeats the forward pass with counters. Uses separate kernel variants, so that the
-// counters cost nothing in normal rendering.
+// Repeats the forward pass with counters of visited nodes and surfels. Separate kernel
+// variants count, so that normal rendering does not become slower.
 #include "diff/forward/count_visits.hpp"
 
 #include "diff/forward/hit_lists.hpp"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/forward/trace, which renders rays (Eq. 2-4). Runs after the hit lists
-// of hit_lists.cpp, if they are used.
+// Host side of the kernel diff/forward/trace, which renders rays (Eq. 2-4). If hit lists
+// are used, it renders only the rays whose lists could not be used.
 #include <relidar/diff/forward.hpp>
 
 #include <fmt/format.h>

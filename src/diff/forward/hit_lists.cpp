@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bindings of diff/forward/append, diff/forward/sort_hits and diff/forward/blend, and the
-// capacity of hit lists.
+// Host side of rendering with hit lists: appends hits to lists, sorts the lists, blends
+// them, and sets the capacity of the lists.
 #include "diff/forward/hit_lists.hpp"
 
 #include <algorithm>
@@ -12,11 +12,11 @@
 namespace relidar {
 namespace {
 
-// the number of threads that sort them must fit into 32 bits
+// Maximum number of lists. It keeps the number of threads that sort the lists below 2^32.
 constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
-/// Returns the memory limit of all lists: an eighth of the device's memory, or of 8 GiB
-/// if the size is unknown.
+/// Returns the memory limit of all hit lists: an eighth of the device's memory. Assumes 8
+/// GiB if the size is unknown.
 std::size_t most_bytes(const Device& device) {
     const std::size_t memory = device.info().memory_bytes;
     return (memory ? memory : std::size_t(8) << 30) / 8;
@@ -68,9 +68,9 @@ void HitLists::make_hits(std::size_t n_lists) {
     if (room_ < wanted) grows_ = false;
 }
 
-/// Returns true if a ray had more hits than its list can hold. The full device may wait
-/// for the few rays that diff/forward/trace then renders. Reads the count so late that no
-/// wait is needed: the stream has already waited for that submission to reuse its slot.
+/// Returns true if a ray had more hits than its list can hold. Such rays are slow,
+/// because the full device may wait for them in diff/forward/trace. Reads the count
+/// without waiting: the stream has already waited for that submission to reuse its slot.
 bool HitLists::wants_more_room(Stream& stream) {
     if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
@@ -80,19 +80,21 @@ bool HitLists::wants_more_room(Stream& stream) {
     return grows_ && room_ < most_room_ && n_overflows > 0;
 }
 
-/// Provides memory for lists. Uses the memory of the hits for the backward pass if it is
-/// large enough.
+/// Provides memory for hit lists. Uses the memory that stores hits for the backward pass
+/// if it is large enough.
 shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
     if (wants_more_room(stream)) {
         room_ = std::min(2 * room_, most_room_);
-        stream.fill(n_overflows_);  // discards the count of the shorter lists
+        // Resets the overflow count, because it belongs to lists with a smaller capacity.
+        stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
     const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;
     const bool own_fit = hits_room_ == room_ && hits_.size() >= n * room_;
-    // The device must not write to lists that are about to be freed.
+    // Waits for the device, because it must not write to lists that are about to be
+    // freed.
     if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();
     if (in_kept) hits_ = {};
     // at least as many lists as before

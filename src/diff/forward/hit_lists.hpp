@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The forward pass with hit lists: rays append their hits, the lists are sorted, then
-// blended. Private to forward.
+// Forward pass with hit lists: each ray appends its hits to a list, and then the lists
+// are sorted and blended. Used only by the forward pass.
 #pragma once
 
 #include <memory>
@@ -12,29 +12,30 @@
 
 namespace relidar {
 
-/// Returns true if rays append their hits to lists. On a CPU an ordered buffer stays in
-/// the cache and is faster than a second launch.
+/// Returns true if rays append their hits to lists. A CPU uses an ordered buffer instead,
+/// which stays in the cache and is faster than a second launch.
 inline bool appends_hits(const Device& device, const TraceOptions& options) {
     return options.order == HitOrder::automatic ? device.info().type != "CPU"
                                                 : options.order == HitOrder::lists;
 }
 
-/// Returns the maximum capacity of a list that the lanes of a subgroup can sort.
+/// Returns the largest number of hits that a list may hold. A subgroup of the device must
+/// be able to sort the list.
 std::uint32_t most_list_room(const Device& device);
 
 class HitLists {
 public:
-    /// Creates the kernels.
+    /// Creates the kernels that fill, sort and blend hit lists.
     /// @param constants  constants of the tracing kernels
-    /// @param room  initial capacity of a list, limited to the maximum
+    /// @param room  initial capacity of a list in hits, limited to the maximum
     HitLists(Device& device, const KernelVariant& variant, const std::vector<Constant>& constants, int room);
 
-    /// Renders the rays of a batch whose lists are fit. Sets `params.lists`, so that
-    /// diff/forward/trace can identify the other rays. If the device has no memory for
-    /// lists, `params.lists` stays empty and diff/forward/trace renders all rays. All
-    /// calls must use the same stream.
-    /// @param kept  hit storage of `params`; lists use its memory if it is large enough,
-    /// which avoids a copy
+    /// Renders the rays of a batch with hit lists. Sets `params.lists`, so that
+    /// diff/forward/trace can render the rays whose lists could not be used. If the
+    /// device has no memory for lists, diff/forward/trace renders all rays. All calls
+    /// must use the same stream.
+    /// @param kept  hit storage of `params`. Lists use its memory if it is large enough,
+    /// which avoids a copy.
     void run(Stream& stream, const RayBatch& batch, shared::ForwardParams& params,
              const KeptHits* kept = nullptr);
     std::uint32_t room() const { return room_; }  ///< capacity of a list in hits

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Combines activation, acceleration structure and forward pass, and owns the arrays of
-// rendered values.
+// Renders rays: computes surfel records, updates the acceleration structure and runs the
+// forward pass. Owns the arrays of rendered values.
 #include <relidar/diff/forward.hpp>
 
 #include <algorithm>
@@ -52,7 +52,9 @@ struct Renderer::Impl {
     }
 
     void make_kept_hits(std::size_t n_threads) {
-        kept.reset();  // freed before the allocation; no command reads them any more
+        // Frees the old memory before the allocation. No command reads the old memory any
+        // more.
+        kept.reset();
         if (options.keep_hits > 0) kept.emplace(device, n_threads, options.keep_hits);
         batch.kept = kept ? &*kept : nullptr;
     }
@@ -91,7 +93,9 @@ void Renderer::record_forward(const RayBatch& rays) {
         r.stream.finish();
         r.make_room(rays.n_rays);
     }
-    if (r.kept && !r.kept->hold(rays)) {  // the tiles of an image need more threads than rays
+    // Allocates more entries than rays if necessary, because the tiles of an image need
+    // more threads than rays.
+    if (r.kept && !r.kept->hold(rays)) {
         r.stream.finish();
         r.make_kept_hits(trace_threads(rays));
     }

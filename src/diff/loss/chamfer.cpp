@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/loss/chamfer_points, chamfer_boxes, chamfer_nearest, chamfer and
-// chamfer_vjp (Eq. 11).
+// Host side of the Chamfer loss (Eq. 11): computes points, finds nearest points, and
+// submits the loss and its derivative.
 #include <relidar/diff/loss.hpp>
 
 #include <relidar/diff/traversal.hpp>
@@ -14,8 +14,8 @@ namespace relidar {
 
 namespace {
 
-/// Sizes of the three levels: points, tiles of points and groups of tiles, in rows and
-/// columns.
+/// Sizes of the three levels of a point image, in rows and columns: points, tiles of
+/// points, groups of tiles.
 struct Levels {
     glm::uvec2 tile{4, 8};  ///< points per tile, tiles per group
     glm::uvec2 points, tiles, groups;
@@ -37,8 +37,8 @@ struct Cloud {
     Array<glm::vec3, shared::GroupLows> group_low;
     Array<glm::vec3, shared::GroupHighs> group_high;
 
-    /// Allocates a cloud. An image of one column has the most tiles: ceil(n / 4). The
-    /// same holds for groups of tiles.
+    /// Allocates a point cloud. An image of one column has the most tiles, ceil(n / 4).
+    /// The same holds for groups of tiles.
     Cloud(Device& device, std::size_t n, const std::string& what)
         : points(device, n, what + " points"),
           tile_low(device, n / 4 + 1, what + " tiles"),
@@ -118,7 +118,7 @@ struct ChamferLoss::Impl {
                       .tile_rows = l.tile.x,
                       .tile_columns = l.tile.y});
     }
-    /// Finds nearest points in both directions. The two clouds are processed
+    /// Finds nearest points in both directions. The device processes the two clouds
     /// concurrently.
     void search(Stream& stream, const Levels& l) const {
         {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/loss/image_loss, diff/loss/ssim and diff/loss/ssim_vjp (Eq. 10).
+// Host side of the image losses: depth, intensity, ray-drop and structural similarity
+// (Eq. 10).
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>

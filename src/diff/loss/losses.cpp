@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Creates the losses of the term list, and checks that the list is in order.
+// Creates all losses of the list of loss terms. Checks that the order of the list is
+// correct.
 #include <algorithm>
 
 #include "diff/loss/losses.hpp"
@@ -35,7 +36,8 @@ std::vector<std::unique_ptr<Loss>> make_losses(Device& device, const LossWeights
         RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     };
-    // must be first, because it writes gradients to which the others add
+    // The image loss must be first, because it overwrites the gradients. The other losses
+    // add to them.
     std::vector<LossMaker*> makers{make_image_loss};
     for (const Term& term : terms)
         if (term.weight > 0.0f && std::find(makers.begin(), makers.end(), term.maker) == makers.end())

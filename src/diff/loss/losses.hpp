@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Functions that create each loss of the term list (relidar/diff/loss_terms.h):
-// make_image_loss, make_surfel_loss and so on. The file of a loss defines its function.
+// Declares one factory function per loss: make_image_loss, make_surfel_loss and so on.
+// The names come from the list in relidar/diff/loss_terms.h. The file of each loss
+// defines its function.
 #pragma once
 
 #include <relidar/diff/loss.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/loss/surfel_loss, with one launch over the surfels of models with a
-// box.
+// Host side of the kernel diff/loss/surfel_loss. Submits one launch over the surfels of
+// all models that have a box.
 #include <relidar/diff/loss.hpp>
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/matmul and diff/network/softmax. Attention weights are stored
-// as [n, heads, query pixel, key pixel].
+// Host side of multi-head attention: submits matrix products and softmax. Attention
+// weights are stored as [n, heads, query pixel, key pixel].
 #include "diff/network/attention.hpp"
 
 #include <cmath>
@@ -16,8 +16,8 @@ std::vector<Constant> attention_constants(std::uint32_t lanes) {
     return {{ConstantId::LANES, lanes}, {ConstantId::WORKGROUP_SIZE, kAttentionThreads}};
 }
 
-/// Returns a view of a slice as one matrix per head, channels by pixels. Transposed:
-/// pixels by channels.
+/// Returns a view of an image slice as one matrix [channels, pixels] per head. The
+/// transposed view is [pixels, channels].
 shared::MatrixView of_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.pixels());
     return {.values = slice.view.values,
@@ -133,7 +133,7 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
     // d_value = d_to share
     product(of_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false),
             of_heads(d_value, heads_, false), size, pixels, 1.0f);
-    // d_share = d_to^T value, then the derivative of the softmax
+    // Computes d_share = d_to^T value, then the derivative of the softmax.
     product(of_heads(d_to, heads_, true), of_heads(value, heads_, false),
             of_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);

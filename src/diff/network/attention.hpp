@@ -7,18 +7,18 @@
 
 namespace relidar::refine {
 
-/// Results of the forward pass that the backward pass needs.
+/// Intermediate results of the forward pass that the backward pass needs.
 struct AttentionState {
-    /// [n, heads, pixels, pixels] softmax of the scores; a row holds the weights of one
-    /// query pixel
+    /// [n, heads, pixels, pixels]: softmax of the scores. Each row holds the attention
+    /// weights of one query pixel.
     Tensor share;
     Tensor d_share;  ///< same shape, scratch of the backward pass
 };
 
 class Attention {
 public:
-    /// Creates the kernels.
-    /// @param heads  number of heads; the channels are divided between them
+    /// Creates the kernels for attention.
+    /// @param heads  number of heads. The channels are divided equally between them.
     Attention(Device& device, std::uint32_t heads);
 
     AttentionState make_state(Device& device, const Grid& grid, bool with_gradients) const;

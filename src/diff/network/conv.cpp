@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/conv, diff/network/conv_weights and diff/network/sum_parts.
+// Host side of convolutions: submits the forward pass and the derivatives with respect to
+// images and weights.
 #include "diff/network/conv.hpp"
 
 #include <algorithm>
@@ -15,7 +16,7 @@ namespace relidar::refine {
 namespace {
 
 constexpr std::uint32_t kConvThreads = 64;  // threads per workgroup
-// Rows of an image that a subgroup of diff/network/conv_weights sums.
+// Number of image rows over which one subgroup sums the gradient of the weights.
 constexpr std::uint32_t kLinesOfPart = 8;
 constexpr std::size_t kMostPartial = 1 << 24;  // limit of the memory for partial sums, in floats
 

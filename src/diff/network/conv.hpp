@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Convolutions 1x1 and 3x3. Columns wrap around, rows are padded with zeros.
+// Convolutions of size 1x1 and 3x3. Columns wrap around, and rows outside the image are
+// zero.
 #pragma once
 
 #include <cstdint>
@@ -9,29 +10,30 @@
 
 namespace relidar::refine {
 
-/// Kernels of all convolutions of one size, and memory for their partial sums.
+/// Kernels of all convolutions of one size (1x1 or 3x3), and memory for their partial
+/// sums.
 class Conv {
 public:
     using Weights = Address<float, shared::ConvWeights>;
     using Bias = Address<float, shared::ConvBias>;
 
-    /// Creates the kernels.
+    /// Creates the kernels for one size of convolution.
     /// @param taps  1 (1x1) or 9 (3x3)
     /// @throws DeviceError with the name of a missing device feature
     Conv(Device& device, std::uint32_t taps);
 
-    /// Computes to = bias + weights * from.
+    /// Computes the convolution to = bias + weights * from.
     /// @param weights  [to.channels, from.channels, taps]
     /// @param bias  [to.channels], or a null address
-    /// @param accumulate  true: adds to the content of `to`
+    /// @param accumulate  true: adds the result to `to` instead of overwriting it
     void forward(Stream& stream, const Slice& from, Weights weights, Bias bias, const Slice& to,
                  bool accumulate = false);
     /// Computes dL/d(from) from dL/d(to).
-    /// @param accumulate  true: adds to the content of `d_from`
+    /// @param accumulate  true: adds the result to `d_from` instead of overwriting it
     void input_vjp(Stream& stream, const Slice& d_to, Weights weights, const Slice& d_from,
                    bool accumulate = false);
-    /// Computes dL/d(weights) [to.channels, from.channels, taps]. The order of summation
-    /// is fixed.
+    /// Computes dL/d(weights), [to.channels, from.channels, taps]. The order of summation
+    /// is fixed, so the result is repeatable.
     void weights_vjp(Stream& stream, const Slice& from, const Slice& d_to, Weights d_weights);
     /// Returns the number of floats that weights_vjp() needs for its partial sums.
     std::size_t partial_floats(const Grid& grid, std::uint32_t n_in, std::uint32_t n_out) const;

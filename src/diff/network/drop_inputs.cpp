@@ -89,7 +89,7 @@ void DropInputs::make(Stream& stream, std::span<const Chosen> chosen,
     make(stream, chosen, params, images);
 }
 
-/// Records the kernel that assembles a batch.
+/// Submits the kernel that assembles a batch of input images.
 /// @param params  addresses of samples and targets
 void DropInputs::make(Stream& stream, std::span<const Chosen> chosen, shared::DropInputsParams params,
                       const Tensor& images) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training images on the device, and normalised, rotated batches of them.
+// Stores training images on the device and creates normalised, rotated batches of them.
 #pragma once
 
 #include <span>
@@ -12,33 +12,36 @@
 
 namespace relidar::refine {
 
-/// Returns scale and shift [channels, 2] that give each input mean 0 and standard
-/// deviation 1 over the images. A constant input becomes 0.
+/// Returns scale and shift of each input channel, [channels, 2]. They give the channel
+/// mean 0 and standard deviation 1 over all images. A constant channel becomes 0.
 std::vector<float> normalisation_of(const std::vector<DropImage>& images, std::size_t n_channels);
 
 class DropInputs {
 public:
     DropInputs(Device& device, const DropNetwork& network);
 
-    /// Uploads images and replaces earlier ones.
+    /// Uploads training images to the device. Replaces all earlier images.
     /// @param images  images of one shape, already checked
     void keep(Device& device, std::span<const DropImage> images);
 
-    /// Index of an image, and the number of columns by which its scene is rotated.
+    /// Selects an image for a batch, and the number of columns by which its scene is
+    /// rotated.
     struct Chosen {
         std::uint32_t sample = 0, turn = 0;
     };
-    /// Records the assembly of a batch from the uploaded images.
-    /// @param images  [n, channels, rows, columns] output
+    /// Submits the kernel that assembles a batch from the uploaded images.
+    /// @param images  output, [n, channels, rows, columns]
     void make(Stream& stream, std::span<const Chosen> chosen, const Tensor& images);
-    /// Records the assembly of a batch, without targets, from images in another array.
+    /// Submits the kernel that assembles a batch without targets from images in another
+    /// array.
     /// @param samples  [samples, channels, rows, columns]
     void make(Stream& stream, std::span<const Chosen> chosen, Address<float, shared::DropSamples> samples,
               const Tensor& images);
 
     /// Rendered logits [n, rows, columns] of the last batch.
     const Array<float, shared::StartLogits>& start() const { return start_; }
-    /// Targets [n, rows, columns] of the last batch, as in DropImage::dropped.
+    /// Returns the targets of the last batch, [n, rows, columns], with the values of
+    /// DropImage::dropped.
     const Array<float, shared::DropTargets>& target() const { return target_; }
     bool has_targets() const { return targets_.size() > 0; }
     /// Returns the number of pixels of an image whose target is known.

@@ -17,8 +17,8 @@ constexpr int kMostWidth = 512, kMostLevels = 6;
 
 using refine::Regularisation;
 
-/// A predefined network. Its channels per level, from full size to the smallest, are
-/// multiples of `width`.
+/// A predefined network. The number of channels on each level, from full size to the
+/// smallest, is a multiple of `width`.
 struct Known {
     const char* name;
     std::uint32_t width;

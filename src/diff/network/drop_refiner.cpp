@@ -70,7 +70,8 @@ struct ShapedNetwork {
 }  // namespace
 
 struct DropPass::Impl {
-    // Number of cached shapes. A rig renders its large and its small LiDARs alternately.
+    // Number of image sizes whose arrays are cached. Two are useful because a vehicle may
+    // render its large and its small LiDARs alternately.
     static constexpr std::size_t kShapes = 2;
 
     Device& device;
@@ -88,7 +89,9 @@ struct DropPass::Impl {
         if (place == shaped.end() && shaped.size() < kShapes)
             place = shaped.emplace(shaped.end(), device, network);
         if (place == shaped.end()) {
-            stream.finish();  // the device may still use the arrays of that shape
+            // Waits, because the device may still use the arrays that are about to be
+            // replaced.
+            stream.finish();
             --place;
         }
         shaped.splice(shaped.begin(), shaped, place);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Training of the ray-drop network, one step at a time.
+// Trains the ray-drop network, one step per call.
 #pragma once
 
 #include <cstdint>
@@ -16,24 +16,26 @@ namespace relidar::refine {
 
 class DropTraining {
 public:
-    /// Prepares a training.
+    /// Uploads the images, and creates the network and the optimizer.
     /// @throws DataError under the same conditions as train_drop_network()
     DropTraining(Device& device, const std::vector<DropImage>& images, const RefineOptions& options,
                  std::uint64_t seed, bool timing = false);
     ~DropTraining();
 
     std::size_t batch() const;  ///< images per step
-    /// steps per epoch; other epochs may use the images that remain
+    /// Returns the number of steps per epoch. An epoch omits the images that do not fill
+    /// a batch. Other epochs may use them.
     std::size_t steps_of_epoch() const;
 
-    /// Trains on one batch.
+    /// Trains the network on one batch.
     /// @param step  number of the step, starting at 1
-    /// @return score of the network before the step
+    /// @return loss and accuracy of the network before the step
     DropScore step(std::span<const DropInputs::Chosen> chosen, int step, int n_steps);
     DropNetwork download() const;
-    /// Returns parameters and moments. The caller sets the other fields of the state.
+    /// Returns the parameters of the network and the moments of the optimizer. The caller
+    /// sets the other fields of the state.
     RefineState state() const;
-    /// Restores parameters and moments.
+    /// Restores the parameters of the network and the moments of the optimizer.
     /// @throws DataError if their sizes do not match the network
     void restore(const RefineState& state);
     const KernelTimes& times() const;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/channel_sums, diff/network/norm_finish, diff/network/norm,
-// diff/network/norm_vjp.
+// Host side of batch normalisation: submits the forward pass, the inference pass and the
+// derivatives.
 #include "diff/network/norm.hpp"
 
 #include <algorithm>
@@ -13,8 +13,8 @@ namespace {
 constexpr std::uint32_t kNormThreads = 64;  // threads per workgroup
 constexpr float kMomentum = 0.1f, kEpsilon = 1e-5f;
 
-/// Returns the number of parts whose sums are computed separately. A part lies within one
-/// image.
+/// Returns the number of parts whose sums are computed separately. Each part lies within
+/// one image.
 std::uint32_t norm_parts(const Grid& grid) {
     return grid.n * std::uint32_t(std::clamp<std::size_t>(grid.pixels() / 4096, 1, 64));
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Batch normalisation, ReLU and dropout as one layer, and sums over the pixels of
+// Batch normalisation, ReLU and dropout as one layer. Also sums over the pixels of
 // channels.
 #pragma once
 
@@ -11,18 +11,18 @@ namespace relidar::refine {
 /// Parameters of a normalisation layer.
 struct NormWeights {
     Address<glm::vec2, shared::BetaGamma> beta_gamma;  ///< [channels] beta and gamma of each channel
-    /// [channels] Running mean and variance of the batches, for evaluation.
+    /// [channels]: running mean and variance over the batches. Inference uses them.
     Address<glm::vec2, shared::RunningMoments> running;
 };
 
-/// Destination of the derivatives with respect to beta and gamma: [channels, 2] from
-/// `first` on.
+/// Array for the derivatives with respect to beta and gamma. They are written as
+/// [channels, 2] from index `first` on.
 struct NormGradient {
     const Array<float>& all;
     std::size_t first = 0;
 };
 
-/// Results of a layer's forward pass that its backward pass needs.
+/// Intermediate results of a layer's forward pass that the backward pass needs.
 struct NormState {
     Array<glm::vec2, shared::NormMoments> moments;     ///< [channels] mean and 1 / deviation of each channel
     Array<glm::vec2, shared::ScaleShift> scale_shift;  ///< [channels] scale and shift of each channel
@@ -39,21 +39,23 @@ class Norm {
 public:
     explicit Norm(Device& device);
 
-    /// Computes to = dropout(relu(gamma x^ + beta)), where x^ is normalised by the
-    /// moments of the batch. Updates the running moments.
+    /// Computes to = dropout(relu(gamma x^ + beta)). x^ is the input, normalised with
+    /// mean and variance of the batch. Updates the running mean and variance.
     void forward(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
                  const Slice& to);
-    /// Computes the layer with the running moments and without dropout.
+    /// Computes the layer for inference: with the running mean and variance, and without
+    /// dropout.
     void evaluate(Stream& stream, const Slice& from, const NormWeights& weights, NormState& state,
                   const Slice& to);
-    /// Computes dL/d(from) and dL/d(beta, gamma) from dL/d(to) of forward().
-    /// @param accumulate  true: adds to the content of `d_from`
+    /// Computes dL/d(from) and dL/d(beta, gamma) from dL/d(to). forward() must have been
+    /// called before.
+    /// @param accumulate  true: adds the result to `d_from` instead of overwriting it
     void vjp(Stream& stream, const Slice& from, const NormState& state, const Slice& d_to,
              const Slice& d_from, const NormGradient& gradient, bool accumulate = false);
-    /// Computes the sum of each channel over all images [channels], the derivative with
-    /// respect to a bias.
+    /// Computes the sum of each channel over all images, [channels]. It is the derivative
+    /// with respect to a bias.
     void bias_vjp(Stream& stream, const Slice& d_to, Address<float, shared::ConvBias> d_bias);
-    /// Allocates memory for images of this number of channels and pixels.
+    /// Allocates memory for images with this number of channels and pixels.
     void reserve(Device& device, std::uint32_t channels, const Grid& grid);
 
 private:

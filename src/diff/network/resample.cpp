@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/network/pool, diff/network/pool_vjp, diff/network/upsample and
-// diff/network/upsample_vjp.
+// Host side of max pooling and bilinear upsampling: submits the kernels and their
+// derivatives.
 #include "diff/network/resample.hpp"
 
 #include "base/assert.hpp"

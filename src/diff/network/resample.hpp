@@ -7,15 +7,15 @@
 
 namespace relidar::refine {
 
-/// Returns the grid with half the rows and columns, rounded down.
+/// Returns the image size with half the rows and half the columns, rounded down.
 Grid pooled(const Grid& grid);
 
 class Resample {
 public:
     explicit Resample(Device& device);
 
-    /// Computes the maximum over 2 x 2 pixels.
-    /// @param to  images of the grid pooled(from.grid)
+    /// Computes the maximum over each 2 x 2 pixels (max pooling).
+    /// @param to  output images of size pooled(from.grid)
     void pool(Stream& stream, const Slice& from, const Slice& to);
     /// Adds dL/d(from) of pool() to d_from.
     void pool_vjp(Stream& stream, const Slice& from, const Slice& d_to, const Slice& d_from);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Images on the device: [n, channels, rows, columns], columns fastest. Columns wrap
-// around.
+// Images on the device, [n, channels, rows, columns]. Neighbouring columns are adjacent
+// in memory, and columns wrap around.
 #pragma once
 
 #include <cstddef>
@@ -23,7 +23,7 @@ struct Grid {
     friend bool operator==(const Grid&, const Grid&) = default;
 };
 
-/// Returns the number of tiles of `size` elements that cover n elements.
+/// Returns the number of groups of `size` elements that are needed for n elements.
 inline std::uint32_t tiles(std::uint32_t n, std::uint32_t size) { return (n + size - 1) / size; }
 
 /// Consecutive channels of a tensor.

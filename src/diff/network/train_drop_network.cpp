@@ -16,8 +16,8 @@
 namespace relidar {
 namespace {
 
-/// Draws the image order and rotations of an epoch. Each epoch has a separate random
-/// generator, so that it does not depend on other epochs.
+/// Draws the order and the rotations of the images for an epoch. Each epoch has a
+/// separate random generator, so that it does not depend on earlier epochs.
 std::vector<refine::DropInputs::Chosen> draw_epoch(std::size_t n, int columns, bool turn, std::uint64_t seed,
                                                    int epoch) {
     std::mt19937_64 random(seed * 1000003u + std::uint64_t(epoch));
@@ -54,8 +54,8 @@ struct Course {
                                         report.step, report.n_steps));
     }
 
-    /// Advances to the next step, and to the next epoch after the last step of an epoch.
-    /// @return index of the step in the epoch
+    /// Increments the step, and starts the next epoch after the last step of an epoch.
+    /// @return index of the step within its epoch
     std::size_t advance() {
         const std::size_t k = std::size_t(report.step++) % n_steps;
         if (k == 0) entropy = accuracy = 0.0;

@@ -64,7 +64,9 @@ void Unet::reserve(Device& device, const Grid& grid, bool with_gradients) {
     if (inputs_.grid == grid && (with_gradients_ || !with_gradients)) return;
     with_gradients_ = with_gradients;
     most_active_ = 0;
-    levels_.clear();  // freed before the allocation, because there may not be enough memory for both
+    // Frees the old arrays before the allocation, because there may not be enough memory
+    // for both.
+    levels_.clear();
     levels_.resize(widths_.size());
     down_states_.resize(plan_.down.size());
     up_states_.resize(plan_.up.size());

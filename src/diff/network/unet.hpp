@@ -31,10 +31,14 @@ struct Block {
 
 /// Offsets of all parameters of a network.
 struct UnetPlan {
-    ConvLayer head, tail;         ///< `head`: inputs to full-size channels, `tail`: these channels to a logit
-    std::vector<Block> down, up;  ///< two blocks per level; `up` starts at full size
-    std::optional<Block> query;   ///< attention: query, key, value
-    ConvLayer project;            ///< attention: projection of the result
+    /// First and last convolution: `head` converts the inputs to full-size channels,
+    /// `tail` converts these channels to a logit.
+    ConvLayer head, tail;
+    /// Blocks of the encoder (`down`) and the decoder (`up`), two per level. `up` starts
+    /// at full size.
+    std::vector<Block> down, up;
+    std::optional<Block> query;  ///< attention: query, key, value
+    ConvLayer project;           ///< attention: projection of the result
     std::size_t n_parameters = 0, n_running = 0;
 
     explicit UnetPlan(const DropNetwork& network);
@@ -56,19 +60,21 @@ class Unet {
 public:
     Unet(Device& device, const DropNetwork& network);
 
-    /// Allocates memory for passes over images of a grid.
-    /// @param with_gradients  true: also for backward()
+    /// Allocates memory for passes over images of one size.
+    /// @param with_gradients  true: also allocates memory for backward()
     void reserve(Device& device, const Grid& grid, bool with_gradients);
-    /// Records a pass in training mode.
-    /// @param dropout_key  key of the step's dropout masks
+    /// Submits a forward pass in training mode.
+    /// @param dropout_key  random key of this step's dropout masks
     void forward(Stream& stream, std::uint32_t dropout_key, float dropout);
-    /// Records a pass in evaluation mode: running moments, no dropout.
+    /// Submits a forward pass for inference, with running mean and variance and without
+    /// dropout.
     void evaluate(Stream& stream);
-    /// Records dL/d(parameters) of forward(), from dL/d(logit) in d_logit().
+    /// Submits the backward pass of forward(). Computes dL/d(parameters) from dL/d(logit)
+    /// in d_logit().
     void backward(Stream& stream);
 
-    /// Replaces all parameters. The sizes must match. No command on the device may still
-    /// use the old values.
+    /// Replaces all parameters of the network. The sizes must match. No command on the
+    /// device may still use the old values.
     void upload(const std::vector<float>& parameters, const std::vector<float>& running) {
         parameters_.upload(parameters);
         running_.upload(running);
@@ -87,8 +93,8 @@ private:
         Tensor active;
         NormState norm;
     };
-    /// Images of one size: the joined input [from below, skip], the images between two
-    /// blocks, and their gradients.
+    /// Arrays of one image size: the joined input [from below, skip], the images between
+    /// two blocks, and their gradients.
     struct Level {
         Tensor joined, d_joined, down_between, d_down_between, up_between, d_up_between, up, d_up, pooled,
             d_pooled;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Offsets and initial values of a network's parameters. The order is that of the calls in
-// UnetPlan's constructor. Each group begins at a multiple of four floats, as device
-// arrays do.
+// Computes offsets and initial values of a network's parameters. The order of the calls
+// in UnetPlan's constructor determines the offsets. Each group begins at a multiple of
+// four floats, like arrays on the device.
 #include <cmath>
 #include <random>
 
@@ -16,7 +16,7 @@ std::size_t take(std::size_t& n, std::size_t floats) {
     return first;
 }
 
-/// Returns a random number between -1 and 1 that is the same with every compiler.
+/// Returns a random number between -1 and 1. The result is the same with every compiler.
 float draw(std::mt19937_64& random) { return float(random() >> 40) * 0x1p-23f - 1.0f; }
 
 }  // namespace

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/optimizer/adam, with one launch per parameter group.
+// Host side of the Adam optimizer. Submits one launch per parameter group.
 #include <relidar/diff/optimizer.hpp>
 
 #include <algorithm>
@@ -22,7 +22,8 @@ double exponential_schedule(double start, double end, int step, int n_steps) {
 
 namespace {
 
-// workgroup size; with 32 threads a GPU would not be fully occupied
+// Number of threads per workgroup. With only 32 threads a GPU would not be fully
+// occupied.
 constexpr std::uint32_t kStreamingThreads = 128;
 
 std::vector<Constant> adam_constants(bool per_float) {
@@ -55,8 +56,8 @@ Adam::Adam(Device& device, std::uint32_t n_surfels, const AdamOptions& options, 
     Stream stream(device);
     impl_->moment1.fill_zero(stream);
     impl_->moment2.fill_zero(stream);
-    // Must finish before the first step, because a resumed run uploads its moments in
-    // between.
+    // Waits until the moments are cleared, because a resumed run uploads its moments
+    // before the first step.
     stream.finish();
 }
 Adam::~Adam() = default;
@@ -85,7 +86,7 @@ void Adam::step(Stream& stream, SurfelArrays& p, const SurfelArrays& g,
     for (const ParameterGroup& group : groups_of(p.parameters())) {
         const std::uint32_t stride = group.floats(), block = group.harmonics ? group.row[1] : stride;
         const std::uint32_t n_active = group.harmonics ? active_harmonics : block, n_blocks = stride / block;
-        // Factor of all columns of a block except the first.
+        // Factor on the learning rate of all columns of a block except the first.
         const double rest_factor = group.harmonics ? rates.sh_rest_factor : 1.0;
         const std::size_t from = std::size_t(first) * stride;
         const bool by_model = group.rate == &LearningRates::mean && !rates.mean_factors.empty();

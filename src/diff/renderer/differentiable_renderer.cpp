@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds the backward pass and its gradients to the renderer.
+// Extends the renderer by the backward pass and its gradients.
 #include <relidar/diff/differentiable_renderer.hpp>
 
 #include <algorithm>
@@ -24,7 +24,8 @@ struct Lane {
     float shared::RayGradient::*at;
 };
 
-/// Converts gradients of rendered values to the layout of the backward pass.
+/// Converts the gradients of rendered values to the memory layout that the backward pass
+/// expects.
 std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::size_t n_rays) {
     using shared::RayGradient;
 #define RELIDAR_LANE(name, built, value, input, slope, meaning) {#name, d.name, &RayGradient::name},
@@ -41,7 +42,8 @@ std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::
     return result;
 }
 
-/// Downloads an array, or returns an empty vector if the gradient was not requested.
+/// Downloads an array from the device. Returns an empty vector if the array is empty
+/// because its gradient was not requested.
 std::vector<float> values_of(const Array<float>& array, std::size_t n) {
     return array.size() ? array.download(n) : std::vector<float>{};
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of diff/traversal/collect_hits, which writes all hits of each ray in order.
+// Host side of the kernel diff/traversal/collect_hits, which writes all hits of each ray
+// from near to far.
 #include "diff/traversal/collect_hits.hpp"
 
 #include <fmt/format.h>

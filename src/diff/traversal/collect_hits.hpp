@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collects all hits of each ray, for conformance tests of the traversal contract
-// (shaders/diff/traversal/README.md).
+// Finds all hits of each ray. Tests use the hits to check that all acceleration
+// structures agree.
 #pragma once
 
 #include <cstdint>
@@ -21,7 +21,7 @@ struct CollectedHits {
     std::vector<std::uint32_t> surfel;    ///< [n_rays, max_hits] surfel of each hit
 };
 
-/// A scene with the poses of its instances, and the options of its tracing.
+/// A scene with the poses of its instances, and the tracing options.
 struct PlacedScene {
     const Scene* scene = nullptr;
     std::vector<InstancePose> world_from_instance;
@@ -30,8 +30,9 @@ struct PlacedScene {
     TraceOptions trace;
 };
 
-/// Returns all hits of each ray in order.
-/// @param max_hits  number of stored hits per ray; all hits are counted
+/// Returns all hits of each ray, from near to far.
+/// @param max_hits  largest number of stored hits per ray. Hits beyond it are only
+/// counted.
 /// @throws DeviceError if a ray reaches the maximum number of passes
 CollectedHits collect_hits(Device& device, const PlacedScene& placed, const WorldRays& rays,
                            std::uint32_t max_hits);

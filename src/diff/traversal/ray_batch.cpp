@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts rays for the device and computes launch and buffer sizes for them.
+// Converts rays to the layout of the device, and computes the launch and buffer sizes for
+// them.
 #include <relidar/diff/traversal.hpp>
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of shaders/diff/traversal: fills the parameters that all tracing kernels
-// share, and selects kernel variants. Used by the forward and the backward pass.
+// Fills the kernel parameters that all tracing kernels share, and selects kernel
+// variants. The forward and the backward pass use these functions.
 #pragma once
 
 #include <relidar/diff/accel.hpp>
@@ -12,7 +12,7 @@
 
 namespace relidar {
 
-/// Returns the scene parameters of a tracing kernel, without rays.
+/// Returns the scene parameters of a tracing kernel. The caller must add the rays.
 inline shared::TraceScene trace_scene(const DeviceScene& scene, const AccelAddresses& accel,
                                       const ImageModel& model) {
     return {.tlas = accel.tlas,
@@ -58,7 +58,7 @@ inline shared::TraceScene trace_scene(const DeviceScene& scene, const Accel& acc
     return traced;
 }
 
-/// Returns the kernel variant for the traversal backend of a device.
+/// Returns the kernel variant for the ray traversal method that a device uses.
 inline KernelVariant traversal_variant(const Device& device) {
     if (tests_every_surfel(device)) return KernelVariant("@brute_force");
     return KernelVariant(device.traversal() == Traversal::software ? "@software_bvh" : "@ray_query");
