@@ -21,9 +21,9 @@ struct PoseSource {
     std::string about;
 };
 
-/// Returns the frame of the vehicle on which a sensor is mounted. This is the first frame
-/// above the sensor that moves relative to its parent. Returns the sensor's frame if no
-/// frame on the path moves.
+/// Returns the frame of the vehicle that carries a sensor. Searches the path from the
+/// sensor's frame to `outer` for the first frame that moves relative to its parent.
+/// Returns the sensor's frame if no frame moves.
 std::string vehicle_on(const FrameTree& frames, const std::vector<std::string>& way,
                        const std::string& outer) {
     for (const std::string& frame : way) {
