@@ -177,7 +177,8 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
 }
 
 /// Returns the shift of a beam, in whole ticks, for which most of its ticks are in the
-/// pattern. Of equal shifts, returns the one nearest to 0.
+/// pattern. Returns 0 unless another shift matches at least 1 % more of the ticks. Of
+/// equal shifts, returns the one nearest to 0.
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
                const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;
