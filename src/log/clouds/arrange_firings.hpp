@@ -11,8 +11,9 @@ namespace relidar {
 
 /// Assigns each point to a firing (Points::firing). Firings are sorted by the mean head
 /// azimuth of their points. A sweep may be longer than one revolution, so two firings
-/// with the same azimuth stay separate. A firing without points, for example where the
-/// vehicle blocks all beams, is interpolated between its neighbours.
+/// with the same azimuth stay separate. Some firings have no points, for example where
+/// the vehicle blocks all beams. Their deviation from a constant rotation is interpolated
+/// between the neighbouring firings.
 /// @param points  points with rings, at least one
 /// @param numbers  [points] firing number of each point; numbers increase with time
 /// @param step_rad  azimuth step between firings at a constant rotation rate; negative
