@@ -13,7 +13,8 @@ namespace {
 
 constexpr int kTicks = 1 << 16;  // resolution of azimuths: ticks per revolution, 0.0055 degrees each
 
-/// Returns the head azimuth of each firing. Firings without points are interpolated.
+/// Returns the head azimuth of each firing from the first to the last. For firings
+/// without points, interpolates the deviation from a constant rotation.
 std::map<int, double> head_azimuths(const Points& points, const std::vector<int>& numbers,
                                     const SpinningSensor& sensor, double step_rad) {
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
