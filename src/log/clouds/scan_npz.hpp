@@ -46,8 +46,8 @@ void write_scan_npz(const std::filesystem::path& file, const Scan& scan, bool mo
 void check_deskewed(bool is_deskewed, const Head& head, const std::string& where);
 
 /// Converts an intensity from a file to the range 0 to 1.
-/// @throws DataError if the intensity is not a number, or above 1 and sequence.json gives
-/// no maximum
+/// @throws DataError if the intensity is not a number. Without a maximum in
+/// sequence.json, also if it is outside 0 to 1.
 float unit_intensity(double found, const PointUnits& units, const std::string& where);
 /// Converts a point time from a file to seconds relative to the time of its frame.
 /// @throws DataError if the result is longer than any sweep
