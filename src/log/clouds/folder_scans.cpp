@@ -27,8 +27,8 @@ namespace fs = std::filesystem;
 constexpr std::size_t kSamples = 6;     // number of scans per LiDAR from which its beams are estimated
 constexpr double kUsualPeriod_s = 0.1;  // period of a sweep, if there is only one frame
 
-/// Counts the first returns of a scan. spinning_scan() would keep all of them if each
-/// were on a different ray.
+/// Counts the first returns of a scan. If each of them is on a different ray,
+/// spinning_scan() keeps all of them.
 std::size_t count_first_returns(const Points& points) {
     constexpr float kLeastRange_m = 1e-3f;
     std::size_t n = 0;

@@ -16,8 +16,8 @@ struct BenchmarkSequence {
     const char* name;
     const char* drive;  ///< part of the drive's name in its dataset
     int first, last;    ///< first and last frame
-    /// Frames that the paper uses for testing and not for training: test_first,
-    /// test_first + test_every, and so on. There are four.
+    /// The four frames that the paper uses for testing and not for training: test_first,
+    /// test_first + test_every, and so on.
     int test_first, test_every;
 };
 inline constexpr int kBenchmarkTestFrames = 4;

@@ -176,7 +176,7 @@ OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
 }
 
 /// Adds a note to the log for each LiDAR that has returns outside its range limits. The
-/// note states how many.
+/// note states the number of these returns.
 /// @param counts  [frames] numbers of near, far and all returns in each frame
 void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {

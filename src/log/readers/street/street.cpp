@@ -118,7 +118,7 @@ Sphere sphere_around(std::span<const Shape> shapes) {
 
 }  // namespace
 
-/// Finds the first surface that one ray hits. Shapes are tested one after another.
+/// Finds the first surface that a ray hits, by testing one shape after another.
 class StreetCaster::Walk {
 public:
     Walk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}

@@ -14,8 +14,8 @@ namespace relidar::street {
 /// Surface materials, which look different at the LiDAR's wavelength.
 enum class Material { road, pavement, wall, metal, paint, leaves };
 
-/// An upright box, or an upright cylinder with radius half.x and half of its height
-/// half.z.
+/// An upright box, or an upright cylinder. A cylinder has the radius half.x and the
+/// height 2 half.z.
 struct Shape {
     enum class Kind { box, cylinder } kind = Kind::box;
     glm::dvec3 centre{0.0};

@@ -32,8 +32,8 @@ double way_m(const SyntheticOptions& options) {
     return options.speed_mps * frame_time_s(options.n_frames - 1);
 }
 
-/// Returns half the length of the street. A short street is so short that the sensor sees
-/// both ends. A long street extends beyond the sensor's path.
+/// Returns half the length of the street. In a short log, the sensor can see both ends of
+/// the street. In a long log, the street extends beyond the sensor's path.
 double half_length_m(const SyntheticOptions& options) {
     const double way = way_m(options);
     return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
