@@ -11,13 +11,16 @@
 namespace relidar {
 namespace {
 
-constexpr int kTicks = 1 << 16;  // ticks per revolution: 0.0055 degrees
+constexpr int kTicks = 1 << 16;  // resolution of azimuths: ticks per revolution, 0.0055 degrees each
 
-/// Returns the head azimuth of each firing, from the first number to the last.
+/// Returns the head azimuth of each firing from the first to the last. For firings
+/// without points, interpolates the deviation from a constant rotation.
 std::map<int, double> head_azimuths(const Points& points, const std::vector<int>& numbers,
                                     const SpinningSensor& sensor, double step_rad) {
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
-    std::map<int, std::complex<double>> sums;  // sums over points, relative to an even rotation
+    // sums over the points of a firing, relative to a head that rotates at a constant
+    // rate
+    std::map<int, std::complex<double>> sums;
     for (std::size_t i = 0; i < points.size(); ++i)
         sums[numbers[i]] +=
             std::polar(1.0, beams[points.ring[i]].head_azimuth(glm::dvec3(points.position_m[i])) -

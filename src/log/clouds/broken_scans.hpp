@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Handling of scans that cannot be read. The first broken scan ends the reading, or
-// (dataset.skip_broken) broken scans are skipped with a note.
+// Handles scans that cannot be read. By default, the first such scan is an error. With
+// dataset.skip_broken, such scans are skipped with a note.
 #pragma once
 
 #include <cstddef>
@@ -13,13 +13,14 @@
 
 namespace relidar {
 
-/// Broken scans by number. The reader counts either frames of the sequence or files.
+/// The numbers and errors of broken scans. A reader numbers either the frames of the
+/// sequence or its files.
 class BrokenScans {
 public:
     explicit BrokenScans(bool skip) : skip_(skip) {}
 
-    /// Runs a reading step of scan i. Can be called from any thread. Does nothing if an
-    /// earlier step of the scan failed.
+    /// Runs a step of reading scan i. Any thread can call this function. Does nothing if
+    /// an earlier step of the same scan has failed.
     /// @throws DataError of the step, unless broken scans are skipped
     template <class Step>
     void attempt(std::size_t i, const Step& step) {
@@ -35,13 +36,14 @@ public:
     bool has(std::size_t i) const;
     std::size_t size() const { return reasons_.size(); }
 
-    /// Adds a note for each broken scan.
-    /// @param n  number of scans
+    /// Adds a note to the log for each broken scan.
+    /// @param n  number of all scans
     /// @throws DataError if all scans are broken
     void tell(Sequence& sequence, std::size_t n) const;
-    /// Adds the notes and removes the broken frames, with the poses that no other frame
-    /// uses. Scans must be counted as the frames of the sequence.
-    /// @throws DataError as tell()
+    /// Adds a note for each broken scan and removes its frame from the log. Poses that no
+    /// other frame uses are also removed. The scans must have been numbered as the frames
+    /// of the sequence.
+    /// @throws DataError if all scans are broken
     void leave_out(Sequence& sequence) const;
 
 private:

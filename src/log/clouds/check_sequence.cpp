@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks that every reader's log must pass. An error is one line with the frame or box,
-// the field, the value and the expected value.
+// Checks the log of every reader for invalid values. An error is one line with the frame
+// or box, the field, the value and the expected value.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -16,15 +16,16 @@
 namespace relidar {
 namespace {
 
-constexpr double kUnit = 1e-3;  // tolerance of the length of a direction or quaternion
-// Minimum time between frames with different times. Poses closer in time have no
-// meaningful velocity.
+// allowed difference between 1 and the length of a direction or quaternion
+constexpr double kUnit = 1e-3;
+// Minimum time between two frames, unless they have the same time. The velocity between
+// closer poses would be dominated by noise.
 constexpr double kLeastStep_s = 1e-3;
 constexpr double kLongestOffset_s = 10.0;  // maximum time between a firing and its frame
 constexpr double kFarthest_m = 1e6;        // maximum distance from the world's origin, and maximum range
 constexpr double kBoxReach_m =
-    // Maximum distance of a box from the vehicle: longer than the longest log, shorter
-    // than the distance to the origin of map coordinates.
+    // Maximum distance between a box and the vehicle. It is longer than any log, but
+    // shorter than the distance to the origin of map coordinates.
     1e5;
 constexpr double kLargestOrigin_m = 1000.0;  // maximum distance of a ray's origin from its sensor
 constexpr double kWidestBeam_rad = 6.3;      // limit of the divergence, as a full angle
@@ -46,7 +47,7 @@ void check_pose(const Pose& pose, const std::string& where) {
         fail(where, fmt::format("a quaternion of length {}", glm::length(pose.rotation)), "1");
 }
 
-/// Checks that times increase and each time has a pose.
+/// Checks a track: its times must increase, and it must have one pose per time.
 void check_track(const PoseTrack& track, const std::string& where) {
     if (track.pose.empty() || track.pose.size() != track.time_s.size())
         fail(where, fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
@@ -134,7 +135,8 @@ void check_sizes(const Scan& scan, const std::string& where) {
     }
 }
 
-/// Returns the name of an invalid value of a return, or null. A NaN is invalid.
+/// Returns the name of the invalid value of a return, or null if range and intensity are
+/// valid. NaN is invalid.
 const char* wrong_return(float range_m, float intensity) {
     if (!(range_m >= 0.0f && range_m <= kFarthest_m)) return "range_m";
     if (!(intensity >= 0.0f && intensity <= (range_m > 0.0f ? 1.0f : 0.0f))) return "intensity";
@@ -185,7 +187,7 @@ void check_boxes(const Sequence& sequence) {
         check_track(box.world_from_box, where);
         for (std::size_t k = 0; k < box.world_from_box.pose.size(); ++k) {
             const double t_s = box.world_from_box.time_s[k];
-            // the label is outside the time of the frames
+            // skips labels before the first or after the last frame
             if (!sequence.world_from_vehicle.covers(t_s)) continue;
             const double away_m = glm::distance(box.world_from_box.pose[k].translation,
                                                 sequence.world_from_vehicle.at(t_s).translation);
@@ -196,7 +198,7 @@ void check_boxes(const Sequence& sequence) {
     }
 }
 
-/// A step between frames that is much longer than usual.
+/// Two consecutive frames with a much longer time step than usual.
 struct Gap {
     const Frame *before, *after;
     double step_s() const { return after->time_s - before->time_s; }

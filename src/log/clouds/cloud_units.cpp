@@ -10,7 +10,7 @@
 namespace relidar::bag {
 namespace {
 
-// allowed time span of a cloud, relative to the step between clouds
+// allowed duration of a cloud, as a ratio to the time between clouds
 constexpr double kLeastSpan = 0.05, kMostSpan = 3.0;
 constexpr double kBesideStamp_s = 2.0;  // maximum difference between a point's time and the stamp
 
@@ -24,7 +24,7 @@ struct TimeRange {
     double first, last, stamp_s;
 };
 
-/// Returns the first and last time of each cloud that has times.
+/// Returns the first and last point time of each cloud. Clouds without times are skipped.
 std::vector<TimeRange> ranges_of(const std::vector<folder::PointTable>& clouds,
                                  const std::vector<double>& stamps_s) {
     std::vector<TimeRange> ranges;

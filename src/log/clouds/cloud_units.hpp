@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Determines the units of a topic's point values from some of its clouds, because drivers
-// do not publish them.
+// Estimates the units of a topic's point values from some of its clouds, because messages
+// do not state the units.
 #pragma once
 
 #include <string>
@@ -11,25 +11,29 @@
 
 namespace relidar::bag {
 
-/// Zero of the points' times.
+/// The time at which the points' times are zero.
 enum class TimeZero {
-    none,      ///< the points have no usable times
-    stamp,     ///< offsets from the cloud's stamp
-    epoch,     ///< times on the clock of the stamps
-    own_clock  ///< times on another clock; the first time of a cloud is equated with its stamp
+    none,   ///< the points have no usable times
+    stamp,  ///< offsets from the cloud's stamp
+    epoch,  ///< times on the clock of the stamps
+    /// times on another clock; the first point time of a cloud is assumed to be the
+    /// cloud's stamp
+    own_clock
 };
 
 struct CloudUnits {
     TimeZero zero = TimeZero::none;
     double time_unit_s = 1.0;
-    bool is_deskewed = false;  ///< all points of a cloud have the same time
+    /// true: all points of a cloud have the same time, so the cloud is motion-compensated
+    bool is_deskewed = false;
     double intensity_max = 1.0;
     std::string about;  ///< description of the units for the log's notes
 };
 
-/// Determines the units.
-/// @param clouds  some clouds of the topic, with their stamps
-/// @param step_s  time between clouds
+/// Estimates the units of the point values.
+/// @param clouds  some clouds of the topic
+/// @param stamps_s  [clouds] stamp of each cloud in seconds
+/// @param step_s  time between clouds in seconds
 CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
                       double step_s);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits a spinning LiDAR to its points: the elevation of each ring, the number of columns
-// from the steps of the azimuth, and the phases of rings from
+// Estimates the beams and columns of a spinning LiDAR from its points. The elevation of a
+// ring is a median. The number of columns follows from the azimuth steps. The azimuth
+// offsets of the rings follow from the phases of
 //   S_r(N) = sum of exp(i N azimuth) over the points of ring r.
 // If N is the number of columns, the magnitude of S_r is the number of points, and its
 // phase is N times the ring's azimuth offset.
@@ -18,11 +19,12 @@
 namespace relidar {
 namespace {
 
-constexpr double kLeastStep_rad = 2e-4;  // minimum step between firings: 0.01 degrees
+constexpr double kLeastStep_rad = 2e-4;  // minimum azimuth step between firings: 0.01 degrees
 constexpr double kLargestStep_rad = 0.2;
-// candidates for the number of columns: this share of the estimate to either side
+// relative range of the tested numbers of columns around the estimate
 constexpr double kTried = 0.03;
-// minimum |S_r| relative to the number of points; below, the head has no even steps
+// minimum of |S_r| divided by the number of points; below it, azimuths are not on a
+// regular grid
 constexpr double kCoherent = 0.5;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
@@ -35,7 +37,7 @@ double middle_of(std::vector<double>& values, double share) {
     return *at;
 }
 
-/// First returns of a ring.
+/// Indices and azimuths of the first returns in a ring.
 struct Ring {
     std::vector<std::size_t> point;
     std::vector<double> azimuth_rad;
@@ -52,8 +54,8 @@ Rings rings_of(const Points& scan, std::size_t n_rings) {
     return rings;
 }
 
-/// Returns the median elevation of the farther half of each ring, or nothing for a ring
-/// without points.
+/// Returns the median elevation of each ring. Uses only the farther half of its points,
+/// where the beam's origin has less effect. Returns nothing for a ring without points.
 std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scans, std::size_t n_rings) {
     struct Seen {
         double range_m, elevation_rad;
@@ -77,9 +79,9 @@ std::vector<std::optional<double>> elevations_of(const std::vector<Points>& scan
     return elevations;
 }
 
-/// Returns the number of columns per sweep, from the steps between neighbouring azimuths
-/// of a ring. Uses the lower quartile: if many rays were dropped, most steps span several
-/// columns.
+/// Estimates the number of columns per revolution from the azimuth steps between
+/// neighbouring points of a ring. Uses the lower quartile of the steps, because steps
+/// across dropped rays span several columns.
 int columns_by_steps(const Points& scan, const Rings& rings) {
     std::vector<double> steps;
     for (const Ring& ring : rings) {
@@ -98,7 +100,8 @@ int columns_by_steps(const Points& scan, const Rings& rings) {
     return int(std::lround(2.0 * kPi / middle_of(steps, 0.25)));
 }
 
-/// Returns S_r(N) of each ring.
+/// Returns S_r(N) for each ring, where N is the number of columns (see the equation at
+/// the top).
 std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     std::vector<std::complex<double>> sums;
     for (const Ring& ring : rings) {
@@ -109,8 +112,9 @@ std::vector<std::complex<double>> phases_of(const Rings& rings, int columns) {
     return sums;
 }
 
-/// Returns the sum of |S_r(N)| over the rings for n values of N from `first` on.
-/// Multiplies by exp(i azimuth) to step from one N to the next.
+/// Returns the sum of |S_r(N)| over all rings for n consecutive values of N, starting
+/// with `first`. Computes each exp(i N azimuth) from the previous one by a
+/// multiplication.
 std::vector<double> lengths_of(const Rings& rings, int first, std::size_t n) {
     std::vector<double> lengths(n, 0.0);
     for (const Ring& ring : rings) {
@@ -133,7 +137,7 @@ std::vector<double> lengths_of(const Rings& rings, int first, std::size_t n) {
 
 struct Lattice {
     int columns = 0;
-    std::vector<double> offset_rad;  ///< [rings] within half a step
+    std::vector<double> offset_rad;  ///< [rings] azimuth offset, within half an azimuth step
 };
 
 Lattice find_lattice(const Points& scan, const Rings& rings) {
@@ -153,9 +157,9 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
     return lattice;
 }
 
-/// Returns the rotation rate of the head in radians per second, positive for
-/// counter-clockwise, from the order of azimuths in time. Returns nothing if the points
-/// have no times.
+/// Estimates the rotation rate of the head in radians per second from the azimuths and
+/// times of points. A counterclockwise rotation is positive. Returns nothing if the
+/// points have no times.
 std::optional<double> turning_rate(const Points& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
@@ -198,7 +202,7 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
     const Lattice lattice = find_lattice(*fullest, rings);
     const std::vector<std::optional<double>> elevations = elevations_of(scans, n_rings);
 
-    std::vector<std::size_t> order;  // rings, from the highest down
+    std::vector<std::size_t> order;  // ring numbers sorted from the highest to the lowest ring
     for (std::size_t r = 0; r < n_rings; ++r)
         if (elevations[r]) order.push_back(r);
     std::stable_sort(order.begin(), order.end(),

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sequence.json. Unknown members are errors, so that a misspelt member is not
-// silently replaced by its default.
+// Reads sequence.json. An unknown member is an error. Otherwise a misspelt member would
+// silently get its default value.
 #include "log/clouds/folder_head.hpp"
 
 #include <algorithm>
@@ -47,7 +47,7 @@ std::vector<std::string> texts_or_none(const JsonField& field, const std::string
     return texts;
 }
 
-/// Returns the index of a word in a list.
+/// Returns the index of a field's text in a list of allowed words.
 std::size_t choice(const JsonField& field, const std::vector<std::string>& words) {
     const auto at = std::find(words.begin(), words.end(), field.text());
     if (at == words.end())
@@ -62,8 +62,8 @@ glm::dquat quaternion(const JsonField& field) {
     const glm::dquat rotation(q[0], q[1], q[2], q[3]);
     if (std::abs(glm::length(rotation) - 1.0) > 1e-3)
         field.fail(fmt::format("found a quaternion of length {}", glm::length(rotation)), "expected 1");
-    // Not normalised, because this would only change the last digit. check_sequence()
-    // accepts such lengths.
+    // The quaternion is not normalised, because this would only change its last digit.
+    // check_sequence() accepts small errors of the length.
     return rotation;
 }
 
@@ -78,10 +78,11 @@ Pose mounting(const JsonField& field, const std::string& where) {
     return {quaternion(field.at("quaternion")), {t[0], t[1], t[2]}};
 }
 
-/// Reads a sensor by name or file.
+/// Sets the sensor of a LiDAR from the name of a known sensor or of a sensor file.
 void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lidar& lidar) {
     const std::string name = field.text(kLongestPath);
-    const double max_range_m = lidar.sensor.max_range_m;  // default for files without a range limit
+    // maximum range that is used if the sensor file has none
+    const double max_range_m = lidar.sensor.max_range_m;
     const auto is_file = [&](const char* ending) { return name.find(ending) != std::string::npos; };
     const SensorModel model =
         find_sensor(is_file(".csv") || is_file(".json") || is_file(".npz") ? (folder / name).string() : name,
@@ -92,8 +93,9 @@ void name_sensor(const JsonField& field, const fs::path& folder, bool spins, Lid
     set_sensor(lidar, model);
 }
 
-/// Reads a sensor as an object: {"<kind>": {...}}, or directly the members of a spinning
-/// sensor. The default period is the time between frames.
+/// Reads a sensor that is a JSON object. The object is {"<kind>": {...}}, or it has the
+/// members of a spinning sensor directly. The default period of a sweep is the time
+/// between frames.
 void read_sensor(const JsonField& field, bool spins, Lidar& lidar) {
     const double max_range_m = lidar.sensor.max_range_m;
     const PatternKind* kind = find_pattern_kind(field);
@@ -169,7 +171,8 @@ std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<H
     return frames;
 }
 
-/// Lists the scans of each LiDAR's folder, sorted by name, at a constant rate.
+/// Lists the scans in the folder of each LiDAR, sorted by name. The frames get times at a
+/// constant rate.
 std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
                                          const fs::path& folder) {
     std::vector<HeadFrame> frames;

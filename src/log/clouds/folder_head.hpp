@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Readers for the files of a plain folder, which check what they read. docs/datasets.md
-// describes the format.
+// Reads and checks the files of a plain folder. docs/datasets.md describes the format.
 #pragma once
 
 #include <filesystem>
@@ -21,30 +20,33 @@ inline constexpr int kVersion = 1;
 // limits of texts, in bytes
 inline constexpr std::size_t kLongestName = 200, kLongestText = 10000, kLongestPath = 255;
 
-/// Units of point values.
+/// Units and meaning of the point values in scan files.
 struct PointUnits {
-    std::vector<std::string> columns;  ///< columns of .bin and .npy; empty: x y z intensity
-    /// intensity that counts as 1; if not set: 1, and larger intensities are errors
+    /// names of the columns in .bin and .npy files; empty: x y z intensity
+    std::vector<std::string> columns;
+    /// Intensity that is scaled to 1. If not set, intensities are not scaled, and an
+    /// intensity above 1 is an error.
     std::optional<double> intensity_max;
     double time_unit_s = 1.0;
-    /// true: point times are times of the log; false: they are relative to the frame's
-    /// time
+    /// true: point times are times of the log; false: point times are relative to the
+    /// time of the frame
     bool absolute_times = false;
-    double time_zero = 0.0;  ///< point time that is 0 s, in the unit of the points' times
+    double time_zero = 0.0;  ///< point time that corresponds to 0 s, in the time unit of the file
 };
 
-/// A LiDAR in sequence.json.
+/// A LiDAR that sequence.json describes.
 struct HeadLidar {
     Lidar lidar;
-    bool has_beams = false;  ///< the beams are given, or known from the sensor's name
-    bool spins = true;       ///< true: beams may be estimated if none are given
-    /// True: it is unknown whether the LiDAR spins, so points that do not fit a spinning
+    bool has_beams = false;  ///< true: the beams are listed, or known from the sensor's name
+    bool spins = true;       ///< true: the LiDAR spins, so that unknown beams may be estimated from points
+    /// True: it is unknown whether the LiDAR spins. So points that do not fit a spinning
     /// head are not an error.
     bool is_guessed = false;
     bool lowest_first = false;  ///< true: ring 0 of the scans is the lowest beam
-    /// Duration of a sweep if points have no times. 0: the time between frames.
+    /// Duration of a sweep in seconds, used if points have no times. 0: the time between
+    /// frames is used.
     double turn_s = 0.0;
-    std::string scans;  ///< folder of scans, if no frames are listed
+    std::string scans;  ///< folder with the scans; used if sequence.json lists no frames
 };
 
 struct HeadFrame {
@@ -64,26 +66,28 @@ struct Head {
     std::optional<glm::dvec3> world_offset_m;
 };
 
-/// Reads sequence.json, and lists the scans if it does not.
-/// @param max_range_m  range limit of sensors without one
+/// Reads sequence.json. If the file does not list the scans, lists the files in the scan
+/// folders.
+/// @param max_range_m  maximum range of sensors that state none
 Head read_head(const std::filesystem::path& folder, double max_range_m);
 
-/// Reads world_from_vehicle of the frames, or returns nothing if the file does not exist.
-/// Lines with 12 numbers are 3x4 matrices, row-major, with line i for frame number i.
-/// Lines with 8 numbers are time_s x y z qw qx qy qz, which are interpolated.
+/// Reads the vehicle poses at the frames. Returns nothing if the file does not exist. A
+/// line with 12 numbers is a 3x4 matrix, row-major, and line i belongs to frame number i.
+/// A line with 8 numbers is time_s x y z qw qx qy qz. Such poses are interpolated at the
+/// times of the frames.
 std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
                                             const std::vector<HeadFrame>& frames);
 
-/// Reads the boxes of boxes.json, or none without this file. Ignores labels outside the
-/// time of the frames if the log continues there.
-/// @param all  all frames of the log, to which labels may refer by number
+/// Reads the boxes from boxes.json. Returns none if the file does not exist. If only a
+/// range of the log's frames is read, labels outside its time are ignored.
+/// @param all  all frames of the log; labels can refer to them by number
 std::vector<BoxTrack> read_boxes(const std::filesystem::path& file, const std::vector<HeadFrame>& frames,
                                  const std::vector<HeadFrame>& all);
 
-/// Reads the scans of sequence.frames, whose poses are set, and completes the sensors of
-/// LiDARs whose beams are estimated from the points. Without poses (options.poses_file is
-/// kNoPoses), motion compensation cannot be undone.
-/// @param files  [frames]
+/// Reads the scans of sequence.frames. The frames must already have poses. If the beams
+/// of a LiDAR are unknown, estimates them from the points. Motion compensation can be
+/// undone only if the log has poses (options.poses_file is not kNoPoses).
+/// @param files  [frames] scan file of each frame
 void read_scans(Sequence& sequence, const Head& head, const std::vector<std::filesystem::path>& files,
                 const DatasetOptions& options);
 

@@ -16,15 +16,16 @@ namespace relidar::folder {
 namespace {
 
 constexpr double kFarthestCoordinate_m = 1e6;
-// 1 - cosine of 1.4 mrad, the maximum angle between two rounded returns of one ray.
+// Maximum angle between two returns of one ray, as 1 - cosine. The angle is 1.4 mrad and
+// allows for rounded coordinates.
 constexpr float kOneRay = 1e-6f;
 
-/// Returns true if no return of the ray was stronger, by Nebula's ReturnType: 3
-/// strongest, 6 identical, 9 and 10 strongest and first or last.
+/// Returns true if a return is the strongest of its ray. The types are those of Nebula's
+/// ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
 bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
-/// Returns the points that are returns: x is a number, and the point is not at the
-/// origin.
+/// Returns the indices of the points that are real returns. A point with x = NaN or at
+/// the origin is a ray without a return.
 std::vector<std::uint32_t> find_returns(std::size_t n, const std::array<const FieldValues*, 3>& xyz) {
     enum : char { at_origin = 0, away = 1, no_number = 2 };
     std::vector<char> place(n, at_origin);
@@ -43,13 +44,14 @@ std::vector<std::uint32_t> find_returns(std::size_t n, const std::array<const Fi
     return returns;
 }
 
-/// Converts fields of the selected points.
+/// Converts the values of the selected points to the units of a scan.
 struct Conversion {
     std::vector<std::uint32_t> kept;
     const std::string& where;
 
-    /// Calls set(k, of_value(value, point)) for the k-th selected point.
-    /// @throws DataError of of_value, preceded by the point's number
+    /// Converts one field. Calls set(k, of_value(value, point)) for the k-th selected
+    /// point.
+    /// @throws DataError if of_value throws; the message then also has the point's number
     template <class OfValue, class Set>
     void each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
         field.visit([&](const auto& value_at) {
@@ -61,7 +63,8 @@ struct Conversion {
             }
         });
     }
-    /// Fills an array with one number per selected point. Does nothing without a field.
+    /// Fills an array with the converted value of each selected point. Does nothing if
+    /// the field does not exist.
     template <class T, class OfValue>
     void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
         if (!field) return;
@@ -72,8 +75,9 @@ struct Conversion {
     }
 };
 
-/// Returns the number of the first return. Some files count returns from 1, as relidar
-/// does, others from 0. No scan has only second returns.
+/// Returns the number that marks first returns in a file. Some files count returns from
+/// 1, others from 0. The smallest number is the first return, because no scan has only
+/// second returns.
 double first_return_number(const FieldValues& number, std::size_t n) {
     double least = number[0];
     number.visit([&](const auto& number_at) {
@@ -92,9 +96,9 @@ void rearrange(std::vector<T>& values, const std::vector<std::size_t>& order) {
     values = std::move(arranged);
 }
 
-/// Combines points with the same ring, time and direction to returns of one ray. The
-/// strongest is the first return.
-/// @param type  [n] return type of each point
+/// Numbers the returns of each ray. Points with the same ring, time and direction belong
+/// to one ray. Its strongest point becomes the first return.
+/// @param type  [points] return type of each point
 void number_returns(Points& points, const std::vector<double>& type) {
     const std::size_t n = points.size();
     std::vector<std::size_t> order(n);
@@ -139,7 +143,8 @@ Points points_of(const PointTable& table, const PointUnits& units, double time_s
     const Conversion convert{find_returns(table.n, {x, y, z}), where};
     Points points;
     points.position_m.resize(convert.kept.size());
-    // The error for an invalid point contains all of its coordinates.
+    // If a coordinate is invalid, the error message contains all coordinates of the
+    // point.
     const auto coordinate = [&](double value, std::size_t i) {
         if (!(std::abs(value) <= kFarthestCoordinate_m))
             throw DataError(fmt::format(": ({}, {}, {}), expected metres within {}", (*x)[i], (*y)[i],

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a table of points to the points of a scan, and defines the source of a log's
-// scans.
+// Converts a table of points to the points of a scan. Also defines the interface from
+// which the scans of a log are read.
 #pragma once
 
 #include <string>
@@ -12,28 +12,29 @@
 
 namespace relidar::folder {
 
-/// Converts a table of points by the meaning of its fields (value_of_field()). With
-/// Nebula's return_type, points with the same ring, time and direction become returns of
-/// one ray. A point with a NaN as x, or at the origin, is a ray without a return.
-/// @param time_s  subtracted from absolute times
+/// Converts a table of points to relidar's units. The names of the fields define their
+/// meaning (value_of_field()). If the table has Nebula's return_type, points with the
+/// same ring, time and direction become returns of one ray. A point with x = NaN or at
+/// the origin is a ray without a return.
+/// @param time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
 Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where);
 
-/// Source of the scans of a log's frames: files of a folder, or messages of a recording.
-/// All functions can be called from any thread.
+/// Interface that provides the scan of each frame. Scans come from files of a folder or
+/// from messages of a recording. Any thread can call all functions.
 class ScanSource {
 public:
     virtual ~ScanSource() = default;
     virtual std::string name(std::size_t frame) const = 0;  ///< name for error messages
-    /// true: the frame has points; false: it has rays
+    /// Returns true if the frame's scan has points, and false if it has rays.
     virtual bool has_points(std::size_t frame) const = 0;
     virtual Points points(std::size_t frame) const = 0;
     virtual Scan rays(std::size_t frame) const = 0;
 };
 
-/// Reads the scans of sequence.frames, whose poses are set, and completes the sensors of
-/// LiDARs whose beams are estimated from the points. Without poses (options.poses_file is
-/// kNoPoses), motion compensation cannot be undone.
+/// Reads the scans of sequence.frames. The frames must already have poses. If the beams
+/// of a LiDAR are unknown, estimates them from the points. Motion compensation can be
+/// undone only if the log has poses (options.poses_file is not kNoPoses).
 void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
                 const DatasetOptions& options);
 

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the scans of a plain folder: rays from npz and EXR, or points that are assigned
-// to rays. Missing rings and beams are first estimated from a few scans of each LiDAR.
+// Reads the scans of a plain folder. A scan file contains rays (npz, EXR), or points that
+// are then assigned to rays. Unknown rings and beams are first estimated from a few scans
+// of each LiDAR.
 #include <algorithm>
 #include <cmath>
 #include <map>
@@ -23,11 +24,11 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr std::size_t kSamples = 6;     // number of scans per LiDAR for estimating its beams
+constexpr std::size_t kSamples = 6;     // number of scans per LiDAR from which its beams are estimated
 constexpr double kUsualPeriod_s = 0.1;  // period of a sweep, if there is only one frame
 
-/// Counts the first returns for which spinning_scan() has a ray, if no two are on the
-/// same ray.
+/// Counts the first returns of a scan. If each of them is on a different ray,
+/// spinning_scan() keeps all of them.
 std::size_t count_first_returns(const Points& points) {
     constexpr float kLeastRange_m = 1e-3f;
     std::size_t n = 0;
@@ -39,15 +40,16 @@ std::size_t count_first_returns(const Points& points) {
     return n;
 }
 
-/// Settings for converting the points of a LiDAR to scans.
+/// How the points of a LiDAR are converted to scans.
 struct Plan {
-    bool ordered = false;                       ///< arranged by beams and columns
-    bool has_rings = false, has_times = false;  ///< properties of its files
-    bool undo = false;                          ///< undo motion compensation
-    std::vector<std::uint16_t> beam_of_ring;    ///< kNoBeam: ignores the points of the ring
+    bool ordered = false;                       ///< true: points are assigned to beams and columns
+    bool has_rings = false, has_times = false;  ///< true: the files of the LiDAR contain rings, or times
+    bool undo = false;                          ///< true: motion compensation is undone
+    /// [rings] beam of each ring; kNoBeam: points of the ring are ignored
+    std::vector<std::uint16_t> beam_of_ring;
 };
 
-/// Scans of a folder.
+/// Reads the scans of a folder from their files.
 class FileScans : public ScanSource {
 public:
     FileScans(const Sequence& sequence, const Head& head, const std::vector<fs::path>& files)
@@ -147,11 +149,12 @@ private:
     const ScanSource& source_;
     const bool has_poses_;
     BrokenScans& broken_;
-    std::vector<Plan> plans_;                ///< [lidars] plan of each LiDAR
-    std::map<std::size_t, Points> samples_;  ///< [frames] samples from which the plans were made
+    std::vector<Plan> plans_;                ///< [lidars] settings for converting each LiDAR's points
+    std::map<std::size_t, Points> samples_;  ///< [frames] points that were read to estimate the beams
     std::vector<std::size_t> left_out_;      ///< [frames] number of ignored points
     std::vector<std::size_t> n_first_;       ///< [frames] number of first returns
-    std::vector<std::size_t> behind_;        ///< [frames] first returns on rays that already have one
+    /// [frames] number of first returns that are lost because their ray already has one
+    std::vector<std::size_t> behind_;
 
     void note(const std::string& text) {
         if (std::find(sequence_.notes.begin(), sequence_.notes.end(), text) == sequence_.notes.end())
@@ -170,8 +173,8 @@ private:
         return points;
     }
 
-    /// Returns the median time between frames of a LiDAR, or the known duration of a
-    /// revolution.
+    /// Returns the duration of a revolution if it is known. Otherwise returns the median
+    /// time between frames of the LiDAR.
     double frame_step_s(std::size_t lidar) const {
         if (head_.lidars[lidar].turn_s > 0.0) return head_.lidars[lidar].turn_s;
         std::vector<double> steps;
@@ -186,7 +189,8 @@ private:
         return steps[steps.size() / 2];
     }
 
-    /// Sets the period of a LiDAR whose scans are rays. It spins if its sensor is given.
+    /// Sets the sweep period of a LiDAR whose files contain rays. If no beams are known
+    /// for the LiDAR, it does not spin and the period is 0.
     void check_rays(std::size_t l) {
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (!head_.lidars[l].has_beams) sensor.period_s = 0.0;
@@ -225,7 +229,8 @@ private:
                  "rays start at the sensor of the "
                  "frame's time");
         for (std::size_t k = 0; k < samples.size(); ++k) {
-            if (!plan.has_rings) samples[k].ring.clear();  // rings were estimated only for the fit
+            // removes the rings, which were estimated only to fit the sensor
+            if (!plan.has_rings) samples[k].ring.clear();
             samples_.emplace(of_sample[k], std::move(samples[k]));
         }
     }
@@ -294,7 +299,8 @@ private:
         }
     }
 
-    /// Renumbers rings to relidar's convention.
+    /// Replaces the ring numbers of the file by relidar's beam numbers. Points of unknown
+    /// rings are removed.
     Points renumbered(const Points& points, const Plan& plan, std::size_t i) {
         Points kept;
         for (std::size_t p = 0; p < points.size(); ++p) {
@@ -317,7 +323,8 @@ private:
     }
 };
 
-/// Returns the frames whose scans are read: all, or a limited number per LiDAR.
+/// Returns the indices of the frames whose scans are read.
+/// @param most_scans  maximum number of scans per LiDAR
 std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans) {
     std::vector<std::vector<std::size_t>> own(sequence.lidars.size());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the frames, poses and boxes of a log while it is read.
+// Adds frames, poses and boxes to a log while a reader creates it.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>

@@ -10,12 +10,13 @@
 namespace relidar {
 namespace {
 
-// Maximum spread of the elevations of a ring, between the 10th and 90th percentile of its
-// farther half.
+// Maximum spread of the elevations in a ring of a spinning LiDAR. The spread is the
+// difference between the 10th and 90th percentile in the farther half of the points.
 constexpr double kMostSpread_rad = 1.5 * kPi / 180.0;
-// Minimum gap of azimuths without points. A smaller gap may be blocked by the vehicle.
+// Minimum azimuth range without points for a limited field of view. The vehicle may block
+// smaller ranges.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// relative difference between a revolution and the step of the scans
+// maximum relative difference between the revolution period and the time between scans
 constexpr double kOtherPeriod = 0.2;
 constexpr std::size_t kFewestPoints = 50;  // minimum number of points per ring
 
@@ -23,7 +24,7 @@ double elevation_of(const glm::vec3& p) {
     return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
 }
 
-/// Returns the median spread of the rings.
+/// Returns the median of the elevation spreads of all rings.
 double spread_of_rings(const Points& scan) {
     std::vector<std::vector<std::pair<float, double>>> rings;  // range and elevation
     for (std::size_t i = 0; i < scan.size(); ++i) {
@@ -44,7 +45,7 @@ double spread_of_rings(const Points& scan) {
     return spreads[spreads.size() / 2];
 }
 
-/// Returns the widest range of azimuths without a point of any scan.
+/// Returns the widest azimuth range in which no scan has a point.
 double widest_gap(const std::vector<Points>& scans) {
     constexpr std::size_t kBins = 360;
     std::array<bool, kBins> seen{};
@@ -53,7 +54,8 @@ double widest_gap(const std::vector<Points>& scans) {
             seen[std::size_t((std::atan2(double(p.y), double(p.x)) / (2.0 * kPi) + 0.5) * kBins) % kBins] =
                 true;
     std::size_t widest = 0, run = 0;
-    for (std::size_t b = 0; b < 2 * kBins; ++b) {  // runs twice around, because a gap may cross the end
+    // two revolutions, because a range may cross the last bin
+    for (std::size_t b = 0; b < 2 * kBins; ++b) {
         run = seen[b % kBins] ? 0 : run + 1;
         widest = std::max(widest, std::min(run, kBins));
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks whether points come from a spinning head, or from a LiDAR that scans a window or
-// a rosette.
+// Checks whether points come from a spinning LiDAR. Other LiDARs scan a window or draw a
+// rosette.
 #pragma once
 
 #include <string>
@@ -10,12 +10,12 @@
 
 namespace relidar {
 
-/// Returns the reason why points cannot come from a spinning head, or an empty string if
-/// they can. Each ring of a spinning head has one elevation. A head with a limited view
-/// still needs the time of a full revolution.
+/// Returns the reason why points cannot come from a spinning LiDAR, or an empty string if
+/// they can. In a spinning LiDAR, all points of a ring have nearly the same elevation. If
+/// its field of view is limited, a sweep still takes the time of a full revolution.
 /// @param scans  some scans, with rings
-/// @param fitted  sensor that was fitted to them
-/// @param step_s  time between scans
+/// @param fitted  sensor that was fitted to these scans
+/// @param step_s  time between scans in seconds
 std::string why_no_head(const std::vector<Points>& scans, const SpinningSensor& fitted, double step_s);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the names of the paper's parts to drives and frames.
+// Converts sequence names of the LiDAR-RT paper to a drive and its range of frames.
 #include "log/clouds/lidar_rt_benchmark.hpp"
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Frames of KITTI-360 and Waymo that the LiDAR-RT paper evaluates, by the names in its
-// supplementary tables.
+// Lists the parts of KITTI-360 and Waymo drives on which the LiDAR-RT paper evaluates.
+// The names are those of its supplementary tables.
 #pragma once
 
 #include <optional>
@@ -16,8 +16,8 @@ struct BenchmarkSequence {
     const char* name;
     const char* drive;  ///< part of the drive's name in its dataset
     int first, last;    ///< first and last frame
-    /// The four frames that the published results hold out: test_first, test_first +
-    /// test_every, ...
+    /// The four frames that the paper uses for testing and not for training: test_first,
+    /// test_first + test_every, and so on.
     int test_first, test_every;
 };
 inline constexpr int kBenchmarkTestFrames = 4;
@@ -36,17 +36,19 @@ inline constexpr BenchmarkSequence kWaymoBenchmark[] = {
     {"wd3", "100721", 1, 50, 10, 10},     {"wd4", "105003", 148, 197, 157, 10},
 };
 
-/// Selection by DatasetOptions::sequence and frames.
+/// Drive and frames that the user has selected.
 struct ChosenSequence {
-    std::string drive;  ///< name as given by the user, or of the paper
-    FrameRange frames;  ///< for a part of the paper, the intersection with the requested frames
+    std::string drive;  ///< name of the drive as given by the user, or the drive of the paper's sequence
+    /// Requested frames. For a sequence of the paper, only the requested frames that
+    /// belong to the sequence.
+    FrameRange frames;
     bool is_benchmark = false;
-    /// For a part of the paper: the frames that published results hold out, within the
-    /// requested frames.
+    /// Requested frames that the paper uses for testing. Empty unless the user has
+    /// selected a sequence of the paper.
     std::vector<int> test_frames = {};
 };
-/// Returns the selection.
-/// @throws UsageError if the requested frames do not overlap the paper's part
+/// Returns the drive and the frames that the options select.
+/// @throws UsageError if the requested frames do not overlap the paper's sequence
 ChosenSequence choose_sequence(const DatasetOptions& options, std::span<const BenchmarkSequence> parts);
 
 }  // namespace relidar

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads scans of a KITTI raw drive, n x float32 {x, y, z, reflectance}, and explains what
-// a folder is if it is not such a drive.
+// Reads the scans of a KITTI raw drive, which are n x float32 {x, y, z, reflectance}. If
+// a folder is not such a drive, explains what it probably is.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -16,8 +16,8 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// A larger range indicates another file type or byte order, because no LiDAR measures ten
-// kilometres.
+// Maximum range of a point. No LiDAR measures ten kilometres, so a larger range means
+// that the file has another type or byte order.
 constexpr double kFarthestReturn_m = 1e4;
 
 }  // namespace

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads PLY: the vertices, which must be the first element, as text or little-endian.
+// Reads the vertices of PLY files, as text or binary little-endian. The vertices must be
+// the first element of the file.
 #include <cstdint>
 #include <sstream>
 

@@ -23,7 +23,8 @@ struct FieldName {
     std::string_view name;
     PointValue value;
 };
-/// If several names of one value exist, the first one in this list is used.
+/// Field names and their meaning. If a file has several names with the same meaning, the
+/// first one in this list is used.
 constexpr FieldName kFieldNames[] = {
     {"x", PointValue::x},
     {"y", PointValue::y},
@@ -47,7 +48,7 @@ struct NumberTypeRow {
     char kind;
     std::size_t size;
     NumberType type;
-    std::string_view numpy;  ///< name in .npy
+    std::string_view numpy;  ///< code of the number type in .npy files
 };
 constexpr NumberTypeRow kNumberTypes[] = {{'F', 4, NumberType::f4, "f4"}, {'F', 8, NumberType::f8, "f8"},
                                           {'I', 1, NumberType::i1, "i1"}, {'I', 2, NumberType::i2, "i2"},
@@ -141,7 +142,7 @@ PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& f
                                     data.bytes.size(), n, record));
     PointTable table(n);
     table.keep(data.memory);
-    std::size_t before = 0;  // bytes per point of the preceding fields
+    std::size_t before = 0;  // number of bytes that the preceding fields occupy in a point
     for (const PointField& field : fields) {
         const std::size_t width = field.size * field.count;
         if (is_point_field(field.name)) {
@@ -194,8 +195,8 @@ bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || 
 
 namespace {
 
-/// Returns true if relidar wrote the point cloud and deskewed it or moved it to the world
-/// frame.
+/// Returns true if a PCD or PLY header shows that relidar wrote the file and deskewed the
+/// points or moved them to the world frame.
 bool says_deskewed(std::string_view bytes) {
     constexpr std::size_t kHeader = 4096;  // number of bytes that are searched
     const std::string_view header = bytes.substr(0, kHeader);

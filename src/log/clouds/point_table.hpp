@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Table of points from user files: PCD, PLY, .bin, .npy. Each format only describes the
-// layout of its fields. Numbers keep the type of the file and are not copied.
+// Table of the points in a user's file: PCD, PLY, .bin or .npy. A reader only describes
+// the layout of the fields. Values keep the number type of the file and are not copied.
 #pragma once
 
 #include <cstddef>
@@ -19,27 +19,28 @@
 
 namespace relidar::folder {
 
-/// A value of a point that relidar reads.
+/// Meaning of a point field that relidar reads.
 enum class PointValue { x, y, z, intensity, ring, time, return_number, return_type };
 
-/// Returns the meaning of a field name, or nothing for fields that relidar does not read,
-/// such as colours and normals. All field names are defined here.
+/// Returns the meaning of a field name. Returns nothing for fields that relidar does not
+/// read, such as colours and normals.
 std::optional<PointValue> value_of_field(std::string_view name);
 inline bool is_point_field(std::string_view name) { return value_of_field(name).has_value(); }
 
 enum class NumberType : std::uint8_t { f4, f8, i1, i2, i4, i8, u1, u2, u4, u8 };
 
-/// The values of one field, in the type and memory of the file.
+/// The values of one field for all points. They are not copied and keep the number type
+/// of the file.
 class FieldValues {
 public:
-    /// Refers to the values in memory.
+    /// Creates a view of values in memory.
     /// @param first  value of point 0
-    /// @param step  bytes between consecutive points
+    /// @param step  bytes between the values of consecutive points
     FieldValues(NumberType type, const char* first, std::size_t step)
         : first_(first), step_(step), type_(type) {}
 
-    /// Calls use(value_at), where value_at(i) returns the value of point i in its
-    /// original type.
+    /// Calls use(value_at) once. value_at(i) returns the value of point i in the number
+    /// type of the file.
     template <class Use>
     void visit(const Use& use) const {
         switch (type_) {
@@ -65,7 +66,7 @@ public:
                 return use(reader<std::uint64_t>());
         }
     }
-    /// Returns one value. visit() is faster for all values.
+    /// Returns the value of one point. If all values are needed, visit() is faster.
     double operator[](std::size_t i) const {
         double value = 0.0;
         visit([&](const auto& value_at) { value = double(value_at(i)); });
@@ -87,20 +88,22 @@ private:
     }
 };
 
-/// Known fields of the points. Copies share the values.
+/// The fields of a point cloud that relidar reads. Copies of a table share the values.
 class PointTable {
 public:
     explicit PointTable(std::size_t n_points = 0) : n(n_points) {}
 
-    std::size_t n;             ///< number of points
-    bool is_deskewed = false;  ///< the file states that its points are deskewed or in the world frame
+    std::size_t n;  ///< number of points
+    /// true: the file states that its points are motion-compensated (deskewed) or in the
+    /// world frame
+    bool is_deskewed = false;
 
-    /// Returns the field with a meaning, or nullptr. If several names for it exist,
-    /// returns the first one in the list of names.
+    /// Returns the field with the given meaning, or nullptr if there is none. If several
+    /// fields have this meaning, the order of the list of field names decides.
     const FieldValues* find(PointValue value) const;
-    /// Adds a field.
+    /// Adds a field to the table.
     /// @param where  file for error messages
-    /// @throws DataError if the field exists already
+    /// @throws DataError if the field already exists
     void add(const std::string& name, const FieldValues& values, const std::string& where);
     template <class T>
     void add(const std::string& name, NumberType type, std::vector<T> values, const std::string& where) {
@@ -109,7 +112,7 @@ public:
         add(name, {type, reinterpret_cast<const char*>(memory->data()), sizeof(T)}, where);
     }
     void remove(PointValue value);
-    /// Keeps the memory alive to which fields refer.
+    /// Stores a reference to memory that contains field values, so that it is not freed.
     void keep(std::shared_ptr<const void> memory) { memory_.push_back(std::move(memory)); }
 
 private:
@@ -117,7 +120,7 @@ private:
     std::vector<std::shared_ptr<const void>> memory_;
 };
 
-/// A field of a record.
+/// Name and number type of a field in a file.
 struct PointField {
     std::string name;
     char kind;         ///< 'F' floating point, 'I' signed, 'U' unsigned
@@ -125,30 +128,31 @@ struct PointField {
     std::size_t count = 1;
 };
 
-/// Layout of the values of n points in memory.
+/// Order of the values of n points in memory.
 enum class Packing {
     by_point,  ///< one record per point
     by_field   ///< all values of the first field, then all values of the second field
 };
 
-/// Returns the fields of packed little-endian numbers.
-/// @throws DataError if a type does not exist or there are too few bytes
+/// Returns a table for binary little-endian numbers. The values are not copied.
+/// @throws DataError if a number type does not exist or there are too few bytes
 PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& fields, std::size_t n,
                        Packing packing, const std::string& where);
-/// Returns the fields of n lines of numbers separated by blanks.
+/// Parses n lines of numbers that are separated by blanks. Returns them as a table.
 PointTable read_lines(std::string_view text, const std::vector<PointField>& fields, std::size_t n,
                       const std::string& where);
 
-/// Returns true if a file has the ending of a supported point format.
+/// Returns true if the file name has the ending of a supported point cloud format.
 bool is_point_file(const std::filesystem::path& file);
-/// Returns true if a file has the ending of an image format, with one ray per pixel.
+/// Returns true if the file name has the ending of an image format. In these formats each
+/// pixel is a ray.
 bool is_image_file(const std::filesystem::path& file);
-/// Reads the points of a file. The ending determines the format.
-/// @param columns  fields of .bin and .npy; empty: x y z intensity
+/// Reads the points of a file. The ending of the file name determines the format.
+/// @param columns  names of the columns in .bin and .npy files; empty: x y z intensity
 /// @throws DataError with the file
 PointTable read_point_file(const std::filesystem::path& file, const std::vector<std::string>& columns);
 
-/// Read the two formats with headers (point_pcd.cpp, point_ply.cpp).
+/// Read PCD and PLY files, which describe their fields in a header.
 PointTable read_pcd(const SharedBytes& file, const std::string& where);
 PointTable read_ply(const SharedBytes& file, const std::string& where);
 

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Recovers the rings of points without ring numbers. A beam sweeps a cone. Seen from the
-// sensor's centre, all its far points have nearly the same elevation. So a histogram of
-// elevations has a narrow band for each beam, with empty bins between them.
+// Determines the rings of points without ring numbers. A beam draws a cone when the head
+// rotates. Seen from the sensor's centre, all far points of a beam have nearly the same
+// elevation. So a histogram of the elevations has a narrow band for each beam, with empty
+// bins between the bands.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -15,22 +16,22 @@
 namespace relidar {
 namespace {
 
-// the closest beams of real sensors are 0.1 degrees apart
+// bin width of the histogram; the closest beams of real sensors are 0.1 degrees apart
 constexpr double kBin_rad = 0.01 * kPi / 180.0;
 constexpr int kLeastGap = 3;  // minimum number of empty bins between two bands
 constexpr std::size_t kFewestBands = 4;
 // maximum width of a band, relative to the distance to its nearest neighbour
 constexpr double kWidest = 0.5;
-constexpr double kStray = 0.005;  // bins with less than this share of a full bin count as empty
-// Number of beams to either side that are tried. The origins of beams shift elevations by
-// a few beams.
+constexpr double kStray = 0.005;  // a bin is empty if its count is below this share of a full bin
+// Maximum number of neighbouring beams, to either side, to which a point may belong
+// instead. The origins of beams shift the elevations of near points by a few beams.
 constexpr std::ptrdiff_t kReach = 6;
 
 double elevation_of(const glm::dvec3& v) { return std::atan2(v.z, std::hypot(v.x, v.y)); }
 
-/// Returns the elevations of the farther half of the points within each degree,
-/// ascending. The origins of beams have the smallest effect there. Beams that point down
-/// have no far points.
+/// Returns elevations of points, in ascending order. For each degree of elevation, uses
+/// only the farther half of the points, because the origins of the beams have less effect
+/// there. The limit is per degree, because downward beams have no far points.
 std::vector<double> far_elevations(const std::vector<Points>& scans) {
     struct Seen {
         float range_m;
@@ -58,7 +59,7 @@ struct Band {
     double elevation_rad;  ///< median elevation of the band
 };
 
-/// Returns the runs of bins that are not empty.
+/// Returns the groups of consecutive bins that are not empty.
 std::vector<Band> bands_of(const std::vector<double>& elevations) {
     const int n_bins = int(kPi / kBin_rad) + 1;
     const auto bin = [](double elevation) { return int((elevation + kPi / 2) / kBin_rad); };
@@ -85,7 +86,8 @@ std::vector<Band> bands_of(const std::vector<double>& elevations) {
     return bands;
 }
 
-/// Returns true if every band is narrow compared with the distance to its neighbours.
+/// Returns true if the width of every band is small compared with the distance to the
+/// next band.
 bool are_apart(const std::vector<Band>& bands) {
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;

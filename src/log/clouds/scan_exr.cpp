@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a scan from an EXR range image: the channels that `relidar render --format exr`
-// writes, with the names of scans in npz.
+// Reads scans from EXR range images that `relidar render --format exr` writes. The
+// channels have the same names as the arrays of npz scans.
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 #include <relidar/base/images.hpp>
@@ -17,7 +17,8 @@ namespace {
 
 constexpr const char* kAxes[] = {".x", ".y", ".z"};
 
-/// Combines three channels to an array of vectors, if all three exist.
+/// Combines three channels to one array of vectors. Does nothing if one of the channels
+/// is missing.
 void add_vectors(const ExrImage& image, const std::string& channel, const std::string& name,
                  const std::string& where, std::vector<NamedArray>& arrays) {
     const std::vector<float>* axis[3] = {};
@@ -54,7 +55,7 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
                                         values.data(), values.size()));
     add_vectors(image, "direction", "directions", where, arrays);
     add_vectors(image, "origin", "origin", where, arrays);
-    const auto frame = image.notes.find("points_in");  // as a rendering stores it
+    const auto frame = image.notes.find("points_in");  // frame of the points, which a rendering states
     const bool moved = frame != image.notes.end() &&
                        (frame->second.starts_with("world") || frame->second.starts_with("sensor at time_s"));
     const std::int32_t deskewed = moved ? 1 : 0;
@@ -62,9 +63,9 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
     return arrays;
 }
 
-/// Completes the LiDAR with the sensor that the file names, if sequence.json gives none.
-/// Accepts only names of known sensors, so that a file cannot cause other files to be
-/// read.
+/// Adds the sensor that the image names to a LiDAR for which sequence.json gives no
+/// beams. Only names of known sensors are accepted. Otherwise the image could cause other
+/// files to be read.
 Lidar completed(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;

@@ -16,7 +16,8 @@ namespace {
 constexpr double kLongestOffset_s = 10.0;
 constexpr std::size_t kMostReturns = 8;
 
-/// The arrays of one file by name. Checks their sizes against the size of the image.
+/// The named arrays of a file. The functions check that an array has one entry per ray of
+/// the image.
 class Arrays {
 public:
     Arrays(const std::string& where, std::vector<NamedArray> arrays)
@@ -36,19 +37,19 @@ public:
         if (const NamedArray* array = find(name)) return *array;
         throw DataError(fmt::format("{}: no array '{}', expected it", where_, name));
     }
-    /// Returns a single number for all rays.
+    /// Returns the value of an array with a single number.
     double number(const std::string& name) const {
         if (at(name).count() != 1)
             throw DataError(fmt::format("{}: {} of shape [{}], expected one number", where_, name,
                                         fmt::join(at(name).shape, ", ")));
         return at(name).as_double()[0];
     }
-    /// Returns one number per ray.
-    /// @param usual  value of all rays if the array is missing
+    /// Returns one number per ray from the named array.
+    /// @param usual  value for all rays if the array does not exist
     std::vector<double> image(const std::string& name, double usual) const {
         return find(name) ? values(name, 1) : std::vector<double>(rows * columns, usual);
     }
-    /// Returns `width` numbers per ray.
+    /// Returns `width` numbers per ray from the named array, which must exist.
     std::vector<double> values(const std::string& name, std::size_t width) const {
         if (at(name).count() != rows * columns * width)
             throw DataError(fmt::format("{}: {} of shape [{}], expected {} x {} x {}", where_, name,
@@ -93,7 +94,8 @@ std::vector<float> intensities_of(const Arrays& arrays, const std::string& name,
     return intensity;
 }
 
-/// Returns the rays of the LiDAR's sensor, for images without rays.
+/// Returns the nominal rays of the sensor. Used for images that contain no ray
+/// directions.
 RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     RayTable rays = nominal_rays(source.lidar, source.time_s);
     if (rays.size() == 0)
@@ -107,8 +109,8 @@ RayTable sensor_rays(const Arrays& arrays, const ImageSource& source) {
     return rays;
 }
 
-/// Flips images whose first row is the lowest beam. In relidar, row 0 is the highest
-/// beam.
+/// Reverses the rows of images in which the first row is the lowest beam, because row 0
+/// is the highest beam in relidar.
 void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     for (NamedArray& array : arrays) {
         const std::size_t row =
@@ -122,7 +124,7 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
     }
 }
 
-/// Adds times, rings and divergence, if the images contain them.
+/// Sets the times, rings and divergence of the rays if the file contains them.
 void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
     const PointUnits& units = source.head.units;
     const std::size_t n = rays.size();
@@ -209,8 +211,8 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     Scan scan;
     scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
     add_what_is_said(arrays, source, scan.rays);
-    // For a rendering, uses the median: it is on the surface that a ray hits, while the
-    // mean may lie between two surfaces.
+    // A rendering has the median range and the mean range. The median is used, because
+    // the mean may be between two surfaces.
     const std::vector<float> range_m =
         ranges_of(arrays, arrays.find("median_range") ? "median_range" : "range");
     scan.range_m = to_scan_array(range_m);

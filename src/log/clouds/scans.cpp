@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns points to rays. The ray of beam k at head azimuth theta is beam_ray(beam_k,
-// theta). The range is |point - origin|. The firing time is
-//   -theta / (2 pi) * period (clockwise, 0 = facing forward), or the measured time.
+// Assigns points to the rays that measured them. The ray of beam k at head azimuth theta
+// is beam_ray(beam_k, theta). The range is |point - origin|. The firing time is the
+// measured time, or
+//   -theta / (2 pi) * period (clockwise, 0 = facing forward)
+// if points have no times.
 #include <relidar/log/clouds.hpp>
 
 #include <algorithm>
@@ -18,10 +20,10 @@ namespace {
 
 constexpr int kEmpty = -1;
 constexpr std::size_t kMostReturns = 8;  // maximum returns per ray; sensors have two or three
-constexpr int kMostTicks = 1 << 16;      // maximum ticks per sweep: a step of 0.005 degrees
+constexpr int kMostTicks = 1 << 16;      // maximum number of azimuth steps per sweep: 0.005 degrees per step
 constexpr double kLeastRange_m = 1e-3;   // a point nearer to the origin has no direction
 
-/// Index of the point in each cell [ring][firing]; kEmpty: dropped.
+/// [rings x firings] index of the point on each ray; kEmpty: the ray has no return
 struct ImageCells {
     std::size_t n_firings;
     std::vector<int> point;
@@ -29,12 +31,12 @@ struct ImageCells {
     int& at(std::size_t ring, std::size_t firing) { return point[ring * n_firings + firing]; }
 };
 
-/// Number of the return, counted from 0.
+/// Returns the return number of a point, counted from 0.
 std::size_t number_of(const Points& points, std::size_t point) {
     return points.return_number.empty() ? 0 : std::size_t(points.return_number[point]) - 1;
 }
 
-/// Checks the sizes of the arrays and the rings.
+/// Checks that all arrays have one entry per point and that the ring numbers are valid.
 /// @param n_beams  number of beams; 0: rings are not needed
 void check_points(const Points& points, std::size_t n_beams) {
     const auto check = [&](const char* field, std::size_t n, bool may_be_empty) {
@@ -57,7 +59,8 @@ void check_points(const Points& points, std::size_t n_beams) {
     }
 }
 
-/// Returns the firing nearest in time to each tick.
+/// Returns for each azimuth step of the head the index of the firing with the nearest
+/// time.
 std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     std::vector<int> nearest(static_cast<std::size_t>(n_ticks), kEmpty);
     for (std::size_t f = 0; f < firings.size(); ++f)
@@ -73,8 +76,8 @@ std::vector<int> nearest_firings(const std::vector<int>& firings, int n_ticks) {
     return filled;
 }
 
-/// Returns the firing of each column. If there are fewer firings than columns, some
-/// firings are repeated.
+/// Returns the index of the firing for each column of the scan. If there are fewer
+/// firings than columns, some firings are repeated.
 std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     const std::size_t n = sweep.firings.size();
     std::vector<int> repeat(n, 1);
@@ -94,11 +97,12 @@ std::vector<int> fill_columns(const Sweep& sweep, int columns) {
     return slot;
 }
 
-/// Points by cell for each return number. Index 0 has the first returns.
+/// Assigns each point to a ray, separately for each return number. Index 0 has the first
+/// returns.
 class Assignment {
 public:
-    /// Assigns the points to cells.
-    /// @param head_rad  [points] azimuth of the head at each point
+    /// Assigns all points to the rays of a sweep.
+    /// @param head_rad  [points] azimuth of the head when the point was measured
     Assignment(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                const std::vector<double>& head_rad)
         : points_(points), sensor_(sensor), sweep_(sweep), head_rad_(head_rad) {
@@ -109,14 +113,14 @@ public:
         for (std::size_t i = 0; i < points.size(); ++i) add_beyond(i);
     }
     std::vector<ImageCells> by_return;
-    std::vector<int> firing_of;  ///< [points] kEmpty if the point is beyond the range
+    std::vector<int> firing_of;  ///< [points] firing of each point; kEmpty if its range is not valid
 
 private:
     const Points& points_;
     const SpinningSensor& sensor_;
     const Sweep& sweep_;
     const std::vector<double>& head_rad_;
-    std::vector<int> nearest_;  ///< firing of each tick, if points have no firing numbers
+    std::vector<int> nearest_;  ///< [azimuth steps] nearest firing; used if points have no firing numbers
 
     float range_of(int point) const {
         return glm::length(points_.position_m[static_cast<std::size_t>(point)]);
@@ -143,7 +147,8 @@ private:
         ImageCells& cells = cells_of(number);
         int point = static_cast<int>(i);
         for (const std::size_t f : {firing, (firing + 1) % n, (firing + n - 1) % n}) {
-            // a second return stays with its ray
+            // a second return must be on the ray of its first return, so it is not moved
+            // to another firing
             if (cells.at(ring, f) != kEmpty || (number > 0 && f != firing)) continue;
             std::swap(cells.at(ring, f), point);
             break;
@@ -151,8 +156,8 @@ private:
         if (point != kEmpty && range < range_of(cells.at(ring, firing))) cells.at(ring, firing) = point;
     }
 
-    /// Assigns a point beyond the sensor's range to its ray only if the ray has no other
-    /// point.
+    /// Assigns a point beyond the sensor's maximum range to its ray. Does nothing if the
+    /// ray already has a point.
     void add_beyond(std::size_t i) {
         if (!(double(range_of(static_cast<int>(i))) > sensor_.max_range_m)) return;
         const std::size_t firing = points_.firing.empty() ? nearest_firing(i) : points_.firing[i];
@@ -161,8 +166,8 @@ private:
     }
 };
 
-/// Returns the time of each firing: the mean time of its points. For a firing without
-/// points, extrapolates from the nearest firing with points.
+/// Returns the time of each firing, which is the mean time of its points. A firing
+/// without points gets a time that is extrapolated from the nearest firing with points.
 std::vector<double> firing_times(const Points& points, const SpinningSensor& sensor, const Sweep& sweep,
                                  const std::vector<int>& firing_of) {
     const std::size_t n = sweep.firings.size();
@@ -177,7 +182,7 @@ std::vector<double> firing_times(const Points& points, const SpinningSensor& sen
                 count[std::size_t(firing_of[i])] += 1.0;
     std::vector<double> measured = time_s;
     for (std::size_t f = 0; f < n; ++f) {
-        std::size_t from = f;  // alternates between the firings after and before
+        std::size_t from = f;  // searches alternately among later and earlier firings
         for (std::size_t d = 0; d < n && count[from] == 0.0; ++d)
             from = d % 2 == 0 ? (f + d / 2 + 1) % n : (f + n - d / 2 - 1) % n;
         if (count[from] == 0.0) return time_s;
@@ -202,17 +207,19 @@ void resize(Scan& scan, int rows, int columns, std::size_t n_second_returns) {
     scan.second_returns.assign(n_second_returns, {std::vector<float>(n, 0.0f), std::vector<float>(n, 0.0f)});
 }
 
-/// Sets the modelled ray of a firing, with range 0.
+/// Sets a ray without a return. Its direction is the nominal direction of the beam, and
+/// its range is 0.
 void set_dropped(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad) {
     const BeamRay model = beam.ray(head_rad);
     scan.rays.origin[at] = glm::vec3(model.origin_m);
     scan.rays.direction[at] = glm::vec3(model.direction);
 }
 
-/// Sets the ray of a point, with the direction of the point. Returns false, and sets
-/// nothing, if the point is too near to the ray's origin to have a direction.
-/// @param head_rad  azimuth at the point, not of the lattice, so that its origin is exact
-/// even if the lattice has only even steps
+/// Sets a ray with a return. Its direction points from the beam's origin to the point.
+/// Returns false and sets nothing if the point is too close to the origin to define a
+/// direction.
+/// @param head_rad  azimuth of the head at the point. The origin is then exact even if
+/// the firings have only regular azimuth steps.
 bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double head_rad, const Points& points,
                   std::size_t i) {
     const glm::dvec3 p(points.position_m[i]);
@@ -227,7 +234,7 @@ bool set_returned(Scan& scan, std::size_t at, const BeamGeometry& beam, double h
     return true;
 }
 
-/// Sets a second return of a ray, if the ray has a first return.
+/// Adds a second return to a ray. Does nothing if the ray has no first return.
 void set_second_return(Scan& scan, std::size_t at, const Points& points, std::size_t i) {
     if (scan.range_m[at] == 0.0f) return;
     SecondReturn& echo = scan.second_returns[number_of(points, i) - 1];
@@ -286,7 +293,7 @@ Scan spinning_scan(const Points& points, const SpinningSensor& sensor, const Swe
 
 Scan unordered_scan(const Points& points) {
     check_points(points, 0);
-    std::vector<std::size_t> first;  // first return of each ray
+    std::vector<std::size_t> first;  // [rays] index of the point that is the first return
     std::size_t n_second_returns = 0;
     if (points.size() > kMaxRays)
         throw UsageError(

@@ -22,18 +22,24 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kStep_m = 1.0;  // minimum step of a vehicle, long compared with the errors of two poses
-// longer steps are ignored, because the motion in between is unknown
+// minimum distance between two poses for a driving direction, long compared with pose
+// errors
+constexpr double kStep_m = 1.0;
+// Pairs of poses with a longer time difference are ignored, because the motion in between
+// is unknown.
 constexpr double kLongestStep_s = 1.0;
 constexpr std::size_t kSamples = 6;  // number of scans for estimates
-// Maximum median distance of points from their beams, relative to the distance between
-// beams. Another LiDAR has 0.25.
+// Maximum median distance between points and their nominal beams, relative to the
+// distance between beams. For points of another LiDAR the distance is about 0.25.
 constexpr double kNearBeam = 0.15;
-constexpr double kSameTime = 1e-6;  // share of a gap within which a pose is used without interpolation
-// limit of pose coordinates in files; UTM coordinates reach 10^7
+// if a time is this close to a pose, relative to the gap between poses, the pose is used
+// without interpolation
+constexpr double kSameTime = 1e-6;
+// maximum coordinate of a pose in metres, larger than UTM coordinates, which reach 10^7
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Parses a stamp of a table. Some writers add a fraction or an exponent.
+/// Parses a timestamp in a table cell. Accepts a fraction and an exponent, because some
+/// programs write them.
 std::optional<std::int64_t> stamp_of_cell(std::string_view cell) {
     if (const auto whole = parse_stamp(cell)) return whole;
     const std::optional<double> number = parse_number(cell);
@@ -70,7 +76,8 @@ std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
     return track.at(time_s);
 }
 
-/// Scans of files, with completed and rotated points.
+/// Reads scans from files, adds missing values to their points, and rotates the points to
+/// relidar's axes.
 class StampedPoints : public folder::ScanSource {
 public:
     StampedPoints(const Sequence& sequence, const std::vector<fs::path>& files, const PointFormat& format)
@@ -100,7 +107,7 @@ private:
     const PointFormat& format_;
 };
 
-/// Returns the points of a few readable scans.
+/// Reads the points of a few scans. Scans that cannot be read are skipped.
 std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_scans) {
     std::vector<Points> samples;
     const std::size_t n = std::min(kSamples, n_scans);
@@ -109,22 +116,23 @@ std::vector<Points> sample_points(const StampedPoints& source, std::size_t n_sca
             samples.push_back(source.points(k * n_scans / n));
             if (samples.back().size() == 0) samples.pop_back();
         } catch (const DataError&) {
-            continue;  // the error is reported later, when the scan is read
+            continue;  // reading the scan later reports the error
         }
     }
     return samples;
 }
 
-/// Returns true if points are near their beams, relative to the distance to the next
-/// beam. Points of another LiDAR have any distance.
+/// Returns true if points are near the elevations of their beams, compared with the
+/// distance to the next beam. The points of another LiDAR are not.
 bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit) {
     const std::vector<Beam>& beams = fit.sensor.beams;
-    std::vector<double> off;  // in distances between beams
+    // distances of points to their beams, as a ratio to the distance between beams
+    std::vector<double> off;
     for (const Points& scan : samples)
         for (std::size_t i = 0; i < scan.size(); ++i) {
             const std::size_t b = fit.beam_of_ring[scan.ring[i]];
             double apart = INFINITY;
-            for (const std::size_t next : {b - 1, b + 1})  // an index below 0 wraps to a large number
+            for (const std::size_t next : {b - 1, b + 1})  // b - 1 is a very large number if b is 0
                 if (next < beams.size())
                     apart = std::min(apart, std::abs(beams[next].elevation_rad - beams[b].elevation_rad));
             const glm::dvec3 p(scan.position_m[i]);
@@ -136,7 +144,8 @@ bool are_near_beams(const std::vector<Points>& samples, const FittedSensor& fit)
 }
 
 /// Fits the nominal beams to the points. Returns nothing if the points come from another
-/// LiDAR, or if their azimuths have no steps, such as points that were moved to one time.
+/// LiDAR. Also returns nothing if azimuths are not on a regular grid, for example because
+/// points were motion-compensated.
 std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, const PointFormat& format) {
     if (samples.empty()) return std::nullopt;
     FittedSensor fit;
@@ -149,7 +158,8 @@ std::optional<SpinningSensor> fit_nominal(const std::vector<Points>& samples, co
     const double step = 2.0 * kPi / fit.sensor.columns;
     std::vector<Beam> beams = format.beams;
     std::complex<double> sum = 0.0;
-    // first pass: the common phase; second pass: the offset of each beam
+    // The first pass fits an azimuth offset that all beams share. The second pass fits
+    // the offset of each beam.
     for (const bool is_second : {false, true})
         for (std::size_t r = 0; r < std::min(beams.size(), fit.beam_of_ring.size()); ++r) {
             if (fit.beam_of_ring[r] == kNoBeam) continue;
@@ -183,7 +193,7 @@ std::vector<StampedScan> list_scans(const fs::path& folder) {
         throw DataError(
             fmt::format("{}: no scan, expected files named by their times, such as 1598990189106857.bin",
                         folder.string()));
-    // by number, because names with fewer digits would sort wrongly
+    // sort by number, because sorting by name would put "10" before "9"
     std::ranges::sort(scans, {}, &StampedScan::stamp);
     for (std::size_t i = 0; i < scans.size(); ++i) scans[i].number = int(i);
     return scans;
@@ -217,7 +227,9 @@ Driving find_driving(const PoseTrack& world_from_rider) {
         const glm::dvec3 step = poses[to].translation - poses[from].translation;
         const bool is_late = world_from_rider.time_s[to] - world_from_rider.time_s[from] > kLongestStep_s;
         if (!is_late && glm::length(step) < kStep_m) continue;
-        if (!is_late) {  // as seen at both ends of the step, for the middle of a curve
+        // mean of the directions seen from both poses, which is right for the middle of a
+        // curve
+        if (!is_late) {
             const glm::dvec3 d = glm::normalize(step);
             const glm::dvec3 seen =
                 0.5 * (glm::conjugate(poses[from].rotation) * d + glm::conjugate(poses[to].rotation) * d);
@@ -324,7 +336,7 @@ Brightness find_brightness(const std::vector<fs::path>& files, const std::vector
         try {
             samples.push_back(folder::read_point_file(files[k * files.size() / n], columns));
         } catch (const DataError&) {
-            continue;  // the error is reported later, when the scan is read
+            continue;  // reading the scan later reports the error
         }
     }
     const bag::CloudUnits units = bag::find_units(samples, std::vector<double>(samples.size(), 0.0), 0.0);

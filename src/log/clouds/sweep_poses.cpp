@@ -12,20 +12,22 @@
 namespace relidar::bag {
 namespace {
 
-constexpr double kStep_s = 1e-3;  // step between corrections, which are interpolated
-// minimum motion for a correction; the accuracy of sensors is ten times coarser
+constexpr double kStep_s = 1e-3;  // time between corrections; corrections in between are interpolated
+// Minimum size of a correction. Smaller ones are skipped, because sensors are ten times
+// less accurate.
 constexpr double kLeast_m = 1e-3;
-constexpr double kReach_m = 50.0;  // distance at which a rotation is converted to a motion
+// distance from the sensor at which the effect of a rotation is measured
+constexpr double kReach_m = 50.0;
 
-/// Returns the maximum motion of a point at distance kReach_m by a correction.
+/// Returns how far a correction moves points at distance kReach_m, at most.
 double size_of(const Pose& correction) {
     const double sine =
         glm::length(glm::dvec3(correction.rotation.x, correction.rotation.y, correction.rotation.z));
     return glm::length(correction.translation) + kReach_m * 2.0 * std::asin(std::min(sine, 1.0));
 }
 
-/// Returns the corrections from the true sensor pose to the log's pose, by time relative
-/// to the frame.
+/// Computes the corrections for one sweep. A correction transforms from the true sensor
+/// pose to the pose that is interpolated between frames. Times are relative to the frame.
 PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt& world_from_vehicle) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const auto [first, last] = std::ranges::minmax(frame.scan.rays.time_offset_s);
@@ -41,8 +43,8 @@ PoseTrack corrections(const Sequence& sequence, const Frame& frame, const PoseAt
     return track;
 }
 
-/// Corrects the rays of a frame.
-/// @return the largest motion in metres
+/// Corrects the origins and directions of all rays of a frame.
+/// @return the largest motion of a point in metres
 double place_rays_of(Frame& frame, const PoseTrack& corrections) {
     double farthest_m = 0.0;
     for (const Pose& pose : corrections.pose) farthest_m = std::max(farthest_m, size_of(pose));

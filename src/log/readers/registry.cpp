@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the reader of a dataset path. The table has one row per kind of dataset. A new
-// dataset needs one reader and one row.
+// Selects the reader of a dataset path from a table. The table has one row per kind of
+// dataset. A new dataset format needs a new reader and a new row.
 #include <relidar/log/dataset.hpp>
 
 #include <algorithm>
@@ -35,13 +35,14 @@ namespace fs = std::filesystem;
 
 struct DatasetKind {
     const char* name;
-    /// File or folder that identifies the kind. "name*": a name with this beginning.
-    /// ".ending": a file with this ending, or a folder of such files. Alternatives are
-    /// separated by blanks.
+    /// Lists the files or folders that identify this kind of dataset, separated by
+    /// blanks. A path needs only one of them. "name*" matches every name that begins with
+    /// "name". ".ending" matches a file with this ending, or a folder with such a file.
     const char* marker;
     const char* describe;
     Sequence (*load)(const fs::path&, const DatasetOptions&);
-    /// true: contains several drives, and DatasetOptions::sequence selects one
+    /// True if one dataset contains several drives. DatasetOptions::sequence then selects
+    /// the drive.
     bool holds_drives = false;
 };
 
@@ -99,8 +100,8 @@ bool is_kind(const fs::path& path, const DatasetKind& kind) {
     return false;
 }
 
-/// Checks for a folder of scans in which only sequence.json is missing.
-/// @throws DataError with the content that the file should have
+/// Throws if a folder contains scans but no sequence.json.
+/// @throws DataError that shows the sequence.json that the user should write
 void check_bare_folder(const fs::path& path) {
     std::error_code failed;
     if (!fs::is_directory(path, failed)) return;
@@ -120,8 +121,8 @@ void check_bare_folder(const fs::path& path) {
     }
 }
 
-/// Returns the farthest return of a LiDAR in whole metres, rounded up, or 80 m if the log
-/// has no return.
+/// Returns the range of the farthest return of a LiDAR, rounded up to a whole metre.
+/// Returns 80 m if the log has no return.
 double farthest_return_m(const Sequence& sequence, int lidar) {
     constexpr float kFarthest_m = 1000.0f;  // farther points are not returns of a LiDAR on a vehicle
     constexpr double kWithoutReturns_m = 80.0;
@@ -141,8 +142,8 @@ double farthest_return_m(const Sequence& sequence, int lidar) {
     return all > 0.0f ? std::ceil(double(all)) : kWithoutReturns_m;
 }
 
-/// Sets the range limit of LiDARs without a known limit to the farthest return of the
-/// log, and adds a note.
+/// Finds the LiDARs without a known maximum range. Sets their maximum range to that of
+/// the farthest return in the log, and adds a note to the log.
 void find_farthest(Sequence& sequence) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         SpinningSensor& sensor = sequence.lidars[l].sensor;
@@ -155,7 +156,8 @@ void find_farthest(Sequence& sequence) {
     }
 }
 
-/// Number of returns of a scan that are outside the LiDAR's range limits.
+/// Counts the returns of a scan: too near, too far, and all returns. The limits are the
+/// minimum and maximum range of the LiDAR.
 struct OutsideRange {
     std::size_t near = 0, far = 0, all = 0;
 };
@@ -173,8 +175,9 @@ OutsideRange count_outside(const Scan& scan, const RangeLimits& limits) {
     return counts;
 }
 
-/// Adds a note for each LiDAR about the number of returns outside its limits.
-/// @param counts  [frames]
+/// Adds a note to the log for each LiDAR that has returns outside its range limits. The
+/// note states the number of these returns.
+/// @param counts  [frames] numbers of near, far and all returns in each frame
 void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& counts) {
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
         OutsideRange sum;
@@ -195,8 +198,8 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
     }
 }
 
-/// Limits each LiDAR to the overlap of its range limits and the requested limits, and
-/// drops returns outside.
+/// Restricts the range limits of each LiDAR to the requested limits. Then drops all
+/// returns outside the new limits.
 void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     find_farthest(sequence);
     for (Lidar& lidar : sequence.lidars) {
@@ -214,7 +217,8 @@ void apply_limits(Sequence& sequence, const RangeLimits& wanted) {
     note_outside_range(sequence, counts);
 }
 
-/// Notes that a log has no intensities: it has returns, and all of them have intensity 0.
+/// Adds a note if the log has no intensities. This is the case if it has returns and each
+/// of them has intensity 0.
 void note_missing_intensities(Sequence& sequence) {
     std::vector<char> has_returns(sequence.frames.size(), 0), has_intensities(sequence.frames.size(), 0);
     parallel_for(static_cast<int>(has_returns.size()), [&](int i) {
@@ -229,8 +233,8 @@ void note_missing_intensities(Sequence& sequence) {
             "scored");
 }
 
-/// Keeps the named LiDARs, in the log's order. Removes frames and poses that only other
-/// LiDARs use.
+/// Keeps only the named LiDARs, in the order of the log. Removes the frames of all other
+/// LiDARs, and poses that no remaining frame uses.
 void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     std::vector<int> place(sequence.lidars.size(), -1);
     for (const std::string& name : names) place[std::size_t(find_lidar(sequence, name))] = 0;
@@ -258,7 +262,8 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
         sequence.notes.push_back(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
 }
 
-/// Splits "kind:path" into kind and path. The kind is empty if none is given.
+/// Splits the text "kind:path" into kind and path. The kind is empty if the text has no
+/// such prefix.
 std::pair<std::string, fs::path> parted(const std::string& dataset) {
     std::error_code failed;
     const std::size_t colon = dataset.find(':');
@@ -269,8 +274,8 @@ std::pair<std::string, fs::path> parted(const std::string& dataset) {
 }
 
 /// Returns the reader of a dataset.
-/// @param sequence  name of a drive in the dataset, or empty
-/// @throws UsageError if a name is given but the dataset is a single drive
+/// @param sequence  name of the requested drive in the dataset; may be empty
+/// @throws UsageError if a drive is requested but the dataset contains only one drive
 const DatasetKind& reader_of(const std::string& dataset, const std::string& sequence) {
     const auto [kind, path] = parted(dataset);
     const std::string name = kind.empty() ? recognise_dataset(path) : kind;
@@ -288,7 +293,8 @@ void check_range(const FrameRange& range) {
     }
 }
 
-/// Determines the start of each sweep and its azimuth shift.
+/// Computes for each frame the start of its sweep and its deviation from the nominal
+/// azimuths.
 void find_sweeps(Sequence& sequence) {
     std::vector<RayTable> nominal;
     for (const Lidar& lidar : sequence.lidars)

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of Argoverse 2 sensor logs. A sweep is a table with the points of both LiDARs.
-// The dataset has transformed all points to the vehicle frame at the time in the file
-// name. The reader undoes this with the poses of the frames, which also place the rays
-// later. So points have the same world position as in the dataset.
+// Reads Argoverse 2 sensor logs. A sweep is a table with the points of both LiDARs. The
+// dataset stores all points in the vehicle frame at the time in the file name (motion
+// compensation). The reader undoes the compensation with the poses of the frames. The
+// same poses place the rays later, so points keep their world position.
 #include "log/readers/argoverse2/argoverse2.hpp"
 
 #include <algorithm>
@@ -29,11 +29,12 @@ namespace fs = std::filesystem;
 using namespace argoverse2;
 
 constexpr const char* kLidarNames[] = {"up_lidar", "down_lidar"};
-// limit of a point's time offset: two revolutions
+// Maximum time offset of a point, in nanoseconds. The limit equals two revolutions of the
+// LiDAR.
 constexpr std::int64_t kLongestOffset_ns = 200'000'000;
 constexpr double kFarthestHit_m = 1e4;  // limit of a point's distance
 
-/// File of a sweep, and the number of the sweep in the log.
+/// The file of a sweep, its timestamp, and its number in the log.
 struct SweepFile {
     int number = 0;
     std::int64_t time_ns = 0;
@@ -69,7 +70,8 @@ std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const Fram
     return {sweeps.begin() + begin, sweeps.begin() + end};
 }
 
-/// Returns the rigid transforms of a table, one per row: quaternion w x y z, translation.
+/// Reads one rigid transform from each row of a table: quaternion w x y z and translation
+/// in metres.
 std::vector<Pose> poses_of(const Feather& table) {
     std::vector<double> q[4], t[3];
     const char* quaternion[] = {"qw", "qx", "qy", "qz"};
@@ -98,8 +100,8 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
         if (row == names.end())
             throw DataError(fmt::format("{}, column 'sensor_name': no {}, expected one", table.name(), name));
         const Pose& mounted = poses[std::size_t(row - names.begin())];
-        // Both heads rotate clockwise seen from above. The lower LiDAR is mounted upside
-        // down.
+        // Both LiDARs rotate clockwise seen from above. The lower LiDAR is mounted upside
+        // down, so it rotates counterclockwise in its own frame.
         const bool upright = (mounted.rotation * glm::dvec3(0, 0, 1)).z > 0.0;
         lidars.push_back({name, vlp32c(upright), mounted});
     }
@@ -108,7 +110,8 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
 
 double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(time_ns - origin_ns) * 1e-9; }
 
-/// Returns the vehicle's poses at the times of some sweeps, in the city frame.
+/// Reads the vehicle poses in the city frame and returns them at the times of some
+/// sweeps.
 PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
     const Feather table(file);
     const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
@@ -156,7 +159,7 @@ RawSweep read_sweep(const fs::path& file) {
     return sweep;
 }
 
-/// Points of both LiDARs for each sweep.
+/// [sweeps] points of both LiDARs in each sweep
 using SweepPairs = std::vector<std::array<LidarSweep, 2>>;
 
 SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Lidar>& lidars,
@@ -180,8 +183,8 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
     return sweeps;
 }
 
-/// Adds the frames of the sweeps and their scans. A LiDAR without points in a sweep gets
-/// no frame.
+/// Adds one frame with its scan for each LiDAR and sweep. If a LiDAR has no points in a
+/// sweep, no frame is added.
 void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const PoseTrack& poses,
                 SweepPairs sweeps, const Progress& progress, const BrokenScans& broken) {
     broken.tell(sequence, files.size());
@@ -215,8 +218,8 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
         });
 }
 
-/// Reads the labels at the times of the loaded sweeps. Each label is in the vehicle frame
-/// of its sweep.
+/// Reads the box labels at the times of the loaded sweeps. The file stores each box in
+/// the vehicle frame at the time of its sweep.
 std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFile>& sweeps,
                                  const PoseTrack& poses) {
     const Feather table(file);

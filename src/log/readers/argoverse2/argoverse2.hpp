@@ -10,10 +10,11 @@
 
 namespace relidar {
 
-/// Reads a log. Frames are numbered by the order of sweeps. Both LiDARs of a sweep share
-/// its number and time. The dataset's world is the city frame.
-/// @throws DataError with file and column, UsageError if no sweep is in the requested
-/// frame range
+/// Reads a log. Frames are numbered in the order of the sweeps. The frames of both LiDARs
+/// in one sweep have the same number and time. The world frame of the dataset is the city
+/// frame.
+/// @throws DataError with file and column
+/// @throws UsageError if no sweep is in the requested frame range
 Sequence load_argoverse2(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

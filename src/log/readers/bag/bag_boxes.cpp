@@ -21,7 +21,7 @@ namespace {
 
 constexpr const char* kNoCategory = "unknown";
 
-/// Poses of frames in the world frame.
+/// Computes the poses of the recording's frames in the world frame at any time.
 class WorldFrames {
 public:
     explicit WorldFrames(const BoxPlaces& places) : places_(places) {}
@@ -45,7 +45,8 @@ private:
     std::map<std::string, std::optional<FramesApart>> apart_;
 };
 
-/// Sorts labels by time and removes duplicates of one object at the same time.
+/// Sorts labels by time. If an object has several labels with the same time, only the
+/// first one is kept.
 /// @return number of removed labels
 std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     std::ranges::stable_sort(labels, {}, &BoxLabel::time_s);
@@ -56,8 +57,8 @@ std::size_t sort_labels(std::vector<BoxLabel>& labels) {
     });
 }
 
-/// Gives each object its most frequent category and its median size, because trackers
-/// change both over time.
+/// Assigns to each object its most frequent category and its median size, because
+/// trackers change both over time.
 void settle(std::vector<BoxLabel>& labels) {
     std::map<std::string, std::vector<const BoxLabel*>> things;
     for (const BoxLabel& label : labels) things[label.id].push_back(&label);
@@ -79,7 +80,8 @@ void settle(std::vector<BoxLabel>& labels) {
     for (BoxLabel& label : labels) std::tie(label.size_m, label.category) = settled[label.id];
 }
 
-/// Reads the boxes of a topic as labels.
+/// Reads the box messages of a topic and collects their boxes as labels in the world
+/// frame.
 class LabelReader {
 public:
     LabelReader(const BoxPlaces& places, double first_s, double last_s)

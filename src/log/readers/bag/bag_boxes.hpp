@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts the boxes of a recording from any frame to tracks in the world frame.
+// Converts the boxes of a recording to tracks in the world frame. The boxes may be given
+// in any frame of the recording.
 #pragma once
 
 #include <functional>
@@ -14,14 +15,14 @@
 
 namespace relidar::bag {
 
-/// Transforms and poses that locate the frames of boxes.
+/// The transforms and poses from which the world poses of boxes are computed.
 struct BoxPlaces {
     const FrameTree& frames;
-    const PoseChoice& poses;  ///< their clock, and the frame of the world
+    const PoseChoice& poses;  ///< also defines the clock of the times and the name of the world frame
     std::string vehicle;      ///< frame whose poses are known
     std::function<Pose(double)> world_from_vehicle;
-    /// True if the poses come from the recording. Boxes in the world frame then need no
-    /// transform.
+    /// True if the recording contains the world poses. A box that is given in the world
+    /// frame then needs no transform.
     bool is_own_world = false;
 };
 
@@ -29,9 +30,9 @@ struct BoxTracks {
     std::vector<BoxTrack> tracks;
     std::vector<std::string> notes;
 };
-/// Reads the tracks of a topic.
-/// @param times_s  ascending times of the log; boxes more than one step outside are
-/// ignored
+/// Reads the boxes of a topic and joins them to tracks.
+/// @param times_s  ascending times of the log in seconds. Boxes more than one time step
+/// before or after the log are ignored.
 BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
                       const std::vector<double>& times_s);
 

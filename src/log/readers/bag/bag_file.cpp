@@ -23,11 +23,12 @@ bool is_part(const fs::path& file) {
     return std::ranges::find(kEndings, file.extension().string()) != kEndings.end();
 }
 
-/// Content of rosbag2's metadata.yaml about the files next to it. Parsed line by line in
-/// the format that rosbag2 writes.
+/// The parts of rosbag2's metadata.yaml that describe the recording's files. The file is
+/// parsed line by line and must have the layout that rosbag2 writes.
 struct Metadata {
     std::vector<std::string> files;
-    std::string compression, mode;  ///< "zstd"; "file" or "message", in lower case
+    /// compression is "zstd"; mode is "file" or "message"; both are in lower case
+    std::string compression, mode;
 };
 
 std::string unquoted(std::string_view text) {
@@ -54,7 +55,8 @@ Metadata read_metadata(const fs::path& file) {
     return metadata;
 }
 
-/// Returns the parts of a folder without a list, sorted so that _2 comes before _10.
+/// Returns the recording files of a folder without metadata.yaml. The files are sorted so
+/// that NAME_2 is before NAME_10.
 std::vector<fs::path> parts_by_name(const fs::path& folder) {
     std::vector<fs::path> parts;
     for (const fs::path& file : list_folder(folder))

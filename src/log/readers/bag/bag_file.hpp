@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Access to recordings as one list of messages: MCAP, rosbag2 in SQLite, ROS 1 bags,
-// network captures, and folders of their parts. This layer does not interpret the
-// messages.
+// Reads recordings as a list of messages. Supports MCAP, rosbag2 in SQLite, ROS 1 bags,
+// network captures, and folders with several of these files. The content of messages is
+// not interpreted here.
 #pragma once
 
 #include <compare>
@@ -20,7 +20,8 @@
 
 namespace relidar::bag {
 
-/// A topic of a recording. Topics with the same name but different types are separate.
+/// A topic of a recording. Two topics with the same name but different message types are
+/// separate.
 struct Topic {
     std::string name;
     std::string type;      ///< "sensor_msgs/PointCloud2": without the "/msg/" of ROS 2
@@ -31,8 +32,8 @@ struct Topic {
 struct Place {
     static constexpr std::uint64_t kNoChunk = std::numeric_limits<std::uint64_t>::max();
 
-    /// Byte offset of the chunk, or of the message's record, in its file. For SQLite, the
-    /// row.
+    /// Byte offset of the chunk in its file. If the message is not in a chunk, byte
+    /// offset of the message's record. For SQLite, the row of the message.
     std::uint64_t at = 0;
     std::uint64_t in_chunk = kNoChunk;  ///< byte offset of the message's record in the unpacked chunk
     std::uint32_t file = 0;             ///< index of the file in the recording
@@ -43,13 +44,14 @@ struct Place {
 struct Message {
     std::size_t topic = 0;    ///< index in Bag::topics()
     std::int64_t log_ns = 0;  ///< time of recording
-    /// valid only during the call; empty if messages of this topic were not requested
+    /// Bytes of the message, which are valid only during the callback. Empty if messages
+    /// of this topic were not requested.
     std::string_view bytes;
     Place place;
 };
 
-/// Returns true if the content of a topic's messages is needed. Otherwise only their
-/// times are reported.
+/// Returns true if the bytes of a topic's messages are needed. If false, only the times
+/// of the messages are reported.
 using Wanted = std::function<bool(const Topic&)>;
 using Take = std::function<void(const Message&)>;
 
@@ -74,44 +76,48 @@ public:
         std::function<void(const std::string&)> note;  ///< receives problems of the file
         std::function<void(double)> done;              ///< receives the share of the file that has been read
     };
-    /// Reads all messages in the order of the file.
+    /// Reads all messages in the order of the file and passes each message to
+    /// `pass.take`.
     /// @throws DataError with the problem and its byte offset
     virtual void each(TopicTable& topics, const Pass& pass) = 0;
-    /// Reads one message again. Can be called from any thread.
+    /// Reads the bytes of one message at a known position. Any thread can call this
+    /// function.
     virtual SharedBytes read(const Place& place) const = 0;
-    /// Returns the frame of the points that relidar's recordings store, after a pass.
-    /// Empty for other recordings.
+    /// Returns in which frame relidar stored the points, if relidar wrote the recording.
+    /// Otherwise returns an empty string. Valid only after each().
     virtual std::string points_in() const { return ""; }
 };
 
-/// Opens a file of a given kind.
-/// @param skip_broken  true: skips damaged chunks with a note instead of an error
+/// Opens a recording file of the given format.
+/// @param skip_broken  true: damaged chunks are skipped with a note; false: they are
+/// errors
 std::unique_ptr<BagFile> open_mcap(const std::filesystem::path& file, bool skip_broken);
 std::unique_ptr<BagFile> open_pcap(const std::filesystem::path& file);
 std::unique_ptr<BagFile> open_ros1(const std::filesystem::path& file, bool skip_broken);
-/// Opens a rosbag2 database.
-/// @param packed  true: rosbag2 has compressed each message with zstd
+/// Opens a rosbag2 database in SQLite.
+/// @param packed  true: each message is compressed with zstd
 std::unique_ptr<BagFile> open_sqlite(const std::filesystem::path& file, bool packed);
 
 /// A recording of one or several files.
 class Bag {
 public:
     /// Opens a recording.
-    /// @param path  a file, or a folder of files, with or without metadata.yaml
+    /// @param path  a file, or a folder of files with or without metadata.yaml
     /// @throws DataError with the file
     Bag(const std::filesystem::path& path, bool skip_broken);
 
-    /// topics that earlier passes have read
+    /// topics that were read by the calls of each() so far
     const std::vector<Topic>& topics() const { return topics_.topics(); }
     const std::vector<std::string>& notes() const { return notes_; }  ///< problems of the files
     const std::vector<std::filesystem::path>& files() const { return paths_; }
-    /// Returns the frame of the points that relidar's recordings store, after a pass.
-    /// Empty for other recordings.
+    /// Returns in which frame relidar stored the points, if relidar wrote the recording.
+    /// Otherwise returns an empty string. Valid only after each().
     std::string points_in() const;
 
-    /// Reads all files. Messages are passed in the order of the files.
+    /// Reads all files in order and passes each message to `take`.
     void each(const Wanted& wanted, const Take& take, const Progress& progress = {});
-    /// Reads one message again. Can be called from any thread.
+    /// Reads the bytes of one message at a known position. Any thread can call this
+    /// function.
     SharedBytes read(const Place& place) const;
 
 private:

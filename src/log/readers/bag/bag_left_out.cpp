@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces src/log/readers/bag if its dependencies are missing or RELIDAR_BAGS is off.
+// Replaces the bag reader if its libraries are missing or RELIDAR_BAGS is off. Loading a
+// recording then throws an error.
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts point clouds of a recording to the scans of a log's frames.
+// Reads the point clouds of a recording and converts them to the scans of the log's
+// frames.
 #pragma once
 
 #include <functional>
@@ -15,7 +16,7 @@
 
 namespace relidar::bag {
 
-/// A cloud and the time of its frame.
+/// A cloud of the recording that becomes the scan of a frame, with both times.
 struct FrameCloud {
     int number = 0;        ///< number of the frame
     double time_s = 0.0;   ///< time of the frame
@@ -24,27 +25,28 @@ struct FrameCloud {
     CloudEntry entry;
 };
 
-/// Topic of a LiDAR.
+/// A topic with the scans of one LiDAR.
 struct LidarTopic {
     const CloudTopic* clouds = nullptr;
     CloudUnits units = {};
-    /// clouds from which the units were determined, kept so that they are not read again
+    /// clouds that were read to determine the units; stored so that they are read only
+    /// once
     std::map<Place, folder::PointTable> samples = {};
     SpinningSensor sensor = {};  ///< sensor of a topic of packets
 };
-/// Determines the units of a topic's point values from some of its clouds.
-/// @param step_s  time between clouds
+/// Reads some clouds of a topic and determines the units of their point values from them.
+/// @param step_s  time between clouds in seconds
 LidarTopic sample_topic(const Bag& bag, const CloudTopic& clouds, double step_s);
 
-/// Returns world_from_lidar at a time of the log.
+/// Returns the pose of a LiDAR in the world frame at a time of the log.
 using LidarPose = std::function<Pose(std::size_t lidar, double time_s)>;
 
 class BagScans : public folder::ScanSource {
 public:
-    /// Prepares the reading of scans.
-    /// @param clouds  [frames]
-    /// @param deskewed_by  poses with which the points were moved to the time of their
-    /// cloud; this motion is undone
+    /// Creates a source of scans. Clouds are read later, when their scan is requested.
+    /// @param clouds  [frames] cloud of each frame
+    /// @param deskewed_by  LiDAR poses that were used to move the points to the time of
+    /// their cloud (motion compensation). This motion is undone.
     BagScans(const Bag& bag, const std::vector<LidarTopic>& lidars, const std::vector<FrameCloud>& clouds,
              Clock clock, LidarPose deskewed_by = {})
         : bag_(bag), lidars_(lidars), clouds_(clouds), clock_(clock), deskewed_by_(std::move(deskewed_by)) {}

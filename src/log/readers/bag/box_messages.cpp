@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads boxes of vision_msgs/Detection3DArray and of Autoware's TrackedObjects.
-// Recordings in SQLite and MCAP do not always contain definitions. So the version of
-// vision_msgs is determined by trial: the right version consumes the complete message.
+// Reads boxes from vision_msgs/Detection3DArray and Autoware's TrackedObjects. Recordings
+// in SQLite and MCAP may lack the message definitions. So the reader tries the known
+// versions of vision_msgs. The right version is the one that consumes the complete
+// message.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -17,7 +18,7 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kCovariance = 36, kTwist = 6 + kCovariance;  // number of doubles
-constexpr std::size_t kPadding = 3;  // CDR may add this many bytes after the last field
+constexpr std::size_t kPadding = 3;  // CDR may append up to this many bytes after the last field
 
 void pass_numbers(MessageReader& reader, std::size_t n) {
     for (std::size_t i = 0; i < n; ++i) reader.number<double>();
@@ -29,7 +30,7 @@ glm::dvec3 read_vector(MessageReader& reader) {
     return v;
 }
 
-/// Values of a box as in the message, before they are checked.
+/// Unchecked values of a box, as they are stored in the message.
 struct Draft {
     Header header;
     std::string id, category;
@@ -48,8 +49,8 @@ void add_box(BoxList& list, const Draft& draft) {
     }
 }
 
-/// Layout of a Detection3D in the versions of vision_msgs: header, results, box, then
-/// these fields.
+/// States which optional fields a Detection3D has in a version of vision_msgs. All
+/// versions begin with header, results and box. The optional fields follow.
 struct DetectionLayout {
     bool has_text;      ///< classes are strings instead of numbers
     bool has_cloud;     ///< the message has the field source_cloud
@@ -64,7 +65,7 @@ constexpr DetectionLayout kDetectionLayouts[] = {
     {false, true, true, true},    // newer version for ROS 1
 };
 
-/// Returns the most likely class.
+/// Reads the results of a detection. Returns the class with the highest score.
 std::string read_class(MessageReader& reader, const DetectionLayout& layout) {
     constexpr std::size_t kLeastResult = 8 * (1 + 7 + kCovariance);
     std::string best;
@@ -90,7 +91,7 @@ BoxList read_detections(MessageReader reader, const DetectionLayout& layout) {
                   read_class(reader, layout),
                   read_pose_numbers(reader),
                   read_vector(reader)};
-        // the flag is_dense
+        // skips the flag is_dense, the last field of source_cloud
         if (layout.has_cloud) read_point_cloud(reader), reader.number<std::uint8_t>();
         if (layout.is_flagged) reader.number<std::uint8_t>();
         if (layout.has_identity) box.id = reader.text();
@@ -115,7 +116,7 @@ BoxList read_detections(const MessageReader& reader) {
     throw DataError(fmt::format("no version of vision_msgs/Detection3DArray; as the newest: {}", why));
 }
 
-/// Classes of ObjectClassification, by number.
+/// Names of Autoware's ObjectClassification labels, indexed by label number.
 constexpr const char* kLabels[] = {"unknown",    "car",     "truck",      "bus",   "trailer",
                                    "motorcycle", "bicycle", "pedestrian", "animal"};
 
@@ -131,7 +132,7 @@ std::string read_label(MessageReader& reader) {
     return best < std::size(kLabels) ? kLabels[best] : fmt::format("class {}", best);
 }
 
-/// Returns a UUID in the usual notation, or an empty string if it is 0.
+/// Reads a UUID. Returns it in the usual notation, or an empty string if all bytes are 0.
 std::string read_uuid(MessageReader& reader) {
     constexpr std::size_t kBytes = 16;
     const std::string_view bytes = reader.take(kBytes);
@@ -143,8 +144,8 @@ std::string read_uuid(MessageReader& reader) {
     return std::ranges::all_of(bytes, [](char c) { return c == '\0'; }) ? "" : text;
 }
 
-/// Reads the bounding box of a shape. A polygon has a footprint around the pose instead
-/// of length and width.
+/// Reads the shape of an object and sets the size of its box. A polygon has a footprint
+/// instead of length and width, so its box is the footprint's bounding box.
 void read_shape(MessageReader& reader, Draft& box) {
     constexpr std::uint8_t kPolygon = 2;
     const auto type = reader.number<std::uint8_t>();
@@ -165,9 +166,9 @@ void read_shape(MessageReader& reader, Draft& box) {
     box.size_m = {most - least, box.size_m.z};
 }
 
-/// Reads a list of objects.
-/// @param is_auto  true for autoware_auto_perception_msgs, which stores the availability
-/// of the heading before the twist
+/// Reads a list of tracked objects.
+/// @param is_auto  true for autoware_auto_perception_msgs. These messages store the
+/// availability of the heading before the twist.
 BoxList read_objects(MessageReader& reader, bool is_auto) {
     constexpr std::size_t kLeastObject = 16 + 8 * (7 + kCovariance + 2 * kTwist);
     BoxList list{read_header(reader), {}, 0};

@@ -15,7 +15,8 @@
 namespace relidar::bag {
 namespace {
 
-// allowed rate of a further LiDAR, relative to the main LiDAR
+// allowed range for the sweep rate of an additional LiDAR, as a ratio to the main LiDAR's
+// rate
 constexpr double kLeastRate = 0.5, kMostRate = 2.0;
 
 std::string topics_text(const Bag& bag) {
@@ -26,8 +27,8 @@ std::string topics_text(const Bag& bag) {
     return texts.empty() ? "none" : fmt::format("{}", fmt::join(texts, ", "));
 }
 
-/// Packages with packets that relidar does not read, and the drivers that make clouds
-/// from them.
+/// A package whose LiDAR packets relidar cannot decode, and the driver that converts
+/// these packets to point clouds.
 struct PacketDriver {
     const char* package;
     const char* driver;
@@ -39,7 +40,8 @@ constexpr PacketDriver kDrivers[] = {
     {"seyond/", "seyond_ros_driver"},
 };
 
-/// Explains why messages that could be clouds were not usable.
+/// Returns a text for an error message: why the messages of topics that could hold clouds
+/// could not be used.
 std::string broken_text(const Bag& bag, const Survey& survey) {
     std::string text;
     for (const std::string& note : bag.notes()) text += fmt::format(" ({})", note);
@@ -55,8 +57,9 @@ std::string broken_text(const Bag& bag, const Survey& survey) {
     return text;
 }
 
-/// Returns a score for how likely a topic has raw LiDAR measurements instead of processed
-/// clouds.
+/// Returns a score that is higher if a topic probably holds raw LiDAR measurements.
+/// Packets score highest. Clouds score by the presence of times, rings and return
+/// numbers. The number of points decides between equal clouds.
 double rawness(const CloudTopic& clouds) {
     if (!clouds.packets.empty()) return 200.0;
     const bool timed = clouds.has_field(folder::PointValue::time);
@@ -74,12 +77,12 @@ bool is_in(const CloudTopic& clouds, const std::array<const char*, N>& frames) {
     return std::ranges::find(frames, clouds.frame) != frames.end();
 }
 
-/// Returns true if clouds are in a sensor's frame. Clouds in a vehicle or world frame are
-/// merged clouds or maps.
+/// Returns true if the clouds are in the frame of a sensor. Clouds in a vehicle frame are
+/// usually merged, and clouds in a world frame are maps.
 bool is_of_sensor(const CloudTopic& clouds) { return !is_in(clouds, kOfWorld) && !is_in(clouds, kOfVehicle); }
 
-/// Rejects topics that do not hold LiDAR scans. If it cannot be sure, it accepts the
-/// topic and adds a note.
+/// Throws if a topic surely does not hold LiDAR scans. If this is only likely, the topic
+/// is accepted and a note is added.
 void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice& choice) {
     if (is_in(clouds, kOfWorld))
         throw DataError(
@@ -94,7 +97,8 @@ void check_frame(const std::string& name, const CloudTopic& clouds, CloudChoice&
             name, clouds.frame));
 }
 
-/// Returns the rate of sweeps. A sweep may consist of several messages.
+/// Returns the number of sweeps per second. Several messages may form one sweep, so this
+/// can be less than the message rate.
 double rate_of(const Survey& survey, const CloudTopic& clouds) {
     const TopicFacts& facts = survey.facts[clouds.topic];
     return facts.rate_hz() * double(clouds.clouds.size()) /
@@ -118,8 +122,9 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
     return lidars;
 }
 
-/// Returns the name that separates LiDARs: the frame of the clouds. For clouds that were
-/// made from packets in the same recording, returns the frame of those packets.
+/// Returns the frame name that identifies the LiDAR of a topic. This is the frame of the
+/// clouds. If a driver made the clouds from packets in the same recording, it is the
+/// frame of the packets.
 const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     for (const CloudTopic& other : survey.clouds)
         if (!other.turns.empty() &&
@@ -128,7 +133,7 @@ const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     return clouds.frame;
 }
 
-/// Selects the topic with the highest score for each LiDAR.
+/// Selects for each LiDAR the topic that most probably has its raw measurements.
 std::vector<std::size_t> guessed_clouds(const Survey& survey) {
     const auto has_clouds = [](const CloudTopic& c) { return !c.clouds.empty(); };
     const bool any_of_sensor = std::ranges::any_of(

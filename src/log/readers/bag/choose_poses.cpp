@@ -12,7 +12,8 @@
 namespace relidar::bag {
 namespace {
 
-/// A possible source of poses, before a clock is chosen.
+/// A pose topic, or a path in the transform tree, that could provide the vehicle poses.
+/// The clock is chosen later.
 struct PoseSource {
     std::string outer;                 ///< an ancestor of the LiDAR's frame, or the frame of the topic
     const PoseTopic* topic = nullptr;  ///< pose topic, or null for /tf
@@ -20,8 +21,9 @@ struct PoseSource {
     std::string about;
 };
 
-/// Returns the frame below the lowest moving transform on the path to the root, because
-/// everything below is mounted on it. Returns the frame itself if nothing moves.
+/// Returns the frame of the vehicle that carries a sensor. Searches the path from the
+/// sensor's frame to `outer` for the first frame that moves relative to its parent.
+/// Returns the sensor's frame if no frame moves.
 std::string vehicle_on(const FrameTree& frames, const std::vector<std::string>& way,
                        const std::string& outer) {
     for (const std::string& frame : way) {
@@ -59,7 +61,8 @@ PoseSource of_topic(const Bag& bag, const FrameTree& frames, const PoseTopic& to
     return source;
 }
 
-/// Returns the pose topic with the most samples. Prefers odometry to single poses.
+/// Returns the pose topic with the most samples. Topics with odometry are preferred to
+/// topics with single poses.
 const PoseTopic* densest(const Bag& bag, const Survey& survey) {
     const auto best = std::ranges::max_element(survey.poses, {}, [&](const PoseTopic& p) {
         return std::pair(bag.topics()[p.topic].type == "nav_msgs/Odometry", p.samples.size());

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the points of a cloud for any order, type, padding and endianness of its fields.
+// Reads the points of a cloud message. The fields can have any order, type, padding and
+// byte order.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -12,7 +13,8 @@
 namespace relidar::bag {
 namespace {
 
-/// Returns the known fields by offset, and unused fields for the gaps between them.
+/// Returns the layout of a point: the known fields sorted by offset, with unused fields
+/// in the gaps between them.
 std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
     std::vector<folder::PointField> layout;
     std::size_t at = 0;
@@ -33,7 +35,8 @@ std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<
     return layout;
 }
 
-/// Returns all points without padding between rows, in native byte order.
+/// Copies all points of a cloud without the padding between rows, and converts them to
+/// native byte order.
 std::string packed_points(const Cloud& cloud, const std::vector<Cloud::Field>& known) {
     const std::size_t row = cloud.width * cloud.point_step;
     std::string points;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads clouds, transforms and boxes of Foxglove's protobuf schemas, as `relidar render
-// --format mcap` writes them.
+// Reads point clouds, transforms and boxes in Foxglove's protobuf schemas. `relidar
+// render --format mcap` writes these schemas.
 #include <cmath>
 
 #include <fmt/format.h>
@@ -27,7 +27,8 @@ std::string_view view_of(const protozero::data_view& view) { return {view.data()
 glm::dvec4 vector_of(pbf_reader reader) {
     glm::dvec4 v(0.0);
     while (reader.next()) {
-        const int at = int(reader.tag()) - 1;  // must be read before the value, which resets the tag
+        // read the tag before the value, because reading the value resets the tag
+        const int at = int(reader.tag()) - 1;
         if (at >= 0 && at < 4 && reader.wire_type() == pbf_wire_type::fixed64) v[at] = reader.get_double();
         else reader.skip();
     }
@@ -80,8 +81,8 @@ Cloud::Field element_field(pbf_reader reader) {
     return field;
 }
 
-/// Checks that the pose of a cloud is the identity. Another pose would have to be applied
-/// to the points.
+/// Throws if the pose of a cloud is not the identity. The reader does not apply such a
+/// pose to the points.
 void check_identity(pbf_reader reader) {
     while (reader.next()) {
         if (reader.tag() > 2 || reader.wire_type() != kBytes) {
@@ -185,7 +186,8 @@ Cube cube_of(pbf_reader reader) {
     return cube;
 }
 
-/// Returns the value of a foxglove.KeyValuePair if it has the given key.
+/// Reads a foxglove.KeyValuePair. Returns its value if its key is `wanted`, otherwise an
+/// empty string.
 std::string value_of(pbf_reader reader, std::string_view wanted) {
     std::string key, value;
     while (reader.next()) {
@@ -196,7 +198,8 @@ std::string value_of(pbf_reader reader, std::string_view wanted) {
     return key == wanted ? value : "";
 }
 
-/// Adds an entity to the list if it consists of one cube.
+/// Reads an entity and adds it to the list as a box. Entities that do not have exactly
+/// one cube are not boxes.
 void add_entity(BoxList& list, pbf_reader reader) {
     Box box;
     std::vector<Cube> cubes;

@@ -7,7 +7,9 @@
 namespace relidar::bag {
 namespace {
 
-constexpr double kBeside_s = 0.1;     // tolerance before the first and after the last pose: about one sweep
+// a pose is used up to this time before the first and after the last sample, about one
+// sweep
+constexpr double kBeside_s = 0.1;
 constexpr std::size_t kDeepest = 64;  // maximum depth of the tree
 
 /// Returns true if two poses differ by more than rounding errors.
@@ -87,7 +89,8 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
     const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
-    // Returns common_from_frame, or nothing if a transform moves.
+    // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
+    // if one of the transforms changes over time.
     const auto climb = [&](const std::vector<std::string>& way) -> std::optional<Pose> {
         Pose pose;
         for (const std::string& frame : way) {

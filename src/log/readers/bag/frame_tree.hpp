@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Tree of the frames of a recording, from /tf and /tf_static.
+// Stores the coordinate frames of a recording as a tree. The transforms are read from /tf
+// and /tf_static.
 #pragma once
 
 #include <cstdint>
@@ -14,15 +15,15 @@
 
 namespace relidar::bag {
 
-/// Clock that defines the times of a log.
+/// The clock that is used for all times of a log.
 enum class Clock {
     stamps,  ///< stamps in the headers of messages: times of measurement
-    /// Recording times. Used if the stamps of sensors and poses come from clocks that are
-    /// not synchronised.
+    /// Times at which the messages were recorded. Used if the sensors and the poses have
+    /// clocks that are not synchronised.
     recorder
 };
 
-/// A pose with its time on both clocks.
+/// A pose with its message stamp and its recording time.
 struct PoseSample {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Pose pose;
@@ -30,25 +31,28 @@ struct PoseSample {
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
 };
 
-/// Poses of one frame in another, composed of the transforms between them.
+/// The pose of one frame in another frame over time. It is the product of all transforms
+/// between the two frames.
 class PosePath {
 public:
     void add(Pose fixed) { links_.push_back({{0.0}, {fixed}}); }
-    /// Adds samples in any order.
-    /// @param zero_ns  time that is 0 s
+    /// Adds a transform that changes over time. The samples can be in any order.
+    /// @param zero_ns  time in nanoseconds that becomes 0 s
     void add(const std::vector<PoseSample>& samples, Clock clock, std::int64_t zero_ns);
     Pose at(double t_s) const;
-    /// Returns true if all moving transforms are known at a time, or within a tenth of a
-    /// second of it.
+    /// Returns true if every changing transform has samples around a time. A distance of
+    /// a tenth of a second from the first or last sample is allowed.
     bool covers(double t_s) const;
     bool moves() const;
 
 private:
-    /// from the outermost frame inwards; a single entry is a fixed transform
+    /// transforms from the outermost frame inwards; a transform with a single entry is
+    /// constant
     std::vector<PoseTrack> links_;
 };
 
-/// Poses of one frame in another, through their nearest common ancestor.
+/// The pose of frame `from` in frame `to` over time. It is computed with the nearest
+/// common ancestor of both frames.
 struct FramesApart {
     PosePath above_from_to, above_from_from;
 
@@ -60,28 +64,30 @@ class FrameTree {
 public:
     void add(const Transform& transform, std::int64_t log_ns, bool is_static);
     bool empty() const { return parents_.empty(); }
-    /// Returns a frame, its parent, and so on up to the root.
+    /// Returns a frame followed by its ancestors, up to the root of the tree.
     std::vector<std::string> way_up(const std::string& frame) const;
-    /// Returns true if a frame moves relative to its parent.
+    /// Returns true if the pose of a frame in its parent frame changes over time.
     bool moves(const std::string& frame) const;
-    /// Returns the fixed pose to_from_from, or nothing if a transform between the frames
-    /// moves or is unknown.
+    /// Returns the constant pose of frame `from` in frame `to`. Returns nothing if a
+    /// transform between them changes over time or is unknown.
     std::optional<Pose> fixed(const std::string& to, const std::string& from) const;
-    /// Returns the path outer_from_frame, where `outer` is an ancestor of the frame.
+    /// Returns the poses of a frame in one of its ancestors, `outer`.
     PosePath path(const std::string& outer, const std::string& frame, Clock clock,
                   std::int64_t zero_ns) const;
-    /// Returns the poses to_from_from, or nothing if the frames are not connected.
+    /// Returns the poses of frame `from` in frame `to`. Returns nothing if no transforms
+    /// connect the frames.
     std::optional<FramesApart> apart(const std::string& to, const std::string& from, Clock clock,
                                      std::int64_t zero_ns) const;
-    /// Returns the frames that have more than one parent. The parent with the most
-    /// transforms is used.
+    /// Returns the frames for which the recording has transforms to more than one parent.
+    /// The parent with the most transforms is used for such a frame.
     std::vector<std::string> disputed() const;
 
 private:
     struct Link {
         std::vector<PoseSample> samples;
         bool is_static = false;  ///< from /tf_static
-        /// true if the samples differ; static transforms are often repeated on /tf
+        /// True if the samples have different values. Drivers often repeat constant
+        /// transforms on /tf, so several samples do not mean that the frame moves.
         bool changes = false;
     };
     std::map<std::string, std::map<std::string, Link>> parents_;  ///< by frame, then by parent

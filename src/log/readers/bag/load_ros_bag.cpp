@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads a recording in two passes. The first pass surveys the recording in bounded
-// memory. The second pass reads the clouds of the requested frames at their file offsets.
-// The clouds are then processed like those of a plain folder.
+// Loads a recording in two passes. The first pass finds the topics, clouds and poses in
+// bounded memory. The second pass reads the clouds of the requested frames at their file
+// offsets. Then the clouds are processed in the same way as scans of a plain folder.
 #include "log/readers/bag/load_ros_bag.hpp"
 
 #include <algorithm>
@@ -27,7 +27,9 @@ using namespace bag;
 
 constexpr std::int64_t kSecond_ns = 1000000000;
 constexpr double kLeastStep_s = 2e-3;  // minimum time between sweeps
-constexpr double kBeside = 0.6;        // maximum time between clouds of one sweep, in steps of the main LiDAR
+// maximum time between clouds of one sweep, as a multiple of the main LiDAR's sweep
+// period
+constexpr double kBeside = 0.6;
 
 class BagLog {
 public:
@@ -82,7 +84,8 @@ private:
     std::vector<LidarTopic> lidars_;  ///< topic of each LiDAR
     std::vector<FrameCloud> frames_;  ///< cloud of each frame
     bool has_poses_ = false;          ///< the recording has poses
-    /// relidar wrote the points in the sensor's frame at the time of the stamp
+    /// True if relidar wrote the recording and stored the points motion-compensated: in
+    /// the sensor's frame at the time of the message stamp.
     bool is_deskewed_ = false;
 
     const CloudTopic& topic_of(std::size_t lidar) const { return survey_.clouds[clouds_.lidars[lidar]]; }
@@ -121,8 +124,8 @@ private:
                 note(name_of(topic_of(l)) + ": " + text);
     }
 
-    /// Collects the sweeps of the main LiDAR in order of time, and the clouds of other
-    /// LiDARs that belong to each sweep.
+    /// Lists the frames of the log. The clouds of the main LiDAR define the sweeps. The
+    /// clouds of other LiDARs are assigned to the sweep with the nearest time.
     void find_frames() {
         std::vector<FrameCloud> sweeps;
         std::size_t n_late = 0;
@@ -209,8 +212,8 @@ private:
         }
     }
 
-    /// Adds the LiDARs. A single LiDAR defines the vehicle frame, several LiDARs are
-    /// mounted on the vehicle.
+    /// Adds the LiDARs to the log. If there is only one LiDAR, its frame is the vehicle
+    /// frame. Several LiDARs get their mounting poses on the vehicle.
     void add_lidars() {
         const bool is_one = clouds_.lidars.size() == 1;
         sequence_.lidars.clear();
@@ -243,7 +246,8 @@ private:
         return pose;
     }
 
-    /// Returns the poses of a file, by frame number or by the clock of the recording.
+    /// Reads the vehicle poses from the user's file. The file has poses by frame number
+    /// or by the time of the recording.
     std::vector<Pose> given_poses() const {
         std::vector<folder::HeadFrame> frames;
         for (const FrameCloud& frame : frames_)
@@ -255,8 +259,8 @@ private:
         return *poses;
     }
 
-    /// Adds the boxes. They keep their labelled position relative to the vehicle,
-    /// whatever the source of its poses.
+    /// Adds the boxes of the recording to the log. The position of a box relative to the
+    /// vehicle is kept, even if the vehicle poses come from a file.
     void add_boxes() {
         if (!boxes_.topic) return;
         BoxPlaces places{survey_.frames, poses_, {}, {}, has_poses_};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of ROS recordings: rosbag2 (MCAP or SQLite), ROS 1, or MCAP of any recorder that
-// writes ROS messages.
+// Reader of ROS recordings: rosbag2 in MCAP or SQLite, ROS 1 bags, and MCAP files with
+// ROS messages from other recorders.
 #pragma once
 
 #include <filesystem>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads MCAP files (mcap.dev/spec). A record has a code, 8 bytes of length, and a body.
-// Records are read sequentially, so that neither an index, a summary nor a footer is
-// needed.
+// Reads MCAP files (mcap.dev/spec). A record has a code, a length of 8 bytes, and a body.
+// The reader reads the records one after another. So files without index, summary or
+// footer can be read too.
 #include <algorithm>
 #include <array>
 #include <map>
@@ -146,7 +146,7 @@ private:
         }
     }
 
-    /// Reads the metadata that relidar writes.
+    /// Reads the metadata record that relidar adds to its recordings.
     void read_metadata(ByteReader reader) {
         if (reader.sized() != "relidar") return;
         for (ByteReader pairs(reader.sized()); pairs.left() > 0;) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the fields of a ROS message in order: CDR as ROS 2 serialises it (either
-// endianness, XCDR1 and plain XCDR2), or the packed little-endian numbers of ROS 1.
+// Reads the fields of a ROS message in order. ROS 2 messages are CDR in either byte order
+// (XCDR1 and plain XCDR2). ROS 1 messages are packed little-endian values.
 #pragma once
 
 #include <algorithm>
@@ -17,14 +17,14 @@ namespace relidar::bag {
 
 class MessageReader {
 public:
-    /// Starts reading a message.
+    /// Starts to read a message and, for ROS 2, checks its CDR header.
     /// @throws DataError if the first bytes are not a CDR header
     MessageReader(std::string_view bytes, bool is_ros1) : bytes_(bytes), is_ros1_(is_ros1) {
         if (is_ros1) return;
         constexpr std::size_t kHead = 4;
         if (bytes.size() < kHead)
             throw DataError(fmt::format("{} bytes, expected a message in CDR", bytes.size()));
-        // 0, 1: XCDR1; 6, 7: XCDR2; odd values are little-endian
+        // 0 and 1 are XCDR1, 6 and 7 are XCDR2; odd values are little-endian
         const auto kind = static_cast<unsigned char>(bytes[1]);
         if (bytes[0] != 0 || (kind != 0 && kind != 1 && kind != 6 && kind != 7))
             throw DataError(fmt::format("the head {:02x} {:02x}, expected CDR: 00 00, 00 01, 00 06 or 00 07",
@@ -47,15 +47,15 @@ public:
         std::memcpy(&value, raw, sizeof(T));
         return value;
     }
-    /// Reads a string, without the terminating 0 that CDR counts.
+    /// Reads a string. Removes the terminating 0, which CDR includes in the length.
     std::string_view text() {
         std::string_view text = take(number<std::uint32_t>());
         if (!is_ros1_ && !text.empty() && text.back() == '\0') text.remove_suffix(1);
         return text;
     }
     /// Reads the number of entries of a list.
-    /// @param least  minimum bytes per entry, so that a list cannot be longer than its
-    /// message
+    /// @param least  minimum number of bytes of an entry
+    /// @throws DataError if the remaining message is too short for so many entries
     std::size_t length(std::size_t least) {
         const auto n = number<std::uint32_t>();
         if (n > (bytes_.size() - at_) / least)

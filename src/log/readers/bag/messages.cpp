@@ -48,7 +48,8 @@ MessageReader reader_of(const Topic& topic, std::string_view bytes) {
     return {bytes, topic.encoding == "ros1"};
 }
 
-/// Reads a field with the type constants of sensor_msgs/PointField.
+/// Reads the description of a point field. Types have the numbers of
+/// sensor_msgs/PointField.
 Cloud::Field read_field(MessageReader& reader) {
     struct Type {
         char kind;
@@ -89,8 +90,8 @@ void check_layout(const Cloud& cloud) {
                                     cloud.height, cloud.width, cloud.point_step));
 }
 
-/// Reads CustomMsg of both Livox drivers. A point is offset_time uint32 (ns), x y z
-/// float32, reflectivity, tag, line uint8. CDR pads all points except the last to 20
+/// Reads a CustomMsg of both Livox drivers. A point has offset_time uint32 (ns), x y z
+/// float32, reflectivity, tag, line uint8. CDR pads each point except the last to 20
 /// bytes.
 Cloud read_livox(MessageReader& reader) {
     constexpr std::size_t kPoint = 19;
@@ -111,7 +112,8 @@ Cloud read_livox(MessageReader& reader) {
     return cloud;
 }
 
-/// Reads geometry_msgs/TransformStamped. nav_msgs/Odometry begins with the same fields.
+/// Reads a geometry_msgs/TransformStamped. Also reads the pose of nav_msgs/Odometry,
+/// because both messages begin with the same fields.
 Transform read_transform(MessageReader& reader) {
     Transform transform{read_header(reader), std::string(reader.text()), {}};
     if (transform.child.starts_with('/')) transform.child.erase(0, 1);
@@ -131,7 +133,7 @@ Header read_header(MessageReader& reader) {
     if (reader.is_ros1()) reader.number<std::uint32_t>();  // skips the sequence number
     const std::int64_t stamp_ns = read_time(reader);
     std::string frame(reader.text());
-    // frames of ROS 1's tf exist with and without a leading slash
+    // ROS 1 allows a leading slash in frame names, so the slash is removed
     if (frame.starts_with('/')) frame.erase(0, 1);
     return {stamp_ns, std::move(frame)};
 }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Messages that the bag reader uses, with the definitions of sensor_msgs, tf2_msgs,
-// nav_msgs, geometry_msgs, the Livox drivers, vision_msgs and Autoware.
+// ROS messages that the bag reader supports. The layouts are those of sensor_msgs,
+// tf2_msgs, nav_msgs, geometry_msgs, the Livox drivers, vision_msgs and Autoware.
 #pragma once
 
 #include <array>
@@ -22,7 +22,7 @@ struct Header {
     std::string frame;
 };
 
-/// sensor_msgs/PointCloud2 or an equivalent message.
+/// A point cloud from sensor_msgs/PointCloud2 or a similar message.
 struct Cloud {
     Header header;
     std::uint32_t height = 0, width = 0;
@@ -40,14 +40,14 @@ struct Cloud {
     std::size_t size() const { return std::size_t(height) * width; }
 };
 
-/// A pose of one frame in another.
+/// The pose of a child frame in its parent frame.
 struct Transform {
-    Header header;      ///< its frame is the parent
-    std::string child;  ///< empty if the message does not name it
+    Header header;      ///< header.frame is the parent frame
+    std::string child;  ///< child frame; empty if the message does not name it
     Pose parent_from_child;
 };
 
-/// A box of a list of boxes.
+/// One box of a message with a list of boxes.
 struct Box {
     Header header;
     std::string id;          ///< track id; empty if the message has none
@@ -61,8 +61,8 @@ struct BoxList {
     std::size_t n_left_out = 0;  ///< boxes without a size or a pose
 };
 
-/// Possible uses of a topic's messages. Detections without an id are not read, because
-/// they cannot be joined to tracks.
+/// What relidar does with the messages of a topic. Boxes without a track id are not read,
+/// because they cannot be joined to tracks.
 enum class Use { nothing, cloud, packets, calibration, metadata, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
@@ -70,29 +70,29 @@ class MessageReader;
 /// Reads a ROS time in nanoseconds.
 std::int64_t read_time(MessageReader& reader);
 Header read_header(MessageReader& reader);
-/// A position, and a quaternion as x y z w.
+/// Position x y z and quaternion x y z w.
 using PoseNumbers = std::array<double, 7>;
 PoseNumbers read_pose_numbers(MessageReader& reader);
-/// Converts seven numbers to a pose.
+/// Converts a position and a quaternion to a pose.
 /// @throws DataError if the quaternion is zero or a number is not finite
 Pose pose_of(const PoseNumbers& numbers);
 Cloud read_point_cloud(MessageReader& reader);
 
-/// Reads a cloud.
+/// Reads a point cloud message.
 /// @throws DataError with the invalid field
 Cloud read_cloud(const Topic& topic, std::string_view bytes);
-/// Returns the points of a cloud with relidar's field names (point_table.hpp) and
-/// unchanged values.
+/// Returns the points of a cloud as a table with relidar's field names (point_table.hpp).
+/// The values are not converted.
 /// @param message  message from which the cloud was read
 folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message);
 
-/// Reads the transforms of tf2_msgs/TFMessage or tf/tfMessage, or the single pose of
-/// nav_msgs/Odometry, geometry_msgs/PoseStamped and similar messages. Rejects zero
-/// quaternions.
+/// Reads transforms from tf2_msgs/TFMessage or tf/tfMessage. Also reads the pose of
+/// nav_msgs/Odometry, geometry_msgs/PoseStamped and similar messages.
+/// @throws DataError if a quaternion is zero
 std::vector<Transform> read_transforms(const Topic& topic, std::string_view bytes);
 
-/// Read foxglove.PointCloud and foxglove.FrameTransforms (foxglove.cpp). The offsets of
-/// the fields are not checked yet.
+/// Read the Foxglove messages PointCloud and FrameTransforms. The offsets of the point
+/// fields are not checked here.
 Cloud read_foxglove_cloud(std::string_view bytes);
 std::vector<Transform> read_foxglove_transforms(std::string_view bytes);
 

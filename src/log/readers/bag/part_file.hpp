@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A file that is read in parts, and a cache of its recently unpacked chunks.
+// Reads parts of a file, and caches the chunks that were unpacked recently.
 #pragma once
 
 #include <cstdint>
@@ -16,7 +16,7 @@
 
 namespace relidar::bag {
 
-/// A file that any thread can read.
+/// A file opened for reading. Several threads can read it simultaneously.
 class PartFile {
 public:
     /// Opens a file.
@@ -28,7 +28,7 @@ public:
 
     std::uint64_t size() const { return size_; }
     const std::string& name() const { return name_; }
-    /// Reads a part of the file.
+    /// Reads `n` bytes at offset `at`.
     /// @throws DataError if the file ends before
     SharedBytes part(std::uint64_t at, std::uint64_t n) const;
 
@@ -38,8 +38,8 @@ private:
     std::uint64_t size_ = 0;
 };
 
-/// Cache of unpacked chunks by their byte offset. Keeps the newest few, because messages
-/// of one chunk are often read together.
+/// Caches unpacked chunks by their byte offset. Stores only a few recent chunks, because
+/// messages of one chunk are usually read together.
 class ChunkCache {
 public:
     SharedBytes get(std::uint64_t at, const std::function<SharedBytes()>& unpack) const;
@@ -50,10 +50,10 @@ private:
     mutable std::deque<std::pair<std::uint64_t, SharedBytes>> chunks_;
 };
 
-/// Unpacks a chunk with the compression of its file: "", "none", "lz4", "zstd" or "bz2".
-/// Does not copy an uncompressed chunk.
-/// @param n  unpacked size from the file; an impossible size is rejected before memory is
-/// allocated
+/// Unpacks a chunk. The compression is "", "none", "lz4", "zstd" or "bz2". An
+/// uncompressed chunk is not copied.
+/// @param n  unpacked size as stated in the file. An impossible size is rejected before
+/// memory is allocated.
 /// @throws DataError if the chunk is damaged
 SharedBytes unpack_chunk(std::string_view compression, const SharedBytes& chunk, std::uint64_t n);
 

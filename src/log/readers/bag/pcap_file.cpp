@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads network captures (pcap, pcapng) with libpcap. The packets of each LiDAR form a
-// topic, named by its address and destination port. Packets of a topic are grouped into
-// messages of up to kRun packets. A message is located by the byte offset of its first
-// packet's record.
+// Reads network captures (pcap, pcapng) with libpcap. The packets of each LiDAR become a
+// topic, named by the LiDAR's address and the destination port. Up to kRun packets of a
+// topic form one message. The position of a message is the byte offset of its first
+// packet in the file.
 #include <pcap/pcap.h>
 
 #include <algorithm>
@@ -39,7 +39,8 @@ unsigned byte_at(std::string_view bytes, std::size_t at) {
     return at < bytes.size() ? static_cast<unsigned char>(bytes[at]) : 0u;
 }
 
-/// Returns the IPv4 packet of a frame, or an empty view.
+/// Returns the IPv4 packet in a network frame. Returns an empty view if the frame has
+/// none.
 std::string_view ip_packet(std::string_view frame, int link) {
     std::size_t head = 0;
     unsigned type = kIpv4;
@@ -57,18 +58,18 @@ std::string_view ip_packet(std::string_view frame, int link) {
 
 /// A UDP datagram of a sensor.
 struct Datagram {
-    std::string source;  ///< "192.168.1.201:2368": address of the sensor, destination port
+    std::string source;  ///< sender's address and destination port: "192.168.1.201:2368"
     std::uint64_t at = 0;
     std::int64_t stamp_ns = 0;
     std::string bytes;
 };
 
-/// Reassembles fragments of IPv4, one datagram at a time per sender. Senders transmit the
-/// fragments in order.
+/// Joins the fragments of IPv4 packets. Senders transmit fragments in order, so one
+/// incomplete packet per sender is stored.
 class Fragments {
 public:
-    /// Adds a packet.
-    /// @return the UDP header and payload, if the packet completes a datagram
+    /// Adds an IPv4 packet or fragment.
+    /// @return UDP header and payload, if they are complete
     std::optional<Datagram> add(std::string_view packet, std::uint64_t at, std::int64_t stamp_ns) {
         const std::size_t head = 4 * (byte_at(packet, 0) & 15);
         if (head < 20 || packet.size() < head || byte_at(packet, 9) != kUdp) return std::nullopt;
@@ -99,7 +100,8 @@ public:
 private:
     struct Pending {
         unsigned id = 0;
-        std::size_t n = 0, total = 0;  ///< received bytes; total size, known after the last fragment
+        /// number of received bytes; total size, which the last fragment shows
+        std::size_t n = 0, total = 0;
         Datagram datagram;
     };
     std::map<std::string, Pending> pending_;
@@ -174,7 +176,8 @@ public:
     }
 
 private:
-    /// Sender, destination port and product. Other datagrams have a null product.
+    /// Sender with destination port, and product. The product is null if the datagrams
+    /// are not LiDAR packets.
     using Key = std::pair<std::string, const packets::Product*>;
     struct Stream {
         std::size_t topic = 0;
@@ -184,7 +187,7 @@ private:
         std::size_t n = 0;
         std::uint64_t at = 0;
         std::int64_t log_ns = 0;
-        /// for unknown products: number of datagrams by size
+        /// number of datagrams for each size in bytes; only for unknown products
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterFormat> ouster;  ///< metadata of the sensor
     };
@@ -214,7 +217,7 @@ private:
             throw DataError(fmt::format("{}: byte {} cannot be reached", path_.string(), at));
     }
 
-    /// Returns the next UDP datagram, including its header.
+    /// Reads the next UDP datagram from the file. The result includes the UDP header.
     /// @param pass  receives a note if the file is truncated
     std::optional<Datagram> next(Fragments& fragments, const Pass* pass) const {
         for (;;) {
@@ -231,7 +234,7 @@ private:
                 continue;
             }
             const std::string_view frame(reinterpret_cast<const char*>(data), head->caplen);
-            // in nanoseconds, as requested from libpcap
+            // libpcap was opened with nanosecond precision, so tv_usec has nanoseconds
             const std::int64_t stamp_ns = std::int64_t(head->ts.tv_sec) * 1000000000 + head->ts.tv_usec;
             auto datagram = fragments.add(ip_packet(frame, link_), at, stamp_ns);
             if (!datagram || datagram->bytes.size() < 8) continue;
@@ -250,14 +253,14 @@ private:
         return {datagram.source, packets::find_product(payload(datagram), {{}, ouster_of(datagram)})};
     }
 
-    /// Adds notes about packets of each port that may come from an Ouster, or have the
-    /// size in its metadata, but are not read. Also notes two senders with the same
-    /// metadata.
+    /// Adds notes about packets that are probably from an Ouster but cannot be decoded.
+    /// They have a size that Ouster sensors send or that the metadata states. Also notes
+    /// two senders with the same metadata.
     void note_unread_ousters(const Pass& pass) const {
         std::map<const packets::OusterFormat*, std::string> senders;
         for (const auto& [key, stream] : streams_) {
             for (const auto& [size, n] : stream.n_of_bytes) {
-                // clang 14 cannot capture a structured binding in a lambda
+                // copy, because clang 14 cannot capture a structured binding in a lambda
                 const std::size_t bytes = size;
                 const bool is_told = std::ranges::any_of(
                     ousters_, [&](const auto& format) { return format->packet_bytes == bytes; });
@@ -295,7 +298,8 @@ private:
         stream.n = 0;
     }
 
-    /// Reads Hesai's angle correction from a file next to the capture.
+    /// Reads Hesai's angle correction from the .csv file with the name of the capture, if
+    /// it exists.
     void emit_correction(TopicTable& topics, const Pass& pass) const {
         const std::filesystem::path file = std::filesystem::path(path_).replace_extension(".csv");
         if (!path_exists(file)) return;

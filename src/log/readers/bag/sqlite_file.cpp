@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads rosbag2 in SQLite: a table of topics, and a table of messages with their
-// recording time and their bytes.
+// Reads rosbag2 databases in SQLite. One table has the topics. Another table has the
+// messages with their recording times and bytes.
 #include <map>
 #include <memory>
 #include <mutex>
@@ -27,7 +27,7 @@ struct FinishStatement {
 };
 using Statement = std::unique_ptr<sqlite3_stmt, FinishStatement>;
 
-/// Returns a path as a URI with options for SQLite.
+/// Converts a path to a URI for SQLite and appends options.
 std::string uri_of(const std::filesystem::path& path, const char* options) {
     std::string uri = "file:";
     for (const char c : std::filesystem::absolute(path).string()) {
@@ -53,7 +53,8 @@ public:
     SqliteFile(const std::filesystem::path& path, bool packed)
         : name_(path.string()), packed_(packed), bytes_(PartFile(path).size()) {
         std::error_code failed;
-        // The write-ahead log may still contain the last messages.
+        // A -wal file (write-ahead log) may contain the last messages. SQLite ignores it
+        // in immutable mode, so immutable mode is used only without such a file.
         const bool is_open = std::filesystem::exists(path.string() + "-wal", failed);
         sqlite3* database = nullptr;
         const int code =
@@ -88,7 +89,7 @@ public:
             pass.done(last > 0 ? double(row) / double(last) : 0.0);
             Message message{topic->second, sqlite3_column_int64(rows.get(), 2), {}, {std::uint64_t(row)}};
             SharedBytes unpacked;
-            // messages that are not requested are not read from the disk
+            // bytes of a message are read from the file only if they are requested
             if (pass.wanted(topics.topics()[topic->second])) {
                 message.bytes = bytes_at(rows.get(), 3);
                 if (packed_) {
@@ -136,7 +137,8 @@ private:
         if (code != SQLITE_ROW && code != SQLITE_DONE) fail("reading its messages");
         return code == SQLITE_ROW;
     }
-    /// Advances a query. If the file is truncated, keeps the messages before the damage.
+    /// Reads the next row of a query. If the file is damaged or truncated, ends the
+    /// query, so that earlier messages remain usable.
     bool step(sqlite3_stmt* statement, const Pass& pass) const {
         const int code = sqlite3_step(statement);
         if (code != SQLITE_CORRUPT && (code & 0xFF) != SQLITE_IOERR) {
@@ -153,8 +155,8 @@ private:
         return step(row.get()) ? sqlite3_column_int64(row.get(), 0) : 0;
     }
 
-    /// Checks that a name belongs to a real table. A view with this name could run any
-    /// query without end.
+    /// Checks that a name belongs to a real table. A view with the same name could run an
+    /// endless query.
     void check_table(const char* table) const {
         const Statement row = prepared(fmt::format(
             "SELECT 1 FROM sqlite_master WHERE type = 'table' AND name = '{}' AND sql NOT LIKE '%generated%' "

@@ -41,8 +41,8 @@ public:
         }
     }
 
-    /// Returns true if packets were recorded before the metadata that they need. They are
-    /// read in a second pass.
+    /// Returns true if packets were recorded before the metadata that is needed to decode
+    /// them. Such packets are read in a second pass.
     bool wants_late_packets() const { return !late_.empty(); }
     bool is_late(std::size_t topic) const { return late_.contains(topic); }
     void take_late(const Message& message) {
@@ -53,8 +53,8 @@ public:
             if (facts.n_broken++ == 0) facts.broken = error.what();
         }
     }
-    /// Reads the metadata files next to the recording, before the second pass and before
-    /// the packets of a capture.
+    /// Reads the metadata files in the recording's folder. Bags need them before the
+    /// second pass, network captures before the first packet.
     void read_metadata_beside() {
         if (is_beside_read_) return;
         is_beside_read_ = true;
@@ -109,8 +109,8 @@ private:
         clouds.packets.add(views, message.log_ns, message.place, calibration);
     }
 
-    /// Uses only the first message of a topic, because the driver repeats it. Ignores
-    /// messages with other content.
+    /// Uses only the first metadata message of a topic, because the driver repeats it.
+    /// Ignores messages with other content.
     void add_metadata(const Topic& topic, const Message& message) {
         if (std::ranges::any_of(ousters_, [&](const auto& known) { return known->where == topic.name; }))
             return;
@@ -153,8 +153,9 @@ private:
     }
 };
 
-/// Adds the poses of Ouster LiDARs whose packets name no frame: the pose that Ouster's
-/// driver uses, rotated by 180 degrees to relidar's convention.
+/// Adds missing transforms for Ouster LiDARs whose packets name no frame. The transform
+/// is the one of Ouster's driver, rotated by 180 degrees because relidar's sensor frame
+/// faces the other way.
 void place_ousters(const Bag& bag, Survey& survey) {
     std::vector<CloudTopic*> ousters;
     for (CloudTopic& clouds : survey.clouds)
@@ -177,8 +178,8 @@ void place_ousters(const Bag& bag, Survey& survey) {
     }
 }
 
-/// Replaces partial clouds by complete revolutions. The time of a revolution is the time
-/// of its middle part, because revolutions begin facing backward.
+/// Joins clouds that are parts of a revolution. The time of a revolution is the time of
+/// its middle part, because a revolution begins when the head faces backward.
 void join_parts(CloudTopic& topic) {
     const JoinedTurns joined = join_turns(std::exchange(topic.arcs, {}));
     if (joined.turns.empty()) return;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// First pass over a recording: the content of each topic, the time and position of each
-// cloud, and all poses.
+// First pass over a recording. Collects the content of each topic, the time and position
+// of each cloud, and all poses.
 #pragma once
 
 #include <cstdint>
@@ -34,7 +34,8 @@ struct CloudEntry {
     std::uint32_t n_points = 0;
     Place place;
     std::size_t turn = 0;  ///< for a topic of packets: index in CloudTopic::turns
-    /// clouds of a revolution that consists of several clouds; empty: this cloud alone
+    /// Parts of the revolution, if several clouds form one revolution. Empty: this cloud
+    /// is a full revolution.
     std::vector<TurnPart> parts = {};
 
     std::int64_t time_ns(Clock clock) const { return clock == Clock::stamps ? stamp_ns : log_ns; }
@@ -43,13 +44,14 @@ struct CloudEntry {
 struct CloudTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first cloud
-    /// For packets: frames in which drivers publish the clouds that they make from the
-    /// packets.
+    /// For packets: names of the frames in which drivers publish the clouds that they
+    /// compute from these packets.
     std::vector<std::string> frames_beside;
     std::vector<Cloud::Field> fields;  ///< fields of the first cloud
-    /// Clouds with points, in recording order, or complete revolutions of their parts.
+    /// Clouds that have points, in recording order. If clouds are parts of revolutions,
+    /// these are the joined revolutions.
     std::vector<CloudEntry> clouds;
-    std::string parts_about;     ///< description of the parts, if clouds are parts of revolutions
+    std::string parts_about;     ///< description of the parts; empty if clouds are not joined
     std::vector<TurnPart> arcs;  ///< used during the survey
     std::size_t n_empty = 0;
     packets::PacketLog packets;  ///< for a topic of packets, whose revolutions are its clouds
@@ -65,7 +67,7 @@ struct PoseTopic {
     std::vector<PoseSample> samples;
 };
 
-/// A message with at least one box.
+/// A message that contains at least one box.
 struct BoxEntry {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Place place;
@@ -75,7 +77,7 @@ struct BoxTopic {
     std::size_t topic = 0;
     std::string frame;  ///< frame of the first box
     std::vector<BoxEntry> lists;
-    std::size_t n_boxes = 0, n_named = 0;  ///< `n_named`: boxes with an id
+    std::size_t n_boxes = 0, n_named = 0;  ///< number of boxes; number of boxes that have an id
     std::size_t n_left_out = 0;            ///< boxes without a size or a pose
 };
 
@@ -87,7 +89,8 @@ struct Survey {
     FrameTree frames;
 };
 
-/// Surveys a recording. Invalid messages are only counted.
+/// Reads all messages of a recording once and collects its content. Invalid messages are
+/// only counted.
 /// @throws DataError if a file is damaged
 Survey take_survey(Bag& bag, const Progress& progress);
 

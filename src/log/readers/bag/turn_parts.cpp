@@ -13,18 +13,21 @@ namespace relidar::bag {
 namespace {
 
 constexpr std::size_t kSamples = 256, kBins = 60;
-// Maximum extent of a part. A larger cloud is a complete revolution, even if a part of
-// the view is blocked.
+// Maximum azimuth range of a part of a revolution. A larger cloud is a full revolution in
+// which the vehicle blocks some directions.
 constexpr double kMostOfPart = 300.0 * kPi / 180.0;
-// minimum range of azimuths without a point of any cloud, for a window
+// If no cloud has points in an azimuth range this large, the LiDAR scans a window and
+// does not rotate.
 constexpr double kLeastGap_rad = kPi / 3.0;
-// Consistency of the steps between parts: minimum resultant, and maximum deviation from
-// the extents.
+// Limits for the steps between clouds. kTogether: minimum length of the mean of the
+// steps' unit vectors. kAbut: maximum difference between the step and the extent,
+// relative to the step.
 constexpr double kTogether = 0.8, kAbut = 0.4;
-constexpr double kPause = 1.6;  // a longer time step, in usual steps, means that a part is missing
+constexpr double kPause = 1.6;  // ratio to the usual time step above which a part is missing
 constexpr double kDegrees = 180.0 / kPi;
 
-/// Returns a field of a point as a number, for any type and byte order.
+/// Reads a field of a point and returns it as a number. Supports all types and both byte
+/// orders.
 double number_at(const Cloud& cloud, const Cloud::Field& field, std::size_t point) {
     const std::size_t row = point / cloud.width * (cloud.height > 1 ? cloud.row_step : 0);
     char raw[8] = {};
@@ -43,7 +46,8 @@ const Cloud::Field* find_real(const Cloud& cloud, const char* name) {
     return field == cloud.fields.end() || field->kind != 'F' ? nullptr : &*field;
 }
 
-/// Returns the complement of the widest range of empty bins.
+/// Returns the azimuth range that has points: everything except the widest range of empty
+/// bins.
 std::optional<Arc> arc_of_bins(const std::array<bool, kBins>& seen) {
     std::size_t widest = 0, end = 0, run = 0;
     for (std::size_t b = 0; b < 2 * kBins; ++b) {  // runs twice around, because a gap may cross the end
@@ -74,12 +78,15 @@ double median_of(std::vector<Value> values) {
     return double(*middle);
 }
 
-/// Geometry of consecutive parts of a revolution.
+/// Typical extent and step of the parts of a revolution.
 struct Parts {
-    /// usual values; step from part to part, negative: clockwise, and for halves
+    /// Median extent of a part, and mean step to the next part. A negative step means a
+    /// clockwise rotation. It is also negative for halves, whose direction is unknown.
     double extent_rad, step_rad;
     double step_s;
-    double cut_rad;  ///< azimuth between two parts, near the back
+    /// azimuth of the boundary between two parts at which revolutions begin, near the
+    /// back
+    double cut_rad;
 };
 
 std::optional<Parts> parts_of(const std::vector<TurnPart>& clouds) {
@@ -127,7 +134,7 @@ JoinedTurns join_turns(std::vector<TurnPart> clouds) {
     const std::optional<Parts> parts = parts_of(clouds);
     JoinedTurns joined;
     if (!parts) return joined;
-    const auto turned = [&](const TurnPart& part) {  // angle since the cut, 0 to 2 pi
+    const auto turned = [&](const TurnPart& part) {  // angle from the boundary to the part, 0 to 2 pi
         const double angle =
             (parts->step_rad < 0.0 ? -1.0 : 1.0) * (double(part.arc.middle_rad) - parts->cut_rad);
         return angle - 2.0 * kPi * std::floor(angle / (2.0 * kPi));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Joins clouds that are halves or slices of a revolution, as some drivers publish them,
-// to complete revolutions.
+// Joins clouds to full revolutions. Some drivers publish halves or slices of a revolution
+// as separate clouds.
 #pragma once
 
 #include <cstdint>
@@ -12,15 +12,15 @@
 
 namespace relidar::bag {
 
-/// Range of azimuths of some points, about the z axis.
+/// Azimuth range of some points about the z axis.
 struct Arc {
     float middle_rad = 0.0f, extent_rad = 0.0f;
 };
-/// Determines the azimuth range of a cloud from about 256 points, with 6 degrees
-/// resolution. Returns nothing if x or y are missing.
+/// Computes the azimuth range of a cloud from about 256 of its points. The resolution is
+/// 6 degrees. Returns nothing if the cloud has no x or y.
 std::optional<Arc> arc_of(const Cloud& cloud);
 
-/// One of the clouds of a revolution.
+/// A cloud that is a part of a revolution.
 struct TurnPart {
     std::int64_t stamp_ns = 0, log_ns = 0;
     Place place;
@@ -29,14 +29,14 @@ struct TurnPart {
 };
 
 struct JoinedTurns {
-    /// Parts of each revolution in the order of their stamps. Empty: each cloud is
-    /// complete, or covers a window.
+    /// The parts of each revolution in the order of their stamps. Empty if nothing is
+    /// joined: each cloud is a full revolution, or covers a window.
     std::vector<std::vector<TurnPart>> turns;
     std::size_t n_left_out = 0;  ///< parts of incomplete revolutions
     std::string about;
 };
-/// Joins the clouds of a topic. Joins nothing if the clouds are complete revolutions, or
-/// windows of LiDARs that do not spin.
+/// Joins the clouds of a topic to revolutions. Nothing is joined if each cloud is a full
+/// revolution, or if the LiDAR scans a window and does not spin.
 /// @param clouds  all clouds of a topic
 JoinedTurns join_turns(std::vector<TurnPart> clouds);
 

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of Boreas. Each line of lidar_poses.csv has position and angles of the LiDAR in
-// an East-North-Up frame. The authors rotate frames instead of vectors, so the rotation
-// from the LiDAR to that frame is
+// Reads Boreas sequences. Each line of lidar_poses.csv has the position and the angles of
+// the LiDAR in an East-North-Up frame. The authors rotate frames instead of vectors. So
+// the rotation from the LiDAR to the East-North-Up frame is
 //   C = C_1(roll) C_2(pitch) C_3(yaw) = R_x(-roll) R_y(-pitch) R_z(-yaw),
-// and not the usual R_z(yaw) R_y(pitch) R_x(roll). The poses confirm the convention: the
-// vehicle must drive forward and along the road.
+// not the usual R_z(yaw) R_y(pitch) R_x(roll). The reader checks this convention: with
+// the right convention, the vehicle drives forward and along the road.
 #include "log/readers/boreas/boreas.hpp"
 
 #include <cmath>
@@ -21,15 +21,20 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Numbers per line: east, north, up, three velocities, roll, pitch, yaw, three rates.
+// Values per line: east, north, up, three velocities, roll, pitch, yaw, three angular
+// rates.
 constexpr std::size_t kPoseNumbers = 12;
 constexpr std::size_t kFirstAngle = 6;
 constexpr double kMicrosecond = 1e-6;
-constexpr double kMostGap_s = 0.5;  // maximum gap between poses, which exist for every scan
-// required gain in Driving::mean, larger than the effect of curves
+constexpr double kMostGap_s = 0.5;  // maximum time between two poses; every scan has a pose
+// Another angle convention must improve the forward component of the driving direction by
+// more than this value. Curves change the component by less.
 constexpr double kClearlyForward = 0.05;
-constexpr double kClearlyLevel = 0.7;     // required ratio of Driving::rise_spread to another rotation
-constexpr std::size_t kFewestSteps = 50;  // minimum number of steps for this comparison
+// maximum ratio of the vertical spread of steps between another angle convention and the
+// best one so far
+constexpr double kClearlyLevel = 0.7;
+// minimum number of driven steps for the comparison of vertical spreads
+constexpr std::size_t kFewestSteps = 50;
 constexpr double kBrightest = 255.0;
 
 /// Forward direction of the vehicle in the LiDAR's frame.
@@ -40,8 +45,8 @@ struct Forward {
     double azimuth_rad() const { return std::atan2(direction.y, direction.x); }
 };
 
-/// Reads T_applanix_lidar.txt, 4x4: the LiDAR in the frame of the Applanix, x right, y
-/// forward, z up. The direction is unknown if the file does not exist.
+/// Reads T_applanix_lidar.txt, the 4x4 transform from the LiDAR to the Applanix frame (x
+/// right, y forward, z up). Returns an unknown direction if the file does not exist.
 Forward read_forward(const fs::path& file) {
     if (!path_exists(file)) return {};
     const auto m = parse_numbers(read_text(file));
@@ -54,11 +59,12 @@ Forward read_forward(const fs::path& file) {
     return {inverse(applanix_from_lidar).rotation * glm::dvec3(0, 1, 0), true};
 }
 
-/// Possible conventions for the rotation from the LiDAR to the world by three angles.
+/// A convention for computing the rotation from the LiDAR to the world from roll, pitch
+/// and yaw.
 struct AngleOrder {
     const char* name;
     double sign;     ///< sign of the angles
-    bool yaw_first;  ///< true: vectors are rotated by yaw first; false: by roll first
+    bool yaw_first;  ///< true: vectors are rotated by yaw first; false: vectors are rotated by roll first
 };
 // the documented convention
 constexpr AngleOrder kAngleOrders[] = {{"R_x(-roll) R_y(-pitch) R_z(-yaw)", -1.0, true},
@@ -85,13 +91,14 @@ PoseTrack track_of(const std::vector<stamped::StampedRow>& rows, const stamped::
     return track;
 }
 
-/// Returns how well the motion agrees with the forward direction, at most 1.
+/// Returns how well the driving direction agrees with the vehicle's forward direction.
+/// The maximum is 1.
 double forwardness(const stamped::Driving& driving, const Forward& forward) {
     return forward.is_known ? glm::dot(driving.mean, forward.direction) : glm::length(driving.mean);
 }
 
-/// Reads the poses of the LiDAR. Uses the documented rotation unless another one is
-/// clearly better.
+/// Reads the poses of the LiDAR. Uses the angle convention of the Boreas documentation
+/// unless another convention fits the driving direction clearly better.
 PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log, const Forward& forward,
                             std::vector<std::string>& notes) {
     const std::vector<stamped::StampedRow> rows = stamped::read_rows(file, kPoseNumbers);
@@ -117,7 +124,7 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
     return best;
 }
 
-/// Rotates poses of the dataset's LiDAR frame so that x faces forward.
+/// Rotates the sensor frame of all poses so that its x axis points forward.
 void turn_to_front(PoseTrack& track, double forward_rad) {
     const Pose lidar_from_turned{rotation_of(forward_rad, 0.0, 0.0), {}};
     for (Pose& pose : track.pose) pose = pose * lidar_from_turned;

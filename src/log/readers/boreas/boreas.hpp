@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Boreas, a sequence as it is distributed: lidar/, applanix/lidar_poses.csv,
+// Reader of Boreas sequences in their published layout: lidar/, applanix/lidar_poses.csv,
 // calib/T_applanix_lidar.txt.
 #pragma once
 
@@ -10,9 +10,10 @@
 namespace relidar {
 
 /// Reads a sequence. Frames are the scans in order of time. The vehicle frame is the
-/// LiDAR's frame, rotated so that x faces forward. The dataset's world is its
+/// LiDAR's frame, rotated so that x points forward. The world frame of the dataset is its
 /// East-North-Up frame.
-/// @throws DataError with file and line, UsageError if no scan is in the requested range
+/// @throws DataError with file and line
+/// @throws UsageError if no scan is in the requested range
 Sequence load_boreas(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads poses.txt and boxes.json of a plain folder.
+// Reads poses.txt and boxes.json of a plain folder, which is relidar's log format.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -20,14 +20,15 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// a frame may be this long before the first or after the last pose: about one sweep
+// Maximum time of a frame before the first pose or after the last pose. It is about one
+// sweep.
 constexpr double kMostBeyond_s = 0.1;
 constexpr double kLargestOfTrack = 1e12;  // limit of all lengths and times
 constexpr double kUnit = 1e-3;            // tolerance of a quaternion's length
 
 const std::vector<std::string> kPoseNames{"time_s", "x", "y", "z", "qw", "qx", "qy", "qz"};
 
-/// Returns a line without the comment that starts with '#'.
+/// Returns a line without its comment. A comment begins with '#'.
 std::string_view content(const std::string& line) {
     return trimmed(std::string_view(line).substr(0, line.find('#')));
 }
@@ -42,8 +43,8 @@ std::vector<std::string_view> pose_words(std::string_view text) {
     return words;
 }
 
-/// Returns true if a line names columns: a comment that contains "qw", or a line whose
-/// first word is not a number.
+/// Returns true if a line lists the names of the columns. Such a line is a comment that
+/// contains "qw", or its first word is not a number.
 bool names_columns(const std::string& line) {
     const std::vector<std::string_view> words =
         pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
@@ -51,8 +52,8 @@ bool names_columns(const std::string& line) {
     return !words.empty() && !parse_number(words[0]);
 }
 
-/// Returns the column of each of kPoseNames in a line of names. Accepts TUM's names of
-/// time and position too.
+/// Parses a line with column names. Returns the column index of each name in kPoseNames.
+/// Also accepts the names of the TUM format for time and position.
 std::vector<int> pose_places(const std::string& line, const std::string& where) {
     std::vector<std::string_view> words =
         pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
@@ -67,7 +68,7 @@ std::vector<int> pose_places(const std::string& line, const std::string& where) 
     return at;
 }
 
-/// Returns the numbers of a line in the order of kPoseNames.
+/// Parses a line of numbers. Returns the numbers in the order of kPoseNames.
 std::array<double, 8> pose_row(const std::string& line, const std::vector<int>& at,
                                const std::string& where) {
     const auto v = parse_numbers(content(line));
@@ -136,7 +137,8 @@ Pose pose_of(const JsonField& label) {
         return {glm::angleAxis(label.at("yaw_deg").number(-1e6, 1e6) * kPi / 180.0, glm::dvec3(0, 0, 1)),
                 position};
     const auto q = label.at("quaternion").numbers<4>();
-    return {glm::dquat(q[0], q[1], q[2], q[3]), position};  // check_sequence() checks its length
+    // check_sequence() checks the quaternion's length
+    return {glm::dquat(q[0], q[1], q[2], q[3]), position};
 }
 
 BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all) {

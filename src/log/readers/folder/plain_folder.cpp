@@ -17,9 +17,9 @@ namespace {
 namespace fs = std::filesystem;
 using folder::HeadFrame;
 
-/// Returns the frames of the range whose scan exists.
-/// @throws DataError if a scan is missing and missing scans are not allowed, UsageError
-/// if the range has no scan
+/// Returns the frames in the requested range whose scan file exists.
+/// @throws DataError if a scan file is missing and missing scans are not allowed
+/// @throws UsageError if the range has no scan file
 std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOptions& options,
                                      std::vector<std::string>& notes) {
     std::vector<HeadFrame> frames;
@@ -44,8 +44,8 @@ std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOpti
     return frames;
 }
 
-/// Returns the poses of the log, or identity if the log has no poses and the user has
-/// specified others.
+/// Returns the poses in poses.txt. If the file does not exist but the user has specified
+/// other poses, returns identity poses.
 std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>& frames,
                             const DatasetOptions& options) {
     const fs::path file = folder / folder::kPosesFile;
@@ -57,13 +57,13 @@ std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>
                     file.string()));
 }
 
-/// Replaces the poses of the log by poses from a file. Boxes keep their position relative
-/// to the vehicle.
+/// Replaces the vehicle poses of the log by poses from a file. Boxes keep their position
+/// relative to the vehicle.
 void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, const fs::path& file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
-        const auto& notes = sequence.notes;  // a converted log may have the note already
+        const auto& notes = sequence.notes;  // a converted log may already have this note
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);
     } else {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of plain folders: sequence.json, poses.txt, boxes.json and scans. Users write
-// such folders from their logs, and `relidar convert` writes them from any other format.
+// Reader of plain folders, which contain sequence.json, poses.txt, boxes.json and scans.
+// Users write such folders from their own logs. `relidar convert` writes them from any
+// supported format.
 #pragma once
 
 #include <filesystem>

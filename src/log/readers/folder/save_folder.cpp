@@ -28,7 +28,7 @@ Json json_of(const glm::dquat& q) { return {q.w, q.x, q.y, q.z}; }
 
 std::string pattern_name(std::size_t lidar) { return fmt::format("sensor_{}.json", lidar); }
 
-/// Returns the JSON of a LiDAR.
+/// Returns the description of a LiDAR for sequence.json.
 /// @param number  index of the LiDAR
 Json json_of(const Lidar& lidar, std::size_t number) {
     const Pose& mounting = lidar.vehicle_from_sensor;

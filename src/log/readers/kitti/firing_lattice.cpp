@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the firing lattice of an HDL-64E in two steps. (1) Tick size and left offset of
-// each beam, which maximise the agreement of the phases of its azimuths:
+// Fits the firing angles of an HDL-64E in two steps. (1) Fit the encoder's tick size and
+// the left offset of each beam. They maximise how well the azimuths of a beam lie on
+// multiples of the tick:
 //   max over tick, left of | mean exp(2 pi i (azimuth - asin(left / rho)) / tick) |,
-// (2) The offset of each beam in whole ticks, which maximises the agreement of its ticks
-// with those of the other beams.
+// (2) Fit the azimuth offset of each beam in whole ticks. It maximises the number of
+// ticks at which this beam and the other beams have returns.
 #include "log/readers/kitti/firing_lattice.hpp"
 
 #include <algorithm>
@@ -18,13 +19,14 @@
 namespace relidar::kitti {
 namespace {
 
-// Encoder ticks per sweep of an HDL-64E (0.09 degrees), determined from KITTI's logs
-// (2011_09_26_drive_0005).
+// Encoder ticks per revolution of an HDL-64E (0.09 degrees each). The number was measured
+// on KITTI (2011_09_26_drive_0005).
 constexpr int kEncoderTicks = 4000;
 constexpr double kMaxOffset_rad = 0.35;  // HDL-64E calibrations have at most 0.16 rad to either side
-constexpr int kMinLasers = 4;  // minimum number of returns per firing, because stray points are isolated
+// minimum number of returns at a tick for a firing; stray points have fewer
+constexpr int kMinLasers = 4;
 
-/// Azimuth and inverse distance from the spin axis of the points of one beam.
+/// Azimuth, and inverse distance from the spin axis, of each point of one beam.
 struct Polar {
     std::vector<double> azimuth_rad, inverse_rho;
 };
@@ -35,8 +37,8 @@ std::array<Polar, kRings> polar_of(const std::vector<const RawScan*>& scans) {
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);
             const double rho = std::hypot(p.x, p.y);
-            // For nearer points, coordinates in millimetres are too coarse for an
-            // azimuth.
+            // The files have a resolution of about a millimetre. This is too coarse for
+            // the azimuths of near points, so such points are skipped.
             if (rho < 2.0) continue;
             polar[scan->ring[i]].azimuth_rad.push_back(std::atan2(p.y, p.x));
             polar[scan->ring[i]].inverse_rho.push_back(1.0 / rho);
@@ -54,14 +56,15 @@ std::complex<double> mean_phase(const Polar& polar, double tick_rad, double left
     return n > 0 ? sum / static_cast<double>(n) : sum;
 }
 
-/// Left offset and phase of one beam for a given tick size. The concentration is 1 if all
-/// azimuths are on the lattice.
+/// Left offset and phase of the azimuths of one beam for a given tick size. A
+/// concentration of 1 means that all azimuths are multiples of the tick size plus the
+/// phase.
 struct Phase {
     double left_m = 0.0, phase_rad = 0.0, concentration = 0.0;
 };
 
-/// Refines the left offset and the phase by least squares of the residuals, phase + left
-/// / rho.
+/// Refines the left offset and the phase of a beam. Fits azimuth residual = phase + left
+/// / rho by least squares.
 void refine(Phase& phase, const Polar& polar, double tick_rad) {
     double n = 0, su = 0, se = 0, suu = 0, sue = 0;
     for (std::size_t i = 0; i < polar.azimuth_rad.size(); ++i) {
@@ -71,7 +74,7 @@ void refine(Phase& phase, const Polar& polar, double tick_rad) {
         n += 1, su += u, se += e, suu += u * u, sue += u * e;
     }
     const double spread = n * suu - su * su;
-    // the ranges are too similar to separate the left offset from the phase
+    // if all ranges are similar, the left offset and the phase cannot be separated
     if (n < 16 || spread < 1e-4 * n * n) return;
     const double left = (n * sue - su * se) / spread;
     phase.left_m += left;
@@ -84,8 +87,8 @@ Phase find_phase(const Polar& polar, double tick_rad) {
     for (int mm = -60; mm <= 60; mm += 2) {
         const std::complex<double> mean = mean_phase(polar, tick_rad, mm * 1e-3, stride);
         const double gain = std::abs(mean) - best.concentration;
-        // A left offset is kept only if it improves the concentration clearly. Otherwise
-        // 0 is used.
+        // Uses a left offset only if it increases the concentration clearly. Otherwise
+        // uses an offset of 0.
         if (mm == -60 || gain > 0.0)
             best = {mm * 1e-3, std::arg(mean) * tick_rad / (2.0 * kPi), std::abs(mean)};
     }
@@ -117,8 +120,8 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     return phases;
 }
 
-/// Returns the number of steps per sweep, from the mean of the short azimuth steps
-/// between neighbours in file order.
+/// Estimates the number of azimuth steps per revolution. Computes the mean step between
+/// consecutive points of a beam and ignores steps longer than 1.5 times the median.
 int mean_steps(const std::vector<const RawScan*>& scans) {
     std::vector<double> steps;
     for (const RawScan* scan : scans) {
@@ -139,7 +142,8 @@ int mean_steps(const std::vector<const RawScan*>& scans) {
     return std::max(static_cast<int>(std::lround(2.0 * kPi * n / sum)), 1);
 }
 
-/// ticks of each beam in one scan, before the offsets in whole ticks
+/// [beams] encoder ticks of the points in one scan, before the beams are shifted by whole
+/// ticks
 using Ticks = std::vector<std::vector<int>>;
 
 Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
@@ -155,8 +159,8 @@ Ticks ticks_of(const RawScan& scan, const FiringLattice& lattice) {
     return ticks;
 }
 
-/// Returns, for each scan, the ticks at which enough beams have a return after their
-/// offsets are applied.
+/// Returns for each scan the encoder ticks at which at least `at_least` beams have a
+/// return. The ticks of each beam are shifted by `shift` first.
 std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std::vector<int>& shift,
                                      int n_ticks, int at_least) {
     std::vector<std::vector<char>> pattern;
@@ -172,8 +176,9 @@ std::vector<std::vector<char>> fired(const std::vector<Ticks>& ticks, const std:
     return pattern;
 }
 
-/// Returns the offset of one beam in whole ticks for which most of its ticks match the
-/// pattern. Prefers 0, then the offset nearest to 0.
+/// Returns the shift of a beam, in whole ticks, for which most of its ticks are in the
+/// pattern. Returns 0 unless another shift matches at least 1 % more of the ticks. Of
+/// equal shifts, returns the one nearest to 0.
 int best_shift(const std::vector<Ticks>& ticks, std::size_t ring,
                const std::vector<std::vector<char>>& pattern, int n_ticks, int reach) {
     std::size_t n = 0;
@@ -212,7 +217,8 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     }
     std::vector<int> shift(kRings, 0);
     auto pattern = fired(reference, shift, n_ticks, 1);
-    // first pass: match with the fullest beam; second pass: match with all beams
+    // The first pass compares each beam with the beam that has most points. The second
+    // pass compares it with all beams.
     for (int pass = 0; pass < 2; ++pass) {
         parallel_for(kRings, [&](int k) {
             shift[static_cast<std::size_t>(k)] =
@@ -223,8 +229,8 @@ std::vector<int> find_shifts(const std::vector<Ticks>& ticks, int n_ticks) {
     return shift;
 }
 
-/// Moves the mean of the beams' azimuth offsets into the zero of the head, so that the
-/// head faces the mean direction of its beams.
+/// Subtracts the mean azimuth offset from all beams and adds it to the zero angle of the
+/// head. The head then faces the mean direction of its beams.
 void centre(FiringLattice& lattice) {
     const double mean = std::accumulate(lattice.offset_rad.begin(), lattice.offset_rad.end(), 0.0) / kRings;
     for (double& offset : lattice.offset_rad) offset -= mean;
@@ -243,7 +249,8 @@ std::vector<Beam> FiringLattice::beams(const Cones& cones) const {
 }
 
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans) {
-    // minimum mean concentration: 0.98 on KITTI, 0 for azimuths off the lattice
+    // minimum mean concentration of a valid fit; it is 0.98 on KITTI and near 0 for
+    // evenly spread azimuths
     constexpr double kFound = 0.8;
     const std::array<Polar, kRings> polar = polar_of(scans);
     FiringLattice lattice;

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Firing times of an HDL-64E. All 64 beams fire together, about 2152 times per sweep. The
-// head angle of a firing is read from an encoder with ticks of 0.09 degrees. So the
-// azimuth of a point of beam k is
+// Estimates when and where an HDL-64E fired. All 64 beams fire together, about 2152 times
+// per revolution. An encoder with ticks of 0.09 degrees measures the head angle of each
+// firing. So the azimuth of a point of beam k is
 //   azimuth = head + offset_k + asin(left_k / rho),   head = tick * n + constant
-// with the same ticks for all beams of a sweep. From this relation, the log determines
-// the azimuth offset and left offset of each beam, and the firings of each sweep. A
-// firing without a point is a dropped return.
+// with the same tick size for all beams. The azimuth offset and the left offset of each
+// beam are fitted to the log with this equation. The fit then gives the firings of each
+// sweep. A beam without a point at a firing is a dropped return.
 #pragma once
 
 #include <array>
@@ -17,25 +17,27 @@
 
 namespace relidar::kitti {
 
-/// The lattice of head angles, and the offsets of every beam.
+/// Grid of the possible head angles, and the offsets of every beam.
 struct FiringLattice {
     HeadLattice head;
-    bool every_tick = false;                  ///< true: fires at every tick (no encoder ticks were detected)
+    /// true: the head fires at every tick, because the azimuths show no encoder ticks
+    bool every_tick = false;
     std::array<double, kRings> offset_rad{};  ///< azimuth of each beam relative to the head, mean 0
-    /// distance at which each beam passes to the left of the spin axis
+    /// distance between the spin axis and the beam, positive if the beam is left of the
+    /// axis
     std::array<double, kRings> left_m{};
 
-    /// Returns beams from the cones and the lattice: elevation, azimuth offset, origin up
-    /// = z0 cos(elevation), origin left.
+    /// Returns the beams: elevation from the cones, azimuth offset and left offset from
+    /// this fit. The origin is z0 cos(elevation) above the sensor's origin.
     std::vector<Beam> beams(const Cones& cones) const;
 };
 
-/// Estimates the lattice from a few scans. If the azimuths do not lie on a lattice (a
-/// resampled log), uses even steps and zero offsets.
+/// Fits the head angles and the beam offsets to a few scans. If the azimuths are not
+/// multiples of a tick (a resampled log), returns even steps and zero offsets.
 FiringLattice fit_lattice(const std::vector<const RawScan*>& scans);
 
-/// Returns the ticks at which the head fired in a sweep, in order of time (clockwise,
-/// azimuth falling from +pi).
+/// Returns the encoder ticks at which the head fired in a sweep. The ticks are in order
+/// of time: the head rotates clockwise, so the azimuth decreases from +pi.
 std::vector<int> find_firings(const RawScan& scan, const FiringLattice& lattice);
 
 }  // namespace relidar::kitti

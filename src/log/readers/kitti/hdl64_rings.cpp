@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Assigns the points of an HDL-64E to rings by their order in the file, and fits the
-// cones z = z0 + rho * tan(elevation) of the rings by least squares. The lenses of each
-// block of 32 beams are offset from the sensor's origin, so elevations relative to the
-// origin would depend on range.
+// Assigns the points of an HDL-64E to rings by their order in the file. Fits a cone z =
+// z0 + rho * tan(elevation) to each ring by least squares. The lenses of both blocks of
+// 32 beams are above or below the sensor's origin. So an elevation measured from the
+// origin would depend on the range, but the angle of the cone does not.
 #include "log/readers/kitti/hdl64_rings.hpp"
 
 #include <algorithm>
@@ -22,8 +22,8 @@ struct Sample {
 
 double residual(const Cone& cone, const Sample& s) { return s.z_m - cone.z0_m - s.rho_m * cone.tan_el; }
 
-/// Fits a line to the samples whose residual with respect to `previous` is at most
-/// limit_m.
+/// Fits a line z(rho) by least squares. Samples that are more than limit_m from the line
+/// `previous` are ignored.
 Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double limit_m) {
     double n = 0, sr = 0, sz = 0, srr = 0, srz = 0;
     for (const Sample& s : samples) {
@@ -31,8 +31,8 @@ Cone fit_line(const std::vector<Sample>& samples, const Cone& previous, double l
         n += 1, sr += s.rho_m, sz += s.z_m, srr += s.rho_m * s.rho_m, srz += s.rho_m * s.z_m;
     }
     const double spread = n * srr - sr * sr;
-    // With a smaller spread, rounding of 0.3 mm would make the slope uncertain by more
-    // than 5e-5.
+    // If the spread of ranges is small, the rounding of 0.3 mm causes a slope error of
+    // more than 5e-5, so nothing is fitted.
     if (n < 16 || spread < 36.0 * n) return {};
     const double slope = (n * srz - sr * sz) / spread;
     return {(sz - slope * sr) / n, slope, static_cast<std::size_t>(n)};
@@ -45,15 +45,16 @@ Cone fit_cone(const std::vector<Sample>& samples) {
         for (const Sample& s : samples) error.push_back(std::abs(residual(cone, s)));
         std::nth_element(error.begin(), error.begin() + static_cast<std::ptrdiff_t>(error.size() / 2),
                          error.end());
-        // Standard deviation of a normal distribution with this median deviation.
+        // Standard deviation of a normal distribution with this median absolute
+        // deviation.
         const double sigma = 1.4826 * error[error.size() / 2];
         cone = fit_line(samples, cone, std::max(3.0 * sigma, 1e-3));
     }
     return cone;
 }
 
-/// Height of a block's lenses as a function of the beam's slope: z0 = mean_z0 + slope *
-/// (tan_el - mean_tan).
+/// Height of the lenses in a block of 32 beams as a linear function of the beam's slope:
+/// z0 = mean_z0 + slope * (tan_el - mean_tan).
 struct BlockLine {
     double mean_tan = 0.0, mean_z0 = 0.0, slope = 0.0;
     double at(double tan_el) const { return mean_z0 + slope * (tan_el - mean_tan); }
@@ -74,8 +75,9 @@ BlockLine fit_block(const Cones& cones, const std::vector<std::size_t>& good) {
     return line;
 }
 
-/// Returns the slope of a ring whose ranges are too similar to fit slope and height.
-/// Takes the height from the block's line and the median of the slopes.
+/// Returns the slope of a ring for which slope and height cannot be fitted, because its
+/// ranges are too similar. Computes the height with the block's line, then the median
+/// slope of the points.
 double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line, double tan_el) {
     std::vector<double> slope(samples.size());
     for (int pass = 0; pass < 3; ++pass) {
@@ -88,7 +90,8 @@ double slope_at_height(const std::vector<Sample>& samples, const BlockLine& line
     return tan_el;
 }
 
-/// Completes rings that could not be fitted, using the fitted beams of their block of 32.
+/// Estimates the cones of rings that could not be fitted from the fitted beams in the
+/// same block of 32.
 void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samples,
                const std::string& where) {
     for (std::size_t first : {std::size_t{0}, std::size_t{kRings / 2}}) {
@@ -115,8 +118,8 @@ void fill_gaps(Cones& cones, const std::array<std::vector<Sample>, kRings>& samp
     }
 }
 
-/// Returns the ring whose cone is nearest to a run of points, by the median of some of
-/// its residuals.
+/// Returns the ring whose cone is nearest to a group of consecutive points. Compares the
+/// median distance of some of the points.
 int nearest_ring(const RawScan& scan, std::size_t begin, std::size_t end, const Cones& cones) {
     const std::size_t step = std::max<std::size_t>((end - begin) / 32, 1);
     int best = 0;
@@ -158,7 +161,7 @@ Cones fit_cones(const std::vector<const RawScan*>& scans, const std::string& whe
     int most = 0;
     for (const RawScan* scan : scans) {
         most = std::max(most, scan->n_rings);
-        // A stray point may start a 65th ring.
+        // One stray point may seem to start a 65th ring, so such scans are used too.
         if (scan->n_rings != kRings && scan->n_rings != kRings + 1) continue;
         for (std::size_t i = 0; i < scan->points.size(); ++i) {
             const glm::dvec4 p(scan->points[i]);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI-360. Poses in the dataset are those of the IMU, x forward, y right, z
-// down. The poses of the LiDAR are
+// Reads KITTI-360. The poses of the dataset are those of the IMU (x forward, y right, z
+// down). The poses of the LiDAR are
 //   world_from_velo = world_from_imu * imu_from_cam0 * inverse(velo_from_cam0)
-// Scans are not motion-compensated. A pose belongs to the time at which the LiDAR head
-// faces forward, as in KITTI raw.
+// Scans are not motion-compensated. A pose is valid at the time when the LiDAR head faces
+// forward, as in KITTI raw.
 #include "log/readers/kitti/kitti_360.hpp"
 
 #include <algorithm>
@@ -27,7 +27,7 @@ namespace {
 namespace fs = std::filesystem;
 using namespace kitti;
 
-/// The drive to read, and the range of its frames.
+/// The requested drive and frames.
 struct Drive {
     std::string name;  ///< name of its folders
     FrameRange frames;
@@ -64,7 +64,7 @@ Drive choose_drive(const fs::path& folder, const DatasetOptions& options) {
         excerpt(options.sequence), folder.string(), excerpt(fmt::format("{}", fmt::join(drives, ", ")))));
 }
 
-/// Reads world_from_velo by frame number. Some frames have no pose.
+/// Reads the poses of the LiDAR in the world, by frame number. Some frames have no pose.
 std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& drive) {
     const fs::path calibration = folder / "calibration";
     const Pose imu_from_cam0 = read_transform(calibration / "calib_cam_to_pose.txt", "image_00");
@@ -75,8 +75,9 @@ std::map<int, Pose> read_velo_poses(const fs::path& folder, const std::string& d
     return poses;
 }
 
-/// Returns the pose of a frame. Interpolates between the neighbouring poses if they are
-/// at most half a second apart or the car does not move. Otherwise returns nothing.
+/// Returns the pose of a frame. A missing pose is interpolated between its neighbours.
+/// This requires that they are at most half a second apart or that the car stands still.
+/// Otherwise returns nothing.
 std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     constexpr int kNearFrames = 5;
     constexpr double kStanding_m = 0.2;
@@ -92,8 +93,8 @@ std::optional<Pose> pose_at(const std::map<int, Pose>& poses, int frame) {
     return interpolate(before->second, after->second, double(frame - before->first) / apart);
 }
 
-/// Adds the frames that have a pose. Adds notes about frames whose pose is interpolated
-/// or missing.
+/// Adds all frames that have a pose to the log. Adds notes that list frames with an
+/// interpolated pose and frames without a pose.
 void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const std::vector<double>& time_s,
                       const std::map<int, Pose>& poses) {
     std::vector<int> between, without;
@@ -114,8 +115,9 @@ void add_posed_frames(Sequence& sequence, const std::vector<int>& frames, const 
         sequence.notes.push_back(fmt::format("frames without a pose, left out: {}", list_text(without)));
 }
 
-/// Finds the label file of a drive: in train_full, otherwise in the smaller train.
-/// @return an empty path if no file exists
+/// Finds the file with the box labels of a drive. Searches the folder train_full first,
+/// then the smaller folder train.
+/// @return an empty path if neither folder has the file
 fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     for (const char* set : {"train_full", "train"}) {
         const fs::path file = folder / "data_3d_bboxes" / set / (drive + ".xml");
@@ -124,8 +126,8 @@ fs::path find_boxes(const fs::path& folder, const std::string& drive) {
     return {};
 }
 
-/// Adds frames with poses and boxes. Boxes are labelled in the world frame of the
-/// dataset's poses, so without these poses there are no boxes.
+/// Adds the frames with their poses, and the boxes. Boxes are labelled in the world frame
+/// of the dataset's poses. So no boxes are read if the poses come from elsewhere.
 void read_world(Sequence& sequence, const fs::path& folder, const Drive& drive,
                 const std::vector<int>& frames, const fs::path& poses_file) {
     const std::vector<double> time_s =

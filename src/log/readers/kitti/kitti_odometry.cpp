@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI odometry. Poses in the dataset are those of the left camera, z forward.
-// With cam_T_velo (Tr in calib.txt) the poses of the LiDAR are
+// Reads KITTI odometry. The poses of the dataset are those of the left camera (z
+// forward). The transform cam_T_velo (Tr in calib.txt) converts them to poses of the
+// LiDAR:
 //   world_from_sensor(i) = inverse(Tr) * pose(i) * Tr,   world: the LiDAR of frame 0, z up.
 #include "log/readers/kitti/kitti_odometry.hpp"
 
@@ -17,7 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Reads the times of the given frames in seconds. The file has one number per line.
+/// Reads the times of some frames in seconds. Line i of the file has the time of frame i.
 std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& frames) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     std::vector<double> time_s;
@@ -35,8 +36,9 @@ std::vector<double> read_seconds(const fs::path& file, const std::vector<int>& f
     return time_s;
 }
 
-/// Finds the pose file: poses.txt in the sequence, as in SemanticKITTI, or KITTI's
-/// ../../poses/NN.txt. Sequences 11 to 21 have no poses.
+/// Finds the pose file of a sequence. This is poses.txt in the sequence's folder
+/// (SemanticKITTI) or ../../poses/NN.txt (KITTI). KITTI provides no poses for sequences
+/// 11 to 21.
 fs::path find_poses(const fs::path& folder) {
     const fs::path here = folder / "poses.txt", beside = folder.parent_path().parent_path() / "poses" /
                                                          (folder.filename().string() + ".txt");
@@ -48,7 +50,7 @@ fs::path find_poses(const fs::path& folder) {
                     here.string(), beside.string()));
 }
 
-/// Returns world_from_sensor of the given frames.
+/// Reads the poses of some frames: the LiDAR in the world.
 std::vector<Pose> read_odometry_poses(const fs::path& folder, const std::vector<int>& frames,
                                       const fs::path& poses_file) {
     if (poses_file == kNoPoses) return std::vector<Pose>(frames.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI odometry: sequences/NN with velodyne/%06d.bin, calib.txt, times.txt,
-// and poses in poses.txt or in ../../poses/NN.txt.
+// Reader of KITTI odometry. The folder sequences/NN contains velodyne/%06d.bin, calib.txt
+// and times.txt. Poses are in poses.txt or in ../../poses/NN.txt.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,10 @@
 
 namespace relidar {
 
-/// Reads a sequence. Its scans are motion-compensated, so there is no rolling shutter.
-/// The dataset's world is the LiDAR of frame 0.
-/// @throws DataError with file and field, UsageError if no scan is in the requested frame
-/// range
+/// Reads a sequence. The dataset has motion-compensated its scans, so all rays of a scan
+/// have the same pose. The world frame of the dataset is the LiDAR frame of frame 0.
+/// @throws DataError with file and field
+/// @throws UsageError if no scan is in the requested frame range
 Sequence load_kitti_odometry(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -1,9 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the poses of a KITTI raw drive, either from OXTS by
+// Reads the poses and the calibration of a KITTI raw drive. Poses come from a file with
+// 12 numbers per line, or are computed from the GPS/IMU data (OXTS):
 //   x = s R lon, y = s R ln tan(pi/4 + lat/2), z = alt,  s = cos(first latitude), R = 6378137 m,
 //   rotation R_z(yaw) R_y(pitch) R_x(roll)
-// or from a file with 12 numbers per line. Also reads the calibration between the two
-// sensors.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -21,14 +20,15 @@ namespace relidar::kitti {
 namespace fs = std::filesystem;
 namespace {
 
-// limit of pose coordinates in files; UTM coordinates reach 10^7
+// maximum coordinate of a pose in metres, larger than UTM coordinates, which reach 10^7
 constexpr double kLargestCoordinate_m = 1e8;
-// Maximum distance between two poses of a log. Cells of 0.1 m (base/cell_key.hpp) reach
-// 105 km.
+// Maximum distance between two poses of a log. Farther points would overflow the keys of
+// the 0.1 m cells (base/cell_key.hpp), which reach 105 km.
 constexpr double kLongestLog_m = 1e5;
 
-/// Checks the positions of poses.
-/// @throws DataError if a position is too large, or too far from the first one
+/// Checks that the positions of all poses are plausible.
+/// @throws DataError if a coordinate is too large, or if a position is too far from the
+/// first one
 void check_extent(const std::vector<Pose>& poses, const std::vector<int>& frames, const std::string& where) {
     for (std::size_t i = 0; i < poses.size(); ++i) {
         const glm::dvec3 t = poses[i].translation, step = t - poses[0].translation;
@@ -68,7 +68,8 @@ fs::path oxts_file(const fs::path& drive, int frame) {
     return drive / "oxts/data" / fmt::format("{:010d}.txt", frame);
 }
 
-/// Reads world_from_imu of a frame, before the position of the first frame is subtracted.
+/// Reads the IMU pose of a frame in the Mercator frame. The position of the first frame
+/// is not yet subtracted.
 Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
     const std::vector<std::string> lines = split_lines(read_text(file));
     const std::vector<double> v = finite_numbers(lines.empty() ? "" : lines[0], 30, file.string());
@@ -84,12 +85,13 @@ Pose read_oxts(const fs::path& file, std::optional<double>& scale) {
              v[2]}};
 }
 
-/// Returns the smallest frame number with an OXTS file. The Mercator scale and the origin
-/// are taken from this frame, whatever frames are loaded.
+/// Returns the smallest frame number that has an OXTS file. This frame defines the
+/// Mercator scale and the origin, even if it is not loaded. So poses do not depend on the
+/// requested range.
 int first_oxts(const fs::path& drive) {
     const fs::path folder = drive / "oxts/data";
     if (path_exists(folder)) {
-        // sorted by name, so the first is the smallest
+        // files are sorted by name, so the first one has the smallest number
         for (const fs::path& file : list_folder(folder)) {
             const auto number = file_number(file.stem().string());
             if (file.extension() == ".txt" && number) return *number;
@@ -102,8 +104,9 @@ int first_oxts(const fs::path& drive) {
                     folder.string()));
 }
 
-/// Finds calib_imu_to_velo.txt of a drive. KITTI stores it one folder above the drive.
-/// Other layouts have it in the drive, or where the archive DATE_calib.zip unpacks it.
+/// Finds the file calib_imu_to_velo.txt of a drive. KITTI stores it one folder above the
+/// drive. It can also be in the drive's folder, or in the folder that the archive
+/// DATE_calib.zip creates.
 fs::path find_calibration(const fs::path& drive) {
     const char* name = "calib_imu_to_velo.txt";
     // date of a name such as 2011_09_26_drive_0005_sync
@@ -179,7 +182,8 @@ void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
     if (poses_file.empty()) return;
     PoseTrack given{sequence.world_from_vehicle.time_s,
                     std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};
-    std::vector<int> frames;  // one per pose, because LiDARs that sweep together share a pose
+    // one frame number per pose, because LiDARs that sweep together share a pose
+    std::vector<int> frames;
     for (const Frame& frame : sequence.frames)
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
     if (poses_file != kNoPoses) given.pose = read_pose_file(poses_file, frames);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI raw drives. Scans are not motion-compensated, so each ray has its
-// firing time.
+// Reads KITTI raw drives. Their scans are not motion-compensated, so the reader computes
+// the firing time of each ray.
 #include "log/readers/kitti/kitti_raw.hpp"
 
 #include <fmt/format.h>
@@ -32,7 +32,7 @@ std::string describe_poses(const fs::path& poses_file) {
 }
 
 /// Returns notes about missing data. Scans may be missing in the middle of a drive (drive
-/// 0009 lacks four). Labels and poses may be missing completely.
+/// 0009 lacks four). Some drives have no labels or no poses.
 std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int>& frames,
                                     const DatasetOptions& options) {
     std::vector<std::string> notes;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of KITTI raw: <date>/<date>_drive_NNNN_sync with velodyne_points, oxts and
-// tracklet_labels.xml; the calibration is one folder above.
+// Reader of KITTI raw. The folder <date>/<date>_drive_NNNN_sync contains velodyne_points,
+// oxts and tracklet_labels.xml. The calibration is one folder above.
 #pragma once
 
 #include <filesystem>
@@ -9,10 +9,10 @@
 
 namespace relidar {
 
-/// Reads the frames of a drive.
+/// Reads the requested frames of a drive.
 /// @param drive  folder with velodyne_points
-/// @throws DataError with file and field, UsageError if no scan is in the requested frame
-/// range
+/// @throws DataError with file and field
+/// @throws UsageError if no scan is in the requested frame range
 Sequence load_kitti_raw(const std::filesystem::path& drive, const DatasetOptions& options);
 
 }  // namespace relidar

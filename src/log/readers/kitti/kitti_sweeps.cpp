@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reconstructs the sensor of a KITTI log from its scans: rings from the file order, cones
-// of the beams, and the lattice of firings. Then assigns the points of every sweep to the
-// fired rays.
+// Reconstructs the rays of an HDL-64E from KITTI scans. The file order gives the rings,
+// and fits to the points give the beam elevations and the firing angles. Then each point
+// is assigned to its ray. Rays without a point are dropped returns.
 #include "log/readers/kitti/kitti_sweeps.hpp"
 
 #include <algorithm>
@@ -22,8 +22,8 @@
 namespace relidar::kitti {
 namespace {
 
-// A few sweeps suffice. Their fits are already far more accurate than the millimetre
-// resolution of the files.
+// Number of scans for fitting the sensor. A few scans suffice, because the fit is then
+// far more accurate than the millimetre resolution of the files.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
 constexpr float kAtSensor_m = 1e-3f;
 
@@ -41,25 +41,26 @@ Points points_of(const RawScan& raw) {
     return points;
 }
 
-/// Counts points that are not at the sensor. Some writers store missing returns at the
-/// sensor.
+/// Counts the points with a range above 1 mm. Some programs write missing returns as
+/// points at the sensor's origin.
 std::size_t count_points(const RawScan& scan) {
     return static_cast<std::size_t>(std::ranges::count_if(
         scan.points, [](const glm::vec4& p) { return glm::length(glm::vec3(p)) >= kAtSensor_m; }));
 }
 
-/// Returns the azimuth at which the last ring of a scan ends, in degrees from 0 to 360.
-/// The azimuth in a ring begins at 0 and rises.
+/// Returns the azimuth of the last point of a scan, in degrees from 0 to 360. The azimuth
+/// of each ring begins at 0 and increases, so a complete scan ends near 360.
 double end_azimuth_deg(const RawScan& scan) {
     if (scan.points.empty()) return 0.0;
-    if (scan.n_rings > kRings) return 360.0;  // a stray point has started another ring
+    // a stray point has started another ring, so the scan is complete
+    if (scan.n_rings > kRings) return 360.0;
     const double azimuth =
         std::atan2(double(scan.points.back().y), double(scan.points.back().x)) * 180.0 / kPi;
     return azimuth < 0.0 ? azimuth + 360.0 : azimuth;
 }
 
-/// Detects scans that lack most of their points or complete rings. Such files are
-/// damaged, and their missing points must not count as dropped rays.
+/// Detects damaged files by comparing each scan with its neighbours in time. The missing
+/// points of a damaged file must not count as dropped rays.
 class ScanSizes {
 public:
     explicit ScanSizes(const std::vector<RawScan>& raw) {
@@ -70,10 +71,10 @@ public:
         }
     }
 
-    /// Returns a note if a scan ends early in one of its last rings, otherwise an empty
-    /// string.
+    /// Returns a note if the last ring of a scan ends much earlier than in neighbouring
+    /// scans. Otherwise returns an empty string.
     std::string note(std::size_t i, const std::string& file) const {
-        // on a real drive, the ends of rings differ by up to 20 degrees
+        // on a real drive, the end of the last ring varies by up to 20 degrees
         constexpr double kEarly_deg = 60.0;
         const double usual_deg = median_of_neighbours(end_deg_, i);
         if (n_points_[i] == 0 || end_deg_[i] + kEarly_deg > usual_deg) return "";
@@ -84,9 +85,9 @@ public:
             file, end_deg_[i], usual_deg);
     }
 
-    /// Checks the size of scan i.
-    /// @throws DataError if the scan has no return, fewer than half the points of its
-    /// neighbours, or several rings fewer than its neighbours
+    /// Checks that scan i is complete.
+    /// @throws DataError if the scan has no return, or fewer than half the points or
+    /// several rings fewer than its neighbours in time
     void check(std::size_t i, std::size_t n_in_file, const std::string& file) const {
         constexpr int kMissingRings = 2;  // a single beam without returns is not an error
         if (n_points_[i] == 0)
@@ -110,8 +111,7 @@ private:
     std::vector<int> n_rings_;
     std::vector<double> end_deg_;
 
-    /// Returns the median of the values of up to five scans before and five scans after
-    /// scan i.
+    /// Returns the median over up to five scans before and five scans after scan i.
     template <class T>
     static T median_of_neighbours(const std::vector<T>& values, std::size_t i) {
         constexpr std::size_t kReach = 5;
@@ -125,8 +125,9 @@ private:
     }
 };
 
-/// Divides intensities in the range 0 to 255 by 255.
-/// @return a note, or an empty string if the intensities are already in the range 0 to 1
+/// Detects the range of the intensities and divides them by 255 if they are in the range
+/// 0 to 255.
+/// @return a note; empty if the intensities are already in the range 0 to 1
 /// @throws DataError if the intensities are in neither range
 std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
     constexpr float kBytes = 255.0f;
@@ -147,8 +148,8 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
     return fmt::format("intensities are whole numbers up to {}: they are read as shares of 255", highest);
 }
 
-/// Checks the number of rays before they are allocated: at most the firings of an
-/// HDL-64E, and not far more rays than points.
+/// Checks the number of rays before memory is allocated for them. The limits are the
+/// firings of an HDL-64E and a maximum number of rays per point.
 /// @throws DataError if there are too many rays
 void check_rays(const std::vector<RawScan>& raw, const FiringLattice& lattice, const std::string& where) {
     constexpr int kMostFirings = 8192;            // an HDL-64E has up to 4170 firings per sweep
@@ -188,7 +189,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
                 sequence.notes.push_back(std::move(note));
         });
     for (std::size_t at = 0; at < raw.size(); ++at)
-        if (broken.has(at)) raw[at] = {};  // must not influence the fits
+        if (broken.has(at)) raw[at] = {};  // empty, so that the broken scan does not influence the fits
     if (std::string note = scale_intensities(raw, folder.string()); !note.empty())
         sequence.notes.push_back(std::move(note));
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the timestamp files of a KITTI raw drive. Line i belongs to scan number i and is
-// empty if that scan is missing.
+// Reads the timestamp files of a KITTI raw drive. Line i has the time of scan i. The line
+// is empty if the scan is missing.
 #include "log/clouds/log_files.hpp"
 
 #include <algorithm>
@@ -50,7 +50,7 @@ std::int64_t parse_timestamp(const std::string& line, const std::string& where) 
     return minutes * 60'000'000'000ll + std::llround(*second * 1e9);
 }
 
-/// Returns the time of each line, or nothing for an empty line.
+/// Reads one time per line. An empty line gives no time.
 /// @throws DataError if no line has a time
 std::vector<std::optional<std::int64_t>> parse_timestamps(const fs::path& file) {
     const std::vector<std::string> lines = split_lines(read_text(file));
@@ -91,7 +91,7 @@ std::vector<double> read_times(const fs::path& file, const std::vector<int>& fra
 
 namespace {
 
-/// Returns the median duration of a sweep.
+/// Returns the median of the sweep durations and checks that it is valid.
 /// @param lasts_s  durations of sweeps in seconds
 double median_period(std::vector<double> lasts_s, const fs::path& file) {
     std::nth_element(lasts_s.begin(), lasts_s.begin() + static_cast<std::ptrdiff_t>(lasts_s.size() / 2),

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of MulRan. A file has all points of a revolution, 64 beams x 1024 columns, with
-// zeros for missing returns. The index of a point in the file determines its beam and
-// time. The reader detects from the points whether the beam or the column counts faster.
-// The LiDAR faces backward, so its frame is rotated by half a turn.
+// Reads MulRan. A file has one revolution of 64 beams x 1024 columns, with zeros for
+// missing returns. So the index of a point gives its beam and its time. The points may be
+// stored column by column or beam by beam, which the reader detects. The LiDAR faces
+// backward, so the reader rotates its frame by 180 degrees.
 #include "log/readers/mulran/mulran.hpp"
 
 #include <cmath>
@@ -24,18 +24,18 @@ constexpr std::size_t kBeams = 64, kColumns = 1024;
 constexpr double kTurn_s = 0.1;
 constexpr double kNanosecond = 1e-9;
 constexpr double kMostGap_s = 0.5;  // maximum gap between poses, which are recorded at 100 Hz
-// Minimum range of points whose elevation identifies their beam. Beams start a centimetre
-// from the axis.
+// Minimum range of points from whose elevation the beam is identified. The beams start
+// about a centimetre from the spin axis, which changes the elevation of nearer points.
 constexpr double kLeastRange_m = 2.0;
 constexpr double kMostSpread_rad = kPi / 180.0;  // maximum spread of the elevations of one beam
-// minimum component of Driving::mean along x for a vehicle that drives forward
+// minimum forward component of the mean driving direction, whose maximum length is 1
 constexpr double kForward = 0.9;
 
-/// Mounting of the LiDAR as published by the authors: metres; roll, pitch and yaw in
-/// degrees.
+/// Pose of the LiDAR on the vehicle as published by the authors. Position in metres;
+/// roll, pitch and yaw in degrees.
 constexpr double kPlace_m[3] = {1.7042, -0.021, 1.8047}, kAngles_deg[3] = {0.0001, 0.0003, 179.6654};
 
-/// Order of the points of a revolution in the file.
+/// Whether a file stores the points column by column or beam by beam.
 enum class MulranOrder { by_column, by_beam };
 
 std::size_t beam_at(std::size_t i, MulranOrder order) {
@@ -45,8 +45,8 @@ std::size_t column_at(std::size_t i, MulranOrder order) {
     return order == MulranOrder::by_column ? i / kBeams : i % kColumns;
 }
 
-/// Returns the standard deviation of the elevations within a beam, over all beams.
-/// Infinite if there are no points.
+/// Returns the standard deviation of the elevations within a beam, averaged over all
+/// beams. It is small if the order is right. Infinite if there are no points.
 double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
     using enum folder::PointValue;
     const folder::FieldValues &xs = *table.find(x), &ys = *table.find(y), &zs = *table.find(z);
@@ -73,7 +73,7 @@ void check_points(const folder::PointTable& table, const std::string& where) {
                                     table.n, kBeams, kColumns));
 }
 
-/// Determines the order of points from the first readable scan.
+/// Detects the order of the points with the first scan that can be read.
 MulranOrder find_order(const std::vector<fs::path>& files) {
     for (const fs::path& file : files) {
         folder::PointTable table;
@@ -81,7 +81,7 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
             table = folder::read_point_file(file, {});
             check_points(table, file.string());
         } catch (const DataError&) {
-            continue;  // the error is reported later, when the scan is read
+            continue;  // reading the scan later reports the error
         }
         const double by_column = spread_of_beams(table, MulranOrder::by_column),
                      by_beam = spread_of_beams(table, MulranOrder::by_beam);
@@ -95,7 +95,8 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
     return MulranOrder::by_column;
 }
 
-/// Adds beams and times to the points. The timestamp is the middle of the revolution.
+/// Computes the beam and the time of each point from its index in the file. The timestamp
+/// of the file is the time in the middle of the revolution.
 void add_beams_and_times(folder::PointTable& table, MulranOrder order, const std::string& where) {
     check_points(table, where);
     std::vector<std::uint16_t> ring(table.n);
@@ -127,7 +128,8 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
     return track;
 }
 
-/// Returns the mounting of the LiDAR, rotated to face forward.
+/// Returns the pose of the LiDAR on the vehicle. The LiDAR's frame is rotated by 180
+/// degrees so that x points forward.
 Pose mounting() {
     const auto rad = [](double degrees) { return degrees * kPi / 180.0; };
     const Pose base_from_ouster{rotation_of(rad(kAngles_deg[2]), rad(kAngles_deg[1]), rad(kAngles_deg[0])),
@@ -187,7 +189,7 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
     stamped::read_points(sequence, files, format_of_points(sequence, files), options);
     if (options.poses_file.empty()) {
         const PoseTrack track = shifted_track(log.world_from_vehicle, -sequence.world_offset_m);
-        // add_frames() has checked that the track covers the times.
+        // add_frames() has already checked that poses exist at all these times
         const auto pose_at = [&](double t_s) { return std::optional(track.at(t_s)); };
         if (std::string note = bag::place_rays(sequence, pose_at); !note.empty())
             sequence.notes.push_back(std::move(note));

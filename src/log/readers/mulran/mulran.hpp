@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of MulRan sequences as they are distributed: scans of an OS1-64 in Ouster/ or
-// sensor_data/Ouster/, poses in global_pose.csv.
+// Reader of MulRan sequences in their published layout. Scans of an OS1-64 are in Ouster/
+// or sensor_data/Ouster/, and poses are in global_pose.csv.
 #pragma once
 
 #include <filesystem>
@@ -9,9 +9,10 @@
 
 namespace relidar {
 
-/// Reads a sequence. Frames are the scans in order of time. The vehicle frame is the
-/// frame of the poses, and the dataset's world is their world.
-/// @throws DataError with file and line, UsageError if no scan is in the requested range
+/// Reads a sequence. Frames are the scans in order of time. The vehicle frame and the
+/// world frame are those of global_pose.csv.
+/// @throws DataError with file and line
+/// @throws UsageError if no scan is in the requested range
 Sequence load_mulran(const std::filesystem::path& folder, const DatasetOptions& options);
 
 }  // namespace relidar

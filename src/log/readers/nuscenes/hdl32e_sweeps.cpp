@@ -21,22 +21,23 @@ namespace fs = std::filesystem;
 
 constexpr std::size_t kBeams = 32, kPointBytes = 20;
 constexpr double kPeriod_s = 0.05;
-// Minimum range. Nearer points are missing returns, which were at the origin before
-// motion compensation.
+// Minimum range of a return. The dataset stores missing returns as points at the LiDAR,
+// which motion compensation then moves a little.
 constexpr double kNoReturn_m = 1.0;
 constexpr double kFarthestOfSweep_m = 1e4;
 constexpr std::size_t kMostColumnsOfSweep = 8192;
 
-/// Points of a file with rings and columns, in the LiDAR's frame at the time of each
-/// point.
+/// Points of a file with their rings and columns. Each point is in the LiDAR's frame at
+/// its own time.
 struct ReadSweep {
     Points points;
     Sweep sweep;
 };
 
-/// Removes missing returns: points that were at the LiDAR before the dataset moved them.
+/// Removes missing returns. These were points at the LiDAR before the dataset moved them
+/// (motion compensation).
 /// @param points  points in the LiDAR's frame at the time of each point
-/// @param numbers  column of each point
+/// @param numbers  [points] column of each point
 void leave_out_unmeasured(Points& points, std::vector<int>& numbers) {
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
@@ -96,7 +97,7 @@ Lidar hdl32e(const Pose& ego_from_lidar) {
     sensor.name = "HDL-32E";
     sensor.period_s = kPeriod_s;
     for (std::size_t row = 0; row < kBeams; ++row)
-        // nominal elevations: +10.67 to -30.67 degrees
+        // nominal elevations of the HDL-32E: +10.67 to -30.67 degrees
         sensor.beams.push_back({.elevation_rad = (32.0 - 4.0 * double(row)) / 3.0 * kPi / 180.0});
     const Pose theirs_from_ours{glm::angleAxis(kPi / 2.0, glm::dvec3(0, 0, 1)), glm::dvec3(0.0)};
     return {"", sensor, ego_from_lidar * theirs_from_ours};
@@ -105,7 +106,7 @@ Lidar hdl32e(const Pose& ego_from_lidar) {
 void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, const PoseTrack& own,
                         const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
-    std::vector<PoseTrack> ways;  // [lidars] tracks of the sensors
+    std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
     for (const Lidar& lidar : sequence.lidars) ways.push_back(moved_track(own, lidar.vehicle_from_sensor));
     std::vector<ReadSweep> sweeps(files.size());
     for_each_told(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {

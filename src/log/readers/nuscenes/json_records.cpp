@@ -13,9 +13,10 @@ namespace relidar {
 namespace {
 
 constexpr std::size_t kBlock = 1 << 20, kLongestRecord = 1 << 20;
-constexpr double kLargestWhole = 9007199254740992.0;  // a double represents all integers up to this value
+// largest integer below which a double represents all integers exactly
+constexpr double kLargestWhole = 9007199254740992.0;
 
-/// Splits the text of a table into its objects, block by block.
+/// Reads the text of a JSON table in blocks and splits it into its objects.
 class RecordSplitter {
 public:
     explicit RecordSplitter(const std::filesystem::path& file)
@@ -24,8 +25,8 @@ public:
         if (!in_) throw DataError(name_ + ": cannot be read");
     }
 
-    /// Reads the next object into `record`.
-    /// @return false after the last object
+    /// Reads the next object of the table into `record`.
+    /// @return false if there are no more objects
     bool next(std::string& record) {
         record.clear();
         int depth = 0;
@@ -70,8 +71,8 @@ private:
         c = block_[at_++];
         return true;
     }
-    /// Checks a character between objects.
-    /// @return true if an object begins
+    /// Checks that a character is allowed between two objects.
+    /// @return true if the character begins an object
     bool between(char c) {
         if (c == '{' && opened_ && !closed_) return true;
         const bool blank = c == ' ' || c == '\n' || c == '\r' || c == '\t';
@@ -101,7 +102,7 @@ void JsonRecord::numbers(std::string_view key, std::size_t n, double* out) const
     const auto list = value<simdjson::dom::array>(key, "numbers");
     if (list.size() != n) fail(key, n == 3 ? "3 numbers" : "4 numbers");
     for (const simdjson::dom::element element : list)
-        // JSON has no infinite numbers and no NaN
+        // the number is finite, because JSON has no infinity and no NaN
         if (element.get(*out++) != simdjson::SUCCESS) fail(key, "numbers");
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of JSON tables. A table is an array of objects, which are read one at a time
-// because a table may have a gigabyte.
+// Reads JSON tables, which are arrays of objects. A table can have a gigabyte, so only
+// one object is in memory at a time.
 #pragma once
 
 #include <cstdint>
@@ -15,21 +15,21 @@
 
 namespace relidar {
 
-/// One object of a table, valid while it is read. The functions throw a DataError with
-/// file, record and key if a value is missing or has another type.
+/// One object of a table. It is valid only during the callback. If a value is missing or
+/// has another type, the functions throw a DataError with file, record and key.
 class JsonRecord {
 public:
     JsonRecord(std::string where, simdjson::dom::object object) : where_(std::move(where)), object_(object) {}
 
     std::string text(std::string_view key) const;
-    /// Returns a number, rounded to an integer. Some tables have microseconds with a
-    /// fraction.
+    /// Returns a number, rounded to an integer, because some tables have microseconds
+    /// with a fraction.
     std::int64_t rounded(std::string_view key) const;
     bool boolean(std::string_view key) const;
     glm::dvec3 vector(std::string_view key) const;
-    /// Returns a quaternion w, x, y, z of length 1.
+    /// Returns a unit quaternion. The table stores it as w, x, y, z.
     glm::dquat quaternion(std::string_view key) const;
-    /// Returns the pose in the keys translation and rotation.
+    /// Returns the pose that the keys `translation` and `rotation` contain.
     Pose pose() const { return {quaternion("rotation"), vector("translation")}; }
 
 private:
@@ -42,7 +42,7 @@ private:
     void numbers(std::string_view key, std::size_t n, double* out) const;
 };
 
-/// Reads every object of a table.
+/// Calls `read` for every object of a table.
 /// @throws DataError with the file if it is not an array of objects, is malformed, or has
 /// an object of more than 1 MB
 void for_each_record(const std::filesystem::path& file, const std::function<void(const JsonRecord&)>& read);

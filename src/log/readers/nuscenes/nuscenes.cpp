@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of nuScenes and of datasets with the same tables. The formats of their point
-// files differ and are recognised by the file ending.
+// Reads nuScenes and other datasets with the same tables. The datasets store points in
+// different formats. The ending of the point files identifies the format.
 #include "log/readers/nuscenes/nuscenes.hpp"
 
 #include <algorithm>
@@ -24,26 +24,28 @@ namespace {
 namespace fs = std::filesystem;
 using namespace nuscenes;
 
-// maximum time between sweeps of one frame, in steps of the LiDAR that numbers the frames
+// maximum time between sweeps of one frame, as a multiple of the first LiDAR's sweep
+// period
 constexpr double kBeside = 0.6;
-// Maximum time before the first and after the last label of a box, in steps. Labels have
-// nearly the times of sweeps.
+// Boxes are extended by up to this many sweep periods before their first and after their
+// last label. Labels have nearly the same times as sweeps.
 constexpr double kBeyondLabels = 0.5;
 constexpr double kMostIntensity = 255.0;
-// assumed: such LiDARs rotate ten times per second, although there are only five sweeps
-// per second
+// Assumed duration of a revolution. The dataset has only five sweeps per second, but such
+// LiDARs rotate ten times per second.
 constexpr double kTurnOfLyft_s = 0.1;
-// Difference between the times of LiDARs above which a note is added, if points have no
-// times.
+// If points have no times, a note is added when the times of two LiDARs differ by more
+// than this.
 constexpr double kStampsApart_s = 1e-3;
 
-/// Format of a dataset, recognised by the ending of its LiDAR files.
+/// File format of a dataset, identified by the ending of its LiDAR files.
 struct Format {
     const char* ending;
     const char* dataset;
     const char* conventions;  ///< in addition to metres, seconds and the vehicle's axes
-    bool is_compensated;      ///< true: columns of one HDL-32E, moved to the end of the revolution
-    bool has_times;           ///< true: points have times
+    /// true: the files have columns of one HDL-32E, moved to the end of the revolution
+    bool is_compensated;
+    bool has_times;  ///< true: points have times
 };
 constexpr Format kFormats[] = {
     {".pcd.bin", "nuScenes",
@@ -59,7 +61,7 @@ constexpr Format kFormats[] = {
      false},
 };
 
-/// A scene and the folder of its tables.
+/// Name of a scene, and the folder that contains its tables.
 struct SceneName {
     std::string name;
     fs::path tables;
@@ -75,8 +77,8 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
     return scenes;
 }
 
-/// Chooses a scene by its name, by nuScenes' number, or by a unique beginning of its
-/// name.
+/// Finds a scene by its name, by nuScenes' number, or by the first characters of its name
+/// if they are unique.
 SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& scene_name) {
     if (scene_name.empty()) return scenes[0];
     const std::optional<int> number = file_number(scene_name);
@@ -96,7 +98,8 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
                     scenes.size(), names));
 }
 
-/// Returns boxes at the times of frames, interpolated between the labelled keyframes.
+/// Interpolates the boxes between the labelled keyframes and returns them at the times of
+/// the frames.
 std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
                                double beyond_s) {
     std::vector<BoxTrack> boxes;
@@ -113,9 +116,9 @@ std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::v
     return boxes;
 }
 
-/// Sweep of a LiDAR and its frame number.
+/// A sweep of one LiDAR, and the number of its frame.
 struct NumberedSweep {
-    int number = 0;         ///< number of the simultaneous sweep of the first LiDAR
+    int number = 0;         ///< number of the first LiDAR's sweep at the same time
     std::size_t lidar = 0;  ///< index in SceneTables::lidars
     const SweepRecord* record = nullptr;
 };
@@ -161,8 +164,8 @@ private:
     const SceneName chosen_;
     const SceneTables scene_;
     const Format& format_;
-    /// Possible prefix of file folders: for example, tables in train_data, files in
-    /// train_lidar.
+    /// Prefix of the folders with the files. For example, the tables are in train_data
+    /// and the files in train_lidar.
     const std::string split_;
     std::vector<double> main_s_;       ///< times of the first LiDAR's sweeps
     double step_s_ = 0.0;              ///< time between these sweeps
@@ -191,7 +194,8 @@ private:
         return split_.empty() || path_exists(file) ? file : folder_ / (split_ + sweep.file);
     }
 
-    /// Selects the requested LiDARs, or all LiDARs if none is requested.
+    /// Selects the LiDARs that the user has requested. If none was requested, selects all
+    /// LiDARs.
     void choose_lidars() {
         std::vector<std::string> channels, left_out;
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
@@ -223,7 +227,8 @@ private:
         if (!left_out.empty()) note(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
     }
 
-    /// Returns the sweeps of the selected LiDARs, sorted by frame number.
+    /// Assigns frame numbers to the sweeps of the selected LiDARs. Returns the sweeps
+    /// sorted by frame number.
     std::vector<NumberedSweep> number_sweeps() {
         std::vector<NumberedSweep> sweeps;
         for (const std::size_t l : lidars_) {
@@ -252,8 +257,9 @@ private:
         return sweeps;
     }
 
-    /// Selects the frames of the range. Uses only keyframes if no sweep between keyframes
-    /// has a file, for example if samples/ was unpacked without sweeps/.
+    /// Selects the frames of the requested range. If the sweeps between keyframes have no
+    /// files, only keyframes are used. This is the case if samples/ was unpacked without
+    /// sweeps/.
     void find_frames() {
         const std::vector<NumberedSweep> sweeps = number_sweeps();
         const auto is_between = [](const NumberedSweep& sweep) { return !sweep.record->is_keyframe; };
@@ -275,8 +281,9 @@ private:
             note("no file between keyframes is there: the scene is read with its keyframes alone");
     }
 
-    /// Adds the frames. LiDARs that sweep together get the time of the first LiDAR.
-    /// @return the dataset's poses at the frames
+    /// Adds the selected frames to the log. LiDARs that sweep together get the time of
+    /// the first LiDAR.
+    /// @return vehicle poses of the dataset at the frames
     PoseTrack add_frames() {
         for (const NumberedSweep& frame : frames_) {
             const std::size_t k = std::size_t(frame.number);
@@ -286,11 +293,11 @@ private:
         return sequence_.world_from_vehicle;
     }
 
-    /// Reads point files that are not motion-compensated and have no rings.
+    /// Reads point files without rings. Their points are not motion-compensated.
     void read_clouds(const std::vector<fs::path>& files) {
         folder::Head head;
         head.name = sequence_.name;
-        // the last column is 1 everywhere
+        // the last column is always 1, so it is ignored
         if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};
         head.units.intensity_max = kMostIntensity;
         head.units.time_unit_s = 1e-6;

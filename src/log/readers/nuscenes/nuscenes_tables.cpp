@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the tables of a dataset. Records refer to each other by tokens. The channel of a
-// file is found through sample_data, calibrated_sensor and sensor.
+// Reads the tables of a dataset. Records refer to other records by tokens. The channel of
+// a file is found with the tables sample_data, calibrated_sensor and sensor.
 #include "log/readers/nuscenes/nuscenes_tables.hpp"
 
 #include <algorithm>
@@ -26,7 +26,8 @@ using ByToken = std::unordered_map<std::string, T>;
 
 constexpr std::string_view kLidar = "LIDAR_";  // prefix of LiDAR channels
 constexpr const char* kFirstChannel = "LIDAR_TOP";
-constexpr double kFarthestPose_s = 0.1;  // maximum time between a pose and the sweep that refers to it
+// maximum time between a sweep and the pose to which its record refers
+constexpr double kFarthestPose_s = 0.1;
 
 std::string find_scene(const fs::path& tables, const std::string& name) {
     std::string found;
@@ -45,13 +46,13 @@ ByToken<std::int64_t> samples_of(const fs::path& tables, const std::string& scen
     return samples;
 }
 
-/// A LiDAR and its mounting.
+/// Channel of a LiDAR and its pose on the vehicle.
 struct Mounted {
     std::string channel;
     Pose ego_from_lidar;
 };
 
-/// Returns the LiDARs by token of their calibration.
+/// Returns all LiDARs, indexed by the token of their calibration.
 ByToken<Mounted> calibrations(const fs::path& tables) {
     ByToken<std::string> channels;
     for_each_record(tables / "sensor.json", [&](const JsonRecord& record) {
@@ -90,7 +91,7 @@ Channels files_of(const fs::path& tables, const ByToken<std::int64_t>& samples,
     return files;
 }
 
-/// Returns the files of a channel in order, from its first keyframe.
+/// Sorts the files of a channel in order of time, beginning with the first keyframe.
 /// @return an empty list if the channel has no keyframe
 std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRecord>& files) {
     const std::string where = (tables / "sample_data.json").string();
@@ -112,7 +113,7 @@ std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRec
     return sweeps;
 }
 
-/// Returns the LiDARs of a scene that have a keyframe in it.
+/// Returns the LiDARs that have at least one keyframe in the scene.
 std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int64_t>& samples) {
     const ByToken<Mounted> mounted = calibrations(tables);
     std::vector<SceneLidar> lidars;
@@ -135,8 +136,9 @@ std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int
     return lidars;
 }
 
-/// Returns the vehicle's poses at the sweeps. TruckScenes refers to the nearest pose of a
-/// finer track, so the poses are interpolated by their timestamps.
+/// Returns the vehicle poses at the times of the sweeps. In TruckScenes, a sweep refers
+/// to the nearest pose of a finer track. So the poses are interpolated by their
+/// timestamps.
 std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepRecord>& sweeps) {
     const fs::path file = tables / "ego_pose.json";
     struct TimedPose {
@@ -173,8 +175,9 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
     return world_from_ego;
 }
 
-/// Returns the text of one key by token of the record.
-/// @param wanted  tokens to read, or null for all records
+/// Reads the text of one key from the records of a table. The result is indexed by the
+/// token of the record.
+/// @param wanted  tokens of the records to read, or null for all records
 ByToken<std::string> column(const fs::path& file, const char* key, const Tokens* wanted) {
     ByToken<std::string> values;
     for_each_record(file, [&](const JsonRecord& record) {
@@ -184,8 +187,8 @@ ByToken<std::string> column(const fs::path& file, const char* key, const Tokens*
     return values;
 }
 
-/// Reads the labels of the samples. Returns none if the table is missing, as in a test
-/// split.
+/// Reads the box labels of a scene. Returns none if the label table is missing, because
+/// test splits have no labels.
 std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& scene,
                                   const ByToken<std::int64_t>& samples) {
     std::vector<BoxLabel> labels;

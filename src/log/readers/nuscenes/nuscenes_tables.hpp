@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Data of one scene and its LiDARs from the tables of nuScenes, TruckScenes or Lyft Level
+// Reads one scene and its LiDARs from the tables of nuScenes, TruckScenes or Lyft Level
 // 5.
 #pragma once
 
@@ -12,34 +12,35 @@
 
 namespace relidar::nuscenes {
 
-/// One file of a LiDAR, a keyframe or a sweep between keyframes.
+/// Table record of one LiDAR file, which is a keyframe or a sweep between two keyframes.
 struct SweepRecord {
-    std::string token, next;  ///< `next` is empty at the end of the scene
-    std::string sample;       ///< keyframe to which the file belongs
+    /// tokens of this record and the next one; `next` is empty at the end of the scene
+    std::string token, next;
+    std::string sample;  ///< token of the keyframe to which the file belongs
     std::string ego_pose, calibration;
     std::string file;          ///< relative to the dataset
     std::int64_t time_us = 0;  ///< timestamp of the revolution
     bool is_keyframe = false;
 };
 
-/// A channel LIDAR_* with files in the scene.
+/// A LiDAR of the scene. Its channel name begins with LIDAR_.
 struct SceneLidar {
     std::string channel;
     Pose ego_from_lidar;              ///< in the dataset's convention
     std::vector<SweepRecord> sweeps;  ///< in order of time
 };
 
-/// Data of a scene.
+/// Data of one scene from all tables.
 struct SceneTables {
     std::string name;
-    /// At least one: LIDAR_TOP, then the others by name. The first one numbers the
-    /// frames.
+    /// At least one LiDAR: LIDAR_TOP first, then the others sorted by name. The sweeps of
+    /// the first LiDAR define the frame numbers.
     std::vector<SceneLidar> lidars;
     std::vector<Pose> world_from_ego;  ///< vehicle poses at the sweeps of the first LiDAR
-    /// at keyframes, in the world frame; time_s is relative to the first sweep
+    /// box labels at keyframes in the world frame; time_s is relative to the first sweep
     std::vector<BoxLabel> labels;
 
-    /// Returns the seconds after the first sweep.
+    /// Converts a timestamp to seconds after the first sweep of the first LiDAR.
     double seconds(std::int64_t time_us) const {
         return double(time_us - lidars[0].sweeps[0].time_us) * 1e-6;
     }
@@ -48,7 +49,8 @@ struct SceneTables {
 /// Returns the names of the scenes in the order of the table.
 std::vector<std::string> list_scenes(const std::filesystem::path& tables);
 
-/// Reads the data of a scene. Tables of a gigabyte are read record by record.
+/// Reads the data of a scene. Tables can have a gigabyte, so they are read one record at
+/// a time.
 /// @param tables  folder of the tables
 /// @throws DataError with file, record and key
 SceneTables read_scene(const std::filesystem::path& tables, const std::string& name);

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of ONCE. The LiDAR's frame is x left, y back, z up. A pose has 7 numbers: a
-// quaternion and a position. Documents disagree whether w is the first or the last number
-// of the quaternion. The reader chooses the order with which the vehicle drives forward.
+// Reads ONCE. In the LiDAR's frame, x points left, y back and z up. A pose has 7 numbers:
+// a quaternion and a position. Documents disagree whether w is the first or the last
+// number of the quaternion. The reader uses the order for which the vehicle drives
+// forward.
 #include "log/readers/once/once.hpp"
 
 #include <array>
@@ -23,19 +24,21 @@ namespace fs = std::filesystem;
 
 constexpr const char* kSensor = "Pandar40P";
 constexpr double kMillisecond = 1e-3;
-// the LiDAR rotates ten times per second, and the dataset keeps every fifth revolution
+// Duration of a revolution. The LiDAR rotates ten times per second, but the dataset keeps
+// only every fifth revolution.
 constexpr double kTurn_s = 0.1;
-constexpr double kTurned_rad = kPi / 2.0;  // from x left, y back to x forward, y left
-constexpr double kUnitLength = 1e-3;       // tolerance of a quaternion's length
+// rotation about z from ONCE's axes (x left, y back) to relidar's (x forward, y left)
+constexpr double kTurned_rad = kPi / 2.0;
+constexpr double kUnitLength = 1e-3;  // tolerance of a quaternion's length
 constexpr double kLargestCoordinate_m = 1e8;
 
-/// Quaternion and position as stored in the file.
+/// Timestamp, quaternion and position of a pose as stored in the file.
 struct OncePose {
     std::int64_t stamp;
     std::array<double, 7> numbers;
 };
 
-/// Content of the JSON file.
+/// Data that is read from the JSON file of a sequence.
 struct OnceFile {
     std::vector<stamped::StampedScan> scans;
     std::vector<OncePose> poses;
@@ -88,7 +91,7 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
     return content;
 }
 
-/// Returns the poses of the LiDAR in ONCE's axes.
+/// Returns the poses of the LiDAR with the axes of ONCE (x left, y back).
 PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedLog& log, bool is_w_first) {
     PoseTrack track;
     for (const OncePose& pose : poses) {
@@ -101,7 +104,7 @@ PoseTrack once_track(const std::vector<OncePose>& poses, const stamped::StampedL
     return track;
 }
 
-/// Returns the poses of the LiDAR in relidar's axes.
+/// Returns the poses of the LiDAR with the axes of relidar (x forward, y left).
 PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& log,
                             std::vector<std::string>& notes) {
     const PoseTrack w_last = once_track(content.poses, log, false),

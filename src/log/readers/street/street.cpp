@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Exact ray casting against the ground plane, upright boxes (slabs) and upright cylinders
-// (quadratic in the plane, capped):
+// Casts rays exactly against the ground plane, upright boxes (slabs) and upright
+// cylinders with caps (quadratic equation in the plane):
 //   box: t_axis = (+-half - o) / d;   cylinder: |o_xy + t d_xy| = r, |z| <= half height
 #include "log/readers/street/street.hpp"
 
@@ -57,7 +57,8 @@ Meeting meet_cylinder(double radius, double half_height, const glm::dvec3& o, co
     return best;
 }
 
-/// Intersects a capsule whose axis goes straight down from the origin.
+/// Intersects a ray with a capsule. The axis of the capsule goes straight down from the
+/// origin.
 Meeting meet_capsule(double radius, double length, const glm::dvec3& o, const glm::dvec3& d) {
     Meeting best;
     const auto offer = [&](double t, double axis_z) {
@@ -82,27 +83,28 @@ glm::dvec3 turned(const glm::dvec3& v, double c, double s) {
     return {c * v.x - s * v.y, s * v.x + c * v.y, v.z};
 }
 
-/// Returns true if a point of a wall is in a window: panes of dark glass of 1.2 x 1.5 m,
-/// one every 3 x 3 m, on faces in y direction.
+/// Returns true if a point of a wall is in a window. Windows are panes of dark glass of
+/// 1.2 x 1.5 m with a spacing of 3 m. Only walls that face the y direction have windows.
 bool in_window(const Shape& wall, const glm::dvec3& local, const glm::dvec3& normal) {
     if (std::abs(normal.y) < 0.5) return false;
     const double u = local.x + wall.half.x, v = local.z + wall.half.z;
     return u - 3.0 * std::floor(u / 3.0) < 1.2 && v > 1.0 && v - 3.0 * std::floor(v / 3.0) > 1.5;
 }
 
-/// Returns the reflectance of the ground: road with a dashed line in its middle, and
-/// pavement next to it.
+/// Returns the reflectance of the ground at a point. The ground is a road with a dashed
+/// centre line, and pavement on both sides.
 double ground_reflectance(const glm::dvec3& p) {
     const double middle = std::abs(p.y - 1.7);
     const bool dash = middle < 0.08 && p.x - 6.0 * std::floor(p.x / 6.0) < 3.0;
     return dash ? 0.8 : middle < 4.2 ? 0.18 : 0.32;
 }
 
-/// Returns the sphere through the corners of a shape's box. It also contains a cylinder.
+/// Returns the sphere through the corners of a shape's box. The sphere also contains a
+/// cylinder in this box.
 Sphere sphere_around(const Shape& shape) { return {shape.centre, glm::length(shape.half)}; }
 
-/// Returns a sphere that contains the spheres of some shapes, centred on the box of their
-/// centres.
+/// Returns a sphere that contains the bounding spheres of some shapes. Its centre is the
+/// centre of the box around all shape centres.
 Sphere sphere_around(std::span<const Shape> shapes) {
     glm::dvec3 low = shapes.front().centre, high = low;
     for (const Shape& shape : shapes) low = glm::min(low, shape.centre), high = glm::max(high, shape.centre);
@@ -116,12 +118,13 @@ Sphere sphere_around(std::span<const Shape> shapes) {
 
 }  // namespace
 
-/// Finds the first intersection of one ray.
+/// Finds the first surface that a ray hits, by testing one shape after another.
 class StreetCaster::Walk {
 public:
     Walk(const WorldRay& ray, double max_range_m) : ray_(ray), nearest_m_(max_range_m) {}
 
-    /// Returns true if no shape in a sphere can be the first intersection.
+    /// Returns true if no shape inside a sphere can be the first hit of the ray. The ray
+    /// misses the sphere, or a nearer hit is already known.
     bool passes_by(const Sphere& sphere, const glm::dvec3& origin, const glm::dvec3& direction) const {
         const glm::dvec3 to = sphere.centre - origin;
         const double along = glm::dot(to, direction), radius2 = sphere.radius_m * sphere.radius_m;
@@ -137,7 +140,8 @@ public:
         hit_ = Hit{t, -ray_.direction.z, ground_reflectance(ray_.origin_m + t * ray_.direction)};
     }
 
-    /// Intersects a solid.
+    /// Intersects the ray with a solid shape and stores the hit if it is the nearest so
+    /// far.
     /// @param origin,direction  ray in the frame of the shape's centre
     void solid(const Solid& solid, const glm::dvec3& origin, const glm::dvec3& direction) {
         if (passes_by(solid.around, origin, direction)) return;
@@ -152,9 +156,10 @@ public:
         hit_ = Hit{m.t, std::abs(glm::dot(m.normal, d)), glass ? 0.06 : shape.reflectance};
     }
 
-    /// Intersects a limb.
-    /// @param pitch_rad  forward angle from straight down
-    /// @param origin,direction  ray in the frame of the box
+    /// Intersects the ray with an arm or a leg and stores the hit if it is the nearest so
+    /// far.
+    /// @param pitch_rad  swing angle of the limb, forward from straight down
+    /// @param origin,direction  ray in the frame of the person's box
     void limb(const Limb& limb, double pitch_rad, const glm::dvec3& origin, const glm::dvec3& direction) {
         const double c = std::cos(pitch_rad), s = std::sin(pitch_rad);
         const auto hanging = [&](const glm::dvec3& v) {

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// The synthetic street as shapes, with exact ray casting. Street frame: x along the
-// street, y to the left, z up, in metres. x = 0 is half-way through the log, the ground
-// is z = 0.
+// Shapes of the synthetic street, and exact ray casting against them. Street frame in
+// metres: x along the street, y left, z up. x = 0 is the middle of the log's path, and
+// the ground is z = 0.
 #pragma once
 
 #include <optional>
@@ -11,10 +11,11 @@
 
 namespace relidar::street {
 
-/// Appearance of a surface at the LiDAR's wavelength.
+/// Surface materials, which look different at the LiDAR's wavelength.
 enum class Material { road, pavement, wall, metal, paint, leaves };
 
-/// An upright box, or an upright cylinder with radius half.x and half height half.z.
+/// An upright box, or an upright cylinder. A cylinder has the radius half.x and the
+/// height 2 half.z.
 struct Shape {
     enum class Kind { box, cylinder } kind = Kind::box;
     glm::dvec3 centre{0.0};
@@ -24,19 +25,19 @@ struct Shape {
     double reflectance = 0.5;  ///< reflectance from 0 to 1
 };
 
-/// A leg or an arm: a capsule that hangs from a joint and swings forward and backward,
-/// once per stride.
+/// A leg or an arm of a walking person. It is a capsule that hangs from a joint and
+/// swings forward and backward once per stride.
 struct Limb {
-    glm::dvec3 joint_m{0.0};  ///< in the box frame
+    glm::dvec3 joint_m{0.0};  ///< joint in the frame of the person's box
     double length_m = 0.0;    ///< length of the axis, from the joint
     double radius_m = 0.0;
     double swing_rad = 0.0;  ///< maximum angle from straight down
-    double phase_rad = 0.0;  ///< phase of the stride at walked distance 0
+    double phase_rad = 0.0;  ///< phase of the swing before the person has walked
     double reflectance = 0.5;
 };
 
-/// A car, pedestrian or cyclist that moves straight at constant speed, or along a track.
-/// Its shapes are relative to the origin of the box frame.
+/// A car, pedestrian or cyclist. It moves straight at constant speed, or along a track.
+/// The shapes are given in the frame of its box.
 struct MovingCar {
     const char* category = "Car";
     glm::dvec3 start_m{0.0};  ///< centre of the box at time 0
@@ -45,13 +46,16 @@ struct MovingCar {
     glm::dvec3 size_m{0.0};  ///< size of the box, slightly larger than the shapes
     std::vector<Shape> shapes;
     std::vector<Limb> limbs;
-    double stride_m = 0.0;  ///< length of two steps
-    PoseTrack track;        ///< in the street frame; if not empty, it replaces start, yaw and speed
+    double stride_m = 0.0;  ///< length of a stride, which is two steps
+    /// Poses in the street frame. If the track is not empty, it replaces start, yaw and
+    /// speed.
+    PoseTrack track;
 
     Pose world_from_box(double t_s) const;
-    /// Returns the distance walked since the log began. The distance of a track begins
-    /// with the distance of its first position from `start_m`. So a walker on the same
-    /// path at another speed sets its feet at the same places.
+    /// Returns the distance that the person has walked since the start of the log. If
+    /// there is a track, the count starts with the distance from `start_m` to the track's
+    /// first position. So a person on the same path at another speed sets the feet at the
+    /// same places.
     double walked_m(double t_s) const;
 };
 
@@ -60,15 +64,16 @@ struct Street {
     std::vector<MovingCar> cars;
 };
 
-/// Builds the street for some options. The seed determines the positions of facades,
-/// poles, trees and parked cars.
+/// Creates the shapes of the street from the options. The random seed determines the
+/// positions of facades, poles, trees and parked cars.
 Street make_street(const SyntheticOptions& options);
 
-/// Returns the pose of the sensor in the street frame: it swings gently across the lane,
-/// with the yaw along its path and a small pitch. Time 0 is frame 0.
+/// Returns the pose of the sensor in the street frame. The sensor swings gently across
+/// its lane. It faces along its path and has a small pitch. Time 0 is the time of frame
+/// 0.
 Pose sensor_pose(const SyntheticOptions& options, double t_s);
 
-/// Returns the reference time of a frame.
+/// Returns the reference time of a frame in seconds.
 inline double frame_time_s(int frame) { return 0.1 * frame; }
 
 struct Sphere {
@@ -82,25 +87,27 @@ struct Hit {
     double reflectance;
 };
 
-/// Positions of the moving cars at one time.
+/// Poses of all moving cars at one time, stored so that consecutive rays can use them
+/// again.
 struct CarPlaces {
     std::optional<double> time_s;
-    std::vector<glm::dvec3> centre_m;  ///< [cars] centres of their boxes
-    std::vector<Pose> box_from_world;  ///< [cars] inverse poses of their boxes
+    std::vector<glm::dvec3> centre_m;  ///< [cars] centre of each car's box
+    std::vector<Pose> box_from_world;  ///< [cars] transform from the street to each car's box
 };
 
 /// Casts rays into a street.
 class StreetCaster {
 public:
     explicit StreetCaster(Street street);
-    /// Returns the first surface along a ray at a time, at most max_range_m away.
-    /// @param places  positions from an earlier ray of this caster, or empty; recomputed
-    /// if the time differs
+    /// Returns the first surface that a ray hits at a time. Surfaces beyond max_range_m
+    /// are ignored.
+    /// @param places  poses of the cars from an earlier ray, or empty. They are
+    /// recomputed if the time differs.
     std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m, CarPlaces& places) const;
     std::optional<Hit> cast(const WorldRay& ray, double t_s, double max_range_m) const;
 
 private:
-    /// A shape and precomputed values for ray casting.
+    /// A shape with values that are computed once, so that ray casting is faster.
     struct Solid {
         Shape shape;
         Sphere around;
@@ -109,14 +116,14 @@ private:
     struct Car {
         MovingCar moving;
         std::vector<Solid> solids;
-        /// distance from the centre of its box to the farthest point of its shapes
+        /// distance from the centre of the car's box to the farthest point of its shapes
         double reach_m = 0.0;
     };
-    /// Consecutive shapes that are close together, such as the leaves of a bush. Most
-    /// rays miss the complete cluster.
+    /// Consecutive shapes that are close together, such as the leaves of a bush. A ray
+    /// that misses the bounding sphere is not tested against the shapes.
     struct Cluster {
         Sphere around;
-        std::size_t end;  ///< end of its shapes; the first shape is the end of the previous cluster
+        std::size_t end;  ///< index after the last shape; the first shape follows the previous cluster
     };
     class Walk;
     std::vector<Solid> solids_;

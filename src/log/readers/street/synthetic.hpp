@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of a synthetic log: street.toml has the options of the log, and everything else
-// is computed again.
+// Reader of synthetic logs. The file street.toml contains the options of the log. The
+// scans are computed again from these options.
 #pragma once
 
 #include <filesystem>
@@ -9,14 +9,15 @@
 
 namespace relidar {
 
-/// Generates the log that folder/street.toml describes. The world's origin is the sensor
-/// position in the middle of the full log, even if only a range of frames is read. So
-/// cast_synthetic_street() uses the same world.
-/// @throws DataError with the invalid key, UsageError if no frame is in the range or a
-/// poses file is given
+/// Generates the log that folder/street.toml describes. The origin of the world is the
+/// sensor's position in the middle of the full log, even if only a range of frames is
+/// read. So the world is the same as in cast_synthetic_street().
+/// @throws DataError with the invalid key
+/// @throws UsageError if no frame is in the requested range or a poses file is given
 Sequence load_synthetic(const std::filesystem::path& folder, const DatasetOptions& options);
 
-/// Generates frames [begin, end) of the log of make_synthetic_street().
+/// Generates only the frames [begin, end) of the log that make_synthetic_street()
+/// generates.
 Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int end);
 
 }  // namespace relidar

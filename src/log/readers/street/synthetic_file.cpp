@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes street.toml: the options of a synthetic log, one key each. Missing
-// keys have default values, unknown keys are errors.
+// Reads and writes street.toml, which has one key for each option of a synthetic log. A
+// missing key means the default value. An unknown key is an error.
 #include "log/readers/street/synthetic.hpp"
 
 #include <algorithm>
@@ -26,14 +26,15 @@ const std::vector<std::string> kKeys{"seed",      "n_frames",    "rows",   "colu
                                      "speed_mps", "moving_cars", "people", "gait",    "rig"};
 
 /// Reads the value of a key if the key exists.
-/// @throws DataError if the value has another type (integers are accepted as real
-/// numbers)
+/// @throws DataError if the value has the wrong type. An integer is accepted as a real
+/// number.
 template <class T>
 void read_value(const toml::table& table, const char* key, const char* type, const std::string& file,
                 T& value) {
     const toml::node* node = table.get(key);
     if (!node) return;
-    // toml++ converts a real number to an integer before it checks the type
+    // toml++ converts a real number to an integer without an error, so check the type
+    // first
     const bool is_cut = std::is_integral_v<T> && node->is_floating_point();
     const auto found = is_cut ? std::nullopt : node->value<T>();
     if (!found)
@@ -42,8 +43,8 @@ void read_value(const toml::table& table, const char* key, const char* type, con
     value = *found;
 }
 
-/// Replaces the exact poses, from which the scans were cast, by poses from a file in the
-/// street's world. Used to study the effect of wrong poses.
+/// Replaces the exact poses, from which the scans were cast, by poses from a file. The
+/// poses are in the street's world. This is used to study the effect of wrong poses.
 void take_poses(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames)  // one pose for all LiDARs of a rig
@@ -90,7 +91,7 @@ SyntheticOptions read_options(const fs::path& path) {
     read_value(table, "people", "true or false", file, options.people);
     read_value(table, "gait", "true or false", file, options.gait);
     read_value(table, "rig", "a file", file, options.rig);
-    // Relative to the folder of this file, or absolute.
+    // The path of the rig is absolute, or relative to the folder of street.toml.
     if (!options.rig.empty()) options.rig = (path.parent_path() / options.rig).string();
     return options;
 }

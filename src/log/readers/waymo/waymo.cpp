@@ -1,12 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of Waymo Open. In the LiDAR's frame, pixel (row, column) of a range image is a
-// ray with
+// Reads Waymo Open. In the LiDAR's frame, pixel (row, column) of a range image is a ray
+// with
 //   elevation(row),  azimuth pi - 2 pi (column + 0.5) / columns - yaw of the mounting.
-// If the frame is rotated by this yaw, the image is the ray table of a spinning sensor.
-// The dataset has transformed points of TOP with the vehicle pose of their pixel, and
-// points of the other LiDARs with the vehicle pose of the record. The reader places each
-// ray in the world with that pose. It stores the ray relative to the vehicle pose that
-// the track has at the ray's time.
+// The reader rotates the frame by this yaw, so that the image has the rays of a spinning
+// sensor. The dataset has transformed points of TOP with the vehicle pose of their pixel.
+// It has transformed points of the other LiDARs with the vehicle pose of the record. The
+// reader uses the same pose to place a ray in the world. Then it stores the ray relative
+// to the log's vehicle pose at the time of the ray.
 #include "log/readers/waymo/waymo.hpp"
 
 #include <algorithm>
@@ -35,7 +35,7 @@ namespace {
 namespace fs = std::filesystem;
 using namespace waymo;
 
-// Names by LaserName.
+// Names of the LiDARs, indexed by Waymo's enum LaserName.
 constexpr const char* kLaserNames[] = {"", "TOP", "FRONT", "SIDE_LEFT", "SIDE_RIGHT", "REAR"};
 
 struct Segment {
@@ -78,7 +78,7 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
                     excerpt(options.sequence), files.size(), path.string()));
 }
 
-/// Returns the records of the requested frames, [begin, end).
+/// Returns the records of the requested frames: [begin, end).
 std::pair<int, int> record_range(const TfRecords& records, const FrameRange& frames) {
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = frames.end < 0 ? n : std::min(frames.end, n);
@@ -93,7 +93,8 @@ std::string where_of(const TfRecords& records, int record) {
     return fmt::format("{}: record {}", records.file().string(), record);
 }
 
-/// Returns world_from_vehicle of a pixel, from roll, pitch, yaw, x, y, z.
+/// Returns the vehicle pose at the time of a pixel. The pixel has roll, pitch, yaw, x, y,
+/// z.
 Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where) {
     const float* v = poses.pixel(pixel);
     if (!std::all_of(v, v + 6, [](float x) { return std::abs(x) <= 1e8f; }))
@@ -102,12 +103,12 @@ Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where)
     return {rotation_of(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
 
-// Channels of an image: range, intensity, elongation, no-label zone. Of a pose image:
-// roll, pitch, yaw, x, y, z.
+// Number of channels. A range image has range, intensity, elongation and no-label zone. A
+// pose image has roll, pitch, yaw, x, y, z.
 constexpr int kImageChannels = 4, kPoseChannels = 6;
 
-/// Reads the pixel poses of a LiDAR and checks their size. Returns nothing if the LiDAR
-/// has none.
+/// Reads the image with the vehicle pose of each pixel and checks its size. Returns
+/// nothing if the LiDAR has no such image.
 std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& image,
                                       const std::string& where) {
     if (laser.pixel_pose.empty()) return std::nullopt;
@@ -125,8 +126,8 @@ const LaserImages& images_of(const FrameRecord& frame, int laser, const std::str
                                 kLaserNames[laser]));
 }
 
-/// Returns the vehicle pose at the time when the head of TOP faces forward: the pose of
-/// the pixel with a return that is nearest to the middle column.
+/// Returns the vehicle pose at the time when the head of TOP faces forward. This is the
+/// pose of the pixel that is nearest to the middle column and has a return.
 Pose forward_pose(const FrameRecord& frame, const std::string& where) {
     if (frame.images.empty() || frame.images.front().laser != kTop) return frame.world_from_vehicle;
     const std::string in_top = where + ": TOP";
@@ -141,10 +142,11 @@ Pose forward_pose(const FrameRecord& frame, const std::string& where) {
     return nearest ? pixel_pose(*poses, *nearest, in_top) : frame.world_from_vehicle;
 }
 
-/// Data of a frame that must be known for all frames before rays can be placed.
+/// Data of a frame that is read before any scan, because placing the rays needs the poses
+/// of all frames.
 struct FrameHead {
     std::int64_t timestamp_us = 0;
-    Pose world_from_vehicle;       ///< pose when the head faces forward
+    Pose world_from_vehicle;       ///< vehicle pose at the time when the head faces forward
     std::vector<BoxLabel> labels;  ///< labels in the world frame, without times
 };
 
@@ -194,18 +196,19 @@ Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double per
     return lidar;
 }
 
-/// Assigns the pixels of a range image to the rays of the sensor.
+/// Converts the range images of a LiDAR to a scan. Each pixel is one ray of the sensor.
 class RangeImageReader {
 public:
-    /// Prepares the reading of a frame.
-    /// @param clamps  true: clamp intensities at 1; false: apply tanh
+    /// Creates a reader for one frame of a LiDAR.
+    /// @param clamps  true: intensities above 1 are set to 1; false: tanh is applied to
+    /// intensities
     RangeImageReader(const Sequence& sequence, const Frame& frame, RayTable model, std::string where,
                      bool clamps)
         : lidar_(sequence.lidar_of(frame)), where_(std::move(where)), clamps_(clamps) {
         scan.rays = std::move(model);
         scan.range_m.assign(scan.rays.size(), 0.0f);
         scan.intensity.assign(scan.rays.size(), 0.0f);
-        // all rows of a column are fired together
+        // all rows of a column are fired at the same time
         for (int column = 0; column < scan.rays.columns; ++column) {
             const double time_s = frame.time_s + double(scan.rays.time_offset_s[std::size_t(column)]);
             sensor_from_world_.push_back(
@@ -234,7 +237,8 @@ private:
     const Lidar& lidar_;
     std::string where_;
     bool clamps_;
-    std::vector<Pose> sensor_from_world_;  ///< [columns] pose of the log's track at each column's time
+    /// [columns] transform from the log's world to the sensor at the time of each column
+    std::vector<Pose> sensor_from_world_;
 
     Image inflated(std::string_view packed) const {
         Image image = inflate_image(packed, kImageChannels, where_);
@@ -243,7 +247,7 @@ private:
                                     where_, image.rows, image.columns, scan.rays.rows, scan.rays.columns));
     }
 
-    /// Returns the intensity of a return, from 0 to 1.
+    /// Converts the stored intensity of a return to the range 0 to 1.
     float intensity_of(float brightness) const {
         return clamps_ ? std::clamp(brightness, 0.0f, 1.0f) : std::tanh(std::max(brightness, 0.0f));
     }
@@ -261,8 +265,8 @@ private:
         }
     }
 
-    /// Transforms a ray from a vehicle pose to the sensor pose that the track has at the
-    /// ray's time.
+    /// Places a ray in the world with a vehicle pose. Then transforms it to the sensor
+    /// frame that the log's poses give at the time of the ray.
     void place(std::size_t ray, const Pose& world_from_vehicle) {
         const Pose moved = sensor_from_world_[ray % std::size_t(scan.rays.columns)] *
                            (world_from_vehicle * lidar_.vehicle_from_sensor);
@@ -271,8 +275,8 @@ private:
     }
 };
 
-/// Adds the LiDARs of the first frame, all frames and the labels. The scans are still
-/// empty.
+/// Adds the LiDARs of the first frame, all frames, and the labels to the log. The frames
+/// do not have scans yet.
 void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
                 bool top_alone) {
     const double period_s = median_period(heads, records.file().string());
@@ -288,7 +292,8 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     const std::int64_t start_us = parse_frame(records.read(0), where_of(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
-        // the first firing faces backward, half a period before the head faces forward
+        // a sweep begins when the head faces backward, half a period before it faces
+        // forward
         const double time_s = 1e-6 * double(heads[i].timestamp_us - start_us) + 0.5 * period_s;
         for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
             add_frame(sequence, begin + int(i), time_s, heads[i].world_from_vehicle, lidar);
@@ -305,7 +310,8 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     std::vector<RayTable> models;
     for (const Lidar& lidar : sequence.lidars) {
         RayTable& model = models.emplace_back(make_rays(lidar.sensor));
-        // the other LiDARs have one time for all rays
+        // the dataset gives no times for rays of the other LiDARs, so all their rays have
+        // the frame's time
         if (lidar.name != kLaserNames[kTop])
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
@@ -313,7 +319,7 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
     for_each_told(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
-            // cannot be truncated, because its pose was read before
+            // an earlier step has read the pose of this record, so the record is complete
             const std::string data = records.read(std::size_t(record)), where = where_of(records, record);
             const FrameRecord parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reader of Waymo Open, Perception 1.4. A segment is one .tfrecord file. Each record is
-// one frame of up to five LiDARs.
+// Reader of Waymo Open, Perception 1.4. One .tfrecord file is a segment. Each record of
+// the file is a frame of up to five LiDARs.
 #pragma once
 
 #include <filesystem>
@@ -9,13 +9,14 @@
 
 namespace relidar {
 
-/// Reads a segment. Frames are numbered by their records, from 0.
-/// DatasetOptions::sequence is the beginning of a file name, with or without "segment-",
-/// or a name from the LiDAR-RT paper for a part of a segment (ws1 to ws4, wd1 to wd4).
-/// Such a part contains only the LiDAR TOP.
+/// Reads a segment. Frames have the numbers of their records, which start at 0.
+/// DatasetOptions::sequence selects a file by the first characters of its name, with or
+/// without "segment-". It can also be a sequence name from the LiDAR-RT paper (ws1 to
+/// ws4, wd1 to wd4), which is a part of a segment. Such a part contains only the LiDAR
+/// TOP.
 /// @param path  a .tfrecord file, or a folder of such files
-/// @throws DataError with file, record and field, UsageError if the segment is unknown or
-/// no frame is in the range
+/// @throws DataError with file, record and field
+/// @throws UsageError if the segment is unknown or no frame is in the requested range
 Sequence load_waymo(const std::filesystem::path& path, const DatasetOptions& options);
 
 }  // namespace relidar

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parser of Waymo Open 1.4 messages, with the field numbers of dataset.proto and
-// label.proto. Skips fields with an unexpected wire type, as protobuf does with unknown
-// fields.
+// Parses the messages of Waymo Open 1.4. Field numbers are those of dataset.proto and
+// label.proto. Fields with an unexpected wire type are skipped, in the same way as
+// protobuf skips unknown fields.
 #include "log/readers/waymo/waymo_frame.hpp"
 
 #include <algorithm>
@@ -34,9 +34,9 @@ constexpr std::uint32_t real_single(std::uint32_t field) {
     return protozero::tag_and_type(field, pbf_wire_type::fixed32);
 }
 
-// a matrix of TOP with six channels has 4 MB
+// maximum size of a decompressed image; an image of TOP with six channels has 4 MB
 constexpr std::size_t kMostInflated = std::size_t(32) << 20;
-constexpr double kLargestOfFrame = 1e8;  // limit of all numbers of a frame: metres, radians
+constexpr double kLargestOfFrame = 1e8;  // limit of all numbers in a frame: metres, radians
 
 std::string_view view_of(pbf_reader& from) {
     const protozero::data_view view = from.get_view();
@@ -54,7 +54,7 @@ void append_packed(pbf_reader& from, std::vector<double>& to) {
     for (const double value : from.get_packed_double()) to.push_back(value);
 }
 
-/// Parses a Transform: 16 doubles, row-major.
+/// Parses a Transform message: a 4x4 matrix of doubles, row-major.
 Pose parse_transform(pbf_reader from, const std::string& where) {
     std::vector<double> m;
     while (from.next()) {
@@ -112,7 +112,8 @@ void parse_context(pbf_reader from, FrameRecord& frame, const std::string& where
     }
 }
 
-/// Parses a RangeImage: the image, and the pixel poses of the first return.
+/// Parses a RangeImage message. Returns the compressed range image, and the compressed
+/// vehicle poses of the first return's pixels.
 void parse_range_image(pbf_reader from, std::string_view& image, std::string_view& pixel_pose) {
     while (from.next()) {
         switch (from.tag_and_type()) {
@@ -149,7 +150,8 @@ LaserImages parse_laser(pbf_reader from) {
     return laser;
 }
 
-/// Parses a Box: centre, then width before length, height, heading.
+/// Parses a Box message. The order of the fields is centre, width, length, height,
+/// heading.
 void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
     double v[8] = {};
     while (from.next()) {
@@ -164,8 +166,8 @@ void parse_box(pbf_reader from, BoxLabel& label, const std::string& where) {
     label.world_from_box = {glm::angleAxis(v[7], glm::dvec3(0, 0, 1)), {v[1], v[2], v[3]}};
 }
 
-/// Returns the category of an object that can move, or null for signs, which are
-/// background.
+/// Returns the category of an object that can move. Returns null for signs, because they
+/// are background.
 const char* category_of(int type) {
     constexpr int kVehicle = 1, kPedestrian = 2, kCyclist = 4;
     return type == kVehicle      ? "vehicle"
@@ -202,7 +204,7 @@ void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) 
     frame.labels.push_back(std::move(label));
 }
 
-/// Parses a MatrixFloat: values and dimensions.
+/// Parses a MatrixFloat message: the values and the dimensions.
 void parse_matrix(pbf_reader from, std::vector<float>& values, std::vector<std::int32_t>& dims) {
     while (from.next()) {
         switch (from.tag_and_type()) {
@@ -252,7 +254,7 @@ std::string inflate(std::string_view packed, const std::string& where) {
     return bytes;
 }
 
-/// Calls parse() and converts protozero's exceptions to DataError.
+/// Calls parse() and converts exceptions of the protobuf library protozero to DataError.
 template <class Parse>
 auto parse_told(const std::string& where, const Parse& parse) {
     try {

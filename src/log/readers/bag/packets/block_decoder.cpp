@@ -31,21 +31,24 @@ namespace {
 struct Layout {
     const char* sensor;
     std::size_t blocks_at, n_blocks;
-    bool flagged;                    ///< a block begins with FF EE, before the azimuth
-    std::size_t lasers, unit_bytes;  ///< lasers per firing; bytes of a laser's range and reflectivity
-    std::size_t firings;             ///< firings per block
-    double range_unit_m;             ///< 0: byte `unit_at` has the unit in millimetres
+    bool flagged;  ///< true: the bytes FF EE precede the azimuth of a block
+    /// number of lasers per firing; number of bytes for the range and reflectivity of one
+    /// laser
+    std::size_t lasers, unit_bytes;
+    std::size_t firings;  ///< firings per block
+    /// unit of ranges; 0: the packet states the unit in millimetres in byte `unit_at`
+    double range_unit_m;
     std::size_t unit_at, time_at, mode_at;
     double wrap_us, cycle_us;
-    /// true: the packet's time refers to its last firing, with the offset `shift_us`;
-    /// false: to its first firing
+    /// true: the packet's time is that of its last firing plus `shift_us`; false: it is
+    /// the time of its first firing
     bool at_end;
     double shift_us;     ///< from the packet's time to the first laser of that firing
     double forward_deg;  ///< azimuth of the sensor's x axis
     int first_channel;   ///< first channel in the beam table
 };
-// Hesai's manuals specify the time of a laser relative to its block. The first laser is
-// at -54.67 us (Pandar40P, Pandar64) or 0.368 us (XT32).
+// Hesai's manuals give the time of each laser relative to the time of its block. The
+// first laser fires at -54.67 us (Pandar40P, Pandar64) or at 0.368 us (XT32).
 constexpr Layout kLayouts[] = {
     {"VLP-16", 0, 12, true, 16, 3, 2, 0.002, 0, 1200, 1204, 3.6e9, 55.296, false, 0.0, 0.0, 0},
     {"VLP-32C", 0, 12, true, 32, 3, 1, 0.004, 0, 1200, 1204, 3.6e9, 55.296, false, 0.0, 0.0, 0},
@@ -57,7 +60,7 @@ constexpr Layout kLayouts[] = {
 constexpr std::uint8_t kFirstDual = 0x39, kLastDual = 0x3C, kTriple = 0x3D;
 constexpr double kDegree = kPi / 180.0;
 
-/// Angles of one unit by channel, in degrees.
+/// Calibrated angles of one channel of the sensor, in degrees.
 struct Angles {
     bool is_known = false;
     double elevation_deg = 0.0, azimuth_deg = 0.0;
@@ -150,7 +153,7 @@ private:
     const Layout& layout_;
     Timing timing_;
     std::vector<BeamFiring> table_;
-    std::vector<Angles> angles_;        ///< [lasers] angles of one unit, or empty
+    std::vector<Angles> angles_;        ///< [lasers] calibrated angles of this sensor; empty if unknown
     std::vector<std::size_t> order_;    ///< [rings] rows of the table
     std::vector<std::size_t> ring_of_;  ///< [lasers] ring of each laser
 
@@ -179,8 +182,8 @@ private:
         }
     }
 
-    /// Sets the times of the firings, and interpolates the azimuths of firings that share
-    /// a block.
+    /// Computes the time of each firing in a packet. Firings that share a block also
+    /// share its azimuth, so their azimuths are interpolated.
     void add_times(Packet& packet) const {
         const int n = packet.n_slots, per_block = int(layout_.firings);
         double step_deg = 0.0;  // rotation between two blocks

@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decodes Ouster packets. A packet has columns. In each column all beams fire
-// simultaneously. The azimuth of the head follows from the column's number, to which the
-// sensor synchronises (firmware user manual, "Lidar Data"):
+// Decodes Ouster packets. A packet has columns. All beams of a column fire
+// simultaneously. The column's number defines the azimuth of the head, because the sensor
+// fires at fixed azimuths (firmware user manual, "Lidar Data"):
 //   LEGACY: a column is [timestamp u64 ns, number u16, frame u16, encoder u32], 12 bytes per pixel,
 //     status u32 (all bits set: it was measured).
 //   Others: a packet has a header and a footer of 32 bytes. A column is [timestamp u64 ns,
 //     number u16, status u8 (bit 0: it was measured), 1 byte], then its pixels.
-// A range in a packet is measured from the axis along the beam's path. The decoder
-// subtracts lidar_origin_to_beam_origin_mm, so that ranges begin at the beam's origin.
+// A range in a packet starts at the spin axis and follows the beam's path. The decoder
+// subtracts lidar_origin_to_beam_origin_mm, so that ranges start at the beam's origin.
 #include <array>
 #include <cmath>
 
@@ -82,7 +82,8 @@ public:
             packet.echoes.resize(packet.echoes.size() + rings);
             read_pixels(pixels, &packet.echoes[packet.echoes.size() - rings]);
         }
-        // a packet is sent after its last column has been measured
+        // the time of the last column is the packet's time, because the packet is sent
+        // after it
         if (!times_ns.empty()) packet.clock_ns = times_ns.back();
         for (std::size_t f = 0; f < times_ns.size(); ++f)
             packet.firings[f].after_us = 1e-3 * double(times_ns[f] - packet.clock_ns);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses the metadata of Ouster sensors. The packet layouts follow Ouster's firmware user
-// manual, "Lidar Data" and "Lidar Data Legacy". Older metadata is flat, newer metadata is
-// nested, but members have the same names in both.
+// Parses the metadata of Ouster sensors. Packet layouts follow Ouster's firmware user
+// manual, "Lidar Data" and "Lidar Data Legacy". Old metadata is flat and new metadata is
+// nested. The names of the members are the same in both.
 #include <algorithm>
 #include <cmath>
 #include <iterator>
@@ -34,7 +34,7 @@ constexpr int kUsualColumns = 16;  // columns per packet
 constexpr std::size_t kMostMetadata = std::size_t(1) << 20, kMostFiles = 256, kMostDatagram = 65507,
                       kMostTold = 3;
 constexpr double kMostSerial = 1099511627776.0;  // serial numbers have 40 bits
-// Position in the packet header of older firmware, and of newer firmware.
+// Byte offsets of the serial number in the packet header: old firmware, new firmware.
 constexpr std::size_t kSerialBytes = 5, kSerialAt[] = {7, 11};
 
 std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
@@ -43,7 +43,8 @@ std::size_t bytes_of(const OusterProfile& profile, int pixels, int columns) {
                              : 32 + std::size_t(columns) * (12 + column) + 32;
 }
 
-/// Returns the object that has a member: the root, or one of its parts.
+/// Returns the JSON object that contains a member. This is the root or one of its nested
+/// objects.
 JsonField part_with(const Json& json, const std::string& where, const std::string& key) {
     const JsonField root(json, where, "");
     for (const char* part : {"data_format", "lidar_data_format", "config_params", "sensor_info"})
@@ -71,7 +72,8 @@ const OusterProfile& profile_of(const Json& json, const std::string& where) {
                                 excerpt(name), names));
 }
 
-/// Returns the ring of each row of a packet. Rows are the beams in the metadata's order.
+/// Returns the ring of each pixel row in a packet. The rows have the order of the beams
+/// in the metadata.
 std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
     const JsonField root(json, where, "");
     const std::vector<double> altitude_deg =
@@ -85,7 +87,8 @@ std::vector<std::size_t> rings_of(const Json& json, const std::string& where) {
     return ring_of;
 }
 
-/// Returns the columns that fire. A window may wrap around after the last column.
+/// Returns for each column whether it is in the azimuth window in which the sensor fires.
+/// The window may continue after the last column at column 0.
 std::vector<bool> columns_in_window(const Json& json, const std::string& where, int columns) {
     const JsonField part = part_with(json, where, "column_window");
     if (!part.has("column_window")) return std::vector<bool>(std::size_t(columns), true);
@@ -101,7 +104,8 @@ std::vector<bool> columns_in_window(const Json& json, const std::string& where, 
     }
 }
 
-/// Checks values that the metadata contains twice, and the size of a packet.
+/// Checks that values which the metadata contains twice are equal. Also computes and
+/// checks the size of a packet.
 void check_sizes(OusterFormat& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
     if (const int n = whole_number(json, format.where, "columns_per_frame", columns, 65536); n != columns)
@@ -121,8 +125,8 @@ void check_sizes(OusterFormat& format, const Json& json) {
                                     format.about(), kMostDatagram));
 }
 
-/// Returns the port of a capture's topic such as "192.168.1.201:7502", or 0 for a bag's
-/// topic.
+/// Returns the port from a topic name of a network capture, such as "192.168.1.201:7502".
+/// Returns 0 for a topic of a bag.
 int port_of(std::string_view topic) {
     const std::size_t colon = topic.rfind(':');
     const auto port = colon == std::string_view::npos || topic.starts_with('/')
@@ -157,7 +161,8 @@ bool is_metadata_file(const fs::path& file) {
            is_ouster_metadata(read_text(file));
 }
 
-/// Returns the files of a folder, sorted by name, or none if the folder cannot be read.
+/// Returns the files of a folder, sorted by name. Returns an empty list if the folder
+/// cannot be read.
 std::vector<fs::path> files_of(const fs::path& folder) {
     std::vector<fs::path> files;
     std::error_code failed;

@@ -16,11 +16,12 @@
 namespace relidar::packets {
 namespace {
 
-constexpr int kMostFirings = 40000;  // firings per revolution, reached by a revolution of two seconds
+// maximum number of firings per revolution, enough for revolutions of two seconds
+constexpr int kMostFirings = 40000;
 constexpr std::int64_t kLongestTurn_ns = 2000000000;
 constexpr std::size_t kMostInMessage = 0xFFFF;
 constexpr double kBehind_deg = 180.0;
-constexpr double kBackward_deg = 1.0;  // an encoder may seem to move backward by this angle
+constexpr double kBackward_deg = 1.0;  // maximum decrease of the encoder angle that is accepted as noise
 constexpr double kMostBright = 65535.0;
 
 double degrees_on(double from_deg, double to_deg) {  // clockwise, less than one revolution
@@ -28,26 +29,29 @@ double degrees_on(double from_deg, double to_deg) {  // clockwise, less than one
     return step < -kBackward_deg ? step + 360.0 : step;
 }
 
-/// Position and time at which the points of a firing are created.
+/// Azimuth, time and number of a firing, from which its points are computed.
 struct Place {
     double azimuth_deg, time_s;
-    int number;           ///< number of the firing
-    double ahead_deg_us;  ///< difference between the current and the average rotation rate
-    double brightness;    ///< intensity that counts as 1
+    int number;  ///< number of the firing
+    /// current rotation rate minus the average rotation rate, in degrees per microsecond
+    double ahead_deg_us;
+    double brightness;  ///< intensity value that is scaled to 1
 };
 
-bool fires_at(const std::vector<bool>& fires, std::int64_t column) {  // column of any revolution
+// `column` may be outside one revolution
+bool fires_at(const std::vector<bool>& fires, std::int64_t column) {
     const auto n = std::int64_t(fires.size());
     return fires[std::size_t((column % n + n) % n)];
 }
 
-/// Points, and the firing number of each.
+/// Points of a revolution, and the number of the firing that measured each point.
 struct FiredPoints {
     Points points;
     std::vector<int> numbers;
 };
 
-/// Adds the returns of all beams. If a ray has two returns, adds the brighter one first.
+/// Adds the returns of all beams of a firing as points. If a ray has two returns, the
+/// brighter return is added first.
 void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2>* echoes,
                 const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     Points& points = fired.points;
@@ -71,9 +75,9 @@ void add_firing(FiredPoints& fired, const Place& place, const std::array<Echo, 2
     }
 }
 
-/// Returns the scan of a head that fires at fixed azimuths.
-/// @param has_fired  [columns per revolution]
-/// @param n_columns  minimum number of columns of the image
+/// Creates the scan of a sensor that fires at fixed azimuths.
+/// @param has_fired  [columns per revolution] true if the column was fired
+/// @param n_columns  minimum number of columns of the scan
 Scan scan_of_columns(FiredPoints& fired, const std::vector<bool>& has_fired, SpinningSensor sensor,
                      std::size_t n_columns) {
     Sweep sweep{{int(has_fired.size()), kPi}, {}};
@@ -114,7 +118,7 @@ void PacketLog::check_product(const PacketView& packet, const Calibration& calib
     calibration_ = calibration;
 }
 
-/// Returns the angle between columns of a head that fires at fixed azimuths.
+/// Returns the angle between two columns of a sensor that fires at fixed azimuths.
 double PacketLog::step_deg() const { return 360.0 / double(decoder_->timing().fires.size()); }
 
 void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
@@ -144,8 +148,9 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
         }
         entry.azimuth_deg =
             before.azimuth_deg + degrees_on(std::fmod(before.azimuth_deg, 360.0), begin.azimuth_deg);
-        // If packets of more than one revolution were lost, estimates the rotation from
-        // the rate of the packet before.
+        // If packets of more than one revolution were lost, the encoder angle alone is
+        // ambiguous. The number of lost revolutions is then estimated from the previous
+        // rotation rate.
         const double own_us = timing.cycle_us * double(std::max(n_slots_ - 1, 1));
         const double deg_us =
             timing.fires.empty() ? double(before.turned_deg) / own_us : step_deg() / timing.cycle_us;
@@ -163,8 +168,8 @@ void PacketLog::add_packet(const PacketView& view, std::uint16_t in_message) {
                     std::clamp(std::round(255.0 * double(echo.intensity)), 0.0, kMostBright))];
 }
 
-/// Returns the number of packets from the previous packet to this one, 1 if none is
-/// missing.
+/// Computes by how many packets a packet follows the previous one. The result is 1 if no
+/// packet was lost in between.
 std::size_t PacketLog::steps_to(std::size_t packet) const {
     const Timing& timing = decoder_->timing();
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
@@ -175,7 +180,8 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
     return std::size_t(std::clamp(std::round(n), 1.0, 1e9));
 }
 
-/// Returns the number of packets missing before a packet.
+/// Returns the number of packets that were lost before a packet. Packets in which the
+/// sensor does not fire are not counted.
 std::size_t PacketLog::missing_before(std::size_t packet) const {
     const std::size_t n = steps_to(packet) - 1;
     const std::vector<bool>& fires = decoder_->timing().fires;
@@ -192,8 +198,8 @@ std::size_t PacketLog::missing_before(std::size_t packet) const {
     return missing;
 }
 
-/// Returns the angular range of complete revolutions. For a head that fires at fixed
-/// azimuths, it extends to the previous and the next firing position.
+/// Returns the range of head angles that the packets cover. If the sensor fires at fixed
+/// azimuths, the range also includes the adjacent azimuths at which it does not fire.
 std::pair<double, double> PacketLog::reach_deg() const {
     const Entry &first = packets_.front(), &last = packets_.back();
     const std::vector<bool>& fires = decoder_->timing().fires;
@@ -220,7 +226,8 @@ std::vector<PacketTurn> PacketLog::turns() const {
         turn.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = turn.last;
-        if (turn.first == turn.last) {  // no packet of this revolution exists; continue with the next one
+        // all packets of this revolution were lost; continue at the next packet
+        if (turn.first == turn.last) {
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg;
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
             continue;
@@ -232,8 +239,8 @@ std::vector<PacketTurn> PacketLog::turns() const {
     return turns;
 }
 
-/// Computes the time at which the head faces forward, and the offset between stamps and
-/// the sensor's clock.
+/// Computes the time at which the head faces forward. If the sensor's clock determines
+/// the times, also computes the offset from this clock to the stamps.
 void PacketLog::find_times(PacketTurn& turn) const {
     const double forward = turn.begin_deg + 180.0;
     const auto behind =
@@ -251,8 +258,8 @@ void PacketLog::find_times(PacketTurn& turn) const {
     turn.forward_ns += before.clock_ns + turn.stamp_less_clock_ns - before.stamp_ns;
 }
 
-/// Returns true if the sensor's clock increases during a revolution and the revolution is
-/// not too long.
+/// Returns true if the sensor's clock increases from packet to packet and the duration of
+/// the revolution is plausible.
 bool PacketLog::is_even(const PacketTurn& turn) const {
     for (std::size_t i = turn.first + 1; i <= turn.last; ++i)
         if (packets_[i].clock_ns <= packets_[i - 1].clock_ns) return false;
@@ -264,7 +271,7 @@ std::vector<PacketLog::Source> PacketLog::messages(const PacketTurn& turn) const
             messages_.begin() + packets_[turn.last].message + 1};
 }
 
-/// Returns the average angle between firings.
+/// Returns the average azimuth step between two firings of a revolution.
 double PacketLog::slot_deg(const PacketTurn& turn) const {
     const std::size_t n = (turn.last - turn.first + turn.n_missing) * std::size_t(n_slots_);
     const double all_deg = packets_[turn.last].azimuth_deg - packets_[turn.first].azimuth_deg;
@@ -278,20 +285,22 @@ SpinningSensor PacketLog::sensor() const {
     const double period_s = std::clamp(1e-9 * period_ns, 0.02, 1.0);
     const Timing& timing = decoder_->timing();
     if (!timing.fires.empty()) return decoder_->sensor(int(timing.fires.size()), 1.0 / period_s);
-    // firings per revolution; must not be smaller than in any revolution
+    // number of columns: the maximum number of firings in any revolution
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketTurn& turn : turns()) most = std::max(most, 360.0 / slot_deg(turn));
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
-/// Returns the maximum intensity of all echoes, where 255 is an intensity of 1.
+/// Returns the maximum intensity of all returns on a scale where 255 corresponds to
+/// intensity 1.
 double PacketLog::brightest() const {
     std::size_t most = n_bright_.size();
     while (most > 0 && n_bright_[most - 1] == 0) --most;
     return most > 0 ? double(most - 1) : 0.0;
 }
 
-/// Returns the intensity that counts as 1, as for point clouds (cloud_units.cpp).
+/// Returns the intensity that is scaled to 1. Uses the same rule as for point clouds
+/// (cloud_units.cpp).
 double PacketLog::intensity_max() const {
     if (brightest() <= 255.0) return 1.0;
     std::uint64_t n = 0, left = 0;
@@ -309,7 +318,7 @@ std::string PacketLog::about() const {
         decoder_->about(), brightest(), 255.0 * intensity_max());
 }
 
-/// Decodes a packet of a revolution that was read a second time.
+/// Decodes a packet again when the scan of its revolution is read.
 Packet PacketLog::packet_again(const PacketTurn& turn, const Entry& entry,
                                const std::vector<std::vector<PacketView>>& packets) const {
     const std::size_t m = entry.message - packets_[turn.first].message;
@@ -321,14 +330,15 @@ Packet PacketLog::packet_again(const PacketTurn& turn, const Entry& entry,
     return decoder_->decode(view.bytes);
 }
 
-/// Returns the column of an azimuth in a revolution. The column is negative or too large
-/// for azimuths outside the revolution.
+/// Converts an azimuth to a column of a revolution. The result is outside the valid range
+/// if the azimuth is outside the revolution.
 int PacketLog::column_in(const PacketTurn& turn, double azimuth_deg) const {
     const double n = double(decoder_->timing().fires.size());
     return int(std::clamp(std::round((azimuth_deg - turn.begin_deg) / step_deg()), -n, 2.0 * n));
 }
 
-/// Marks the columns that fired in packets that are missing before a packet.
+/// Marks the columns of lost packets as fired. These packets were lost directly before
+/// `packet`.
 void PacketLog::mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& has_fired) const {
     const Entry &entry = packets_[packet], &before = packets_[packet - 1];
     const int begin = column_in(turn, before.azimuth_deg) - before.first_slot + n_slots_;
@@ -345,7 +355,8 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     const double mean_deg_us = 360e-6 / sensor.period_s, brightness = intensity_max();
     const int n_columns = int(timing.fires.size());
     std::vector<bool> has_fired(timing.fires.size(), false);
-    std::size_t before = 0;  // preceding packets of the revolution, including missing packets
+    // number of packets of the revolution before this packet, including lost packets
+    std::size_t before = 0;
     for (std::size_t p = turn.first; p <= turn.last; ++p) {
         const Entry& entry = packets_[p];
         if (p > turn.first) before += steps_to(p);

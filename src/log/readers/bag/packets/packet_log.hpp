@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts packets of any supported spinning LiDAR to sweeps.
+// Groups the packets of a spinning LiDAR into sweeps. Works for all products with a
+// decoder.
 #pragma once
 
 #include <cstdint>
@@ -15,54 +16,59 @@
 
 namespace relidar::packets {
 
-/// A revolution of the head, which begins and ends facing backward.
+/// One revolution of the LiDAR's head. It begins and ends when the head faces backward.
 struct PacketTurn {
-    /// Time at which the head faced forward, and recording time of that packet.
+    /// Time at which the head faced forward, and the time at which that packet was
+    /// recorded.
     std::int64_t forward_ns = 0, log_ns = 0;
     std::size_t first = 0, last = 0;  ///< packets of the revolution
-    /// Start angle of the head, unwrapped over the recording. The revolution ends 360
-    /// degrees later.
+    /// Head angle at the start of the revolution, counted over the full recording without
+    /// wrapping. The revolution ends 360 degrees later.
     double begin_deg = 0.0;
-    std::size_t n_missing = 0;  ///< missing packets of the revolution
-    /// Offset from the sensor's clock to the stamps, from the packet with the smallest
-    /// delay. Used if the sensor's clock determines the times.
+    std::size_t n_missing = 0;  ///< number of lost packets in the revolution
+    /// Stamp minus sensor clock for the packet with the smallest network delay. Used only
+    /// if the sensor's clock determines the times.
     std::int64_t stamp_less_clock_ns = 0;
 };
 
-/// The packets of a topic: the time of each packet, the angle of the head, and the
-/// message with the packet.
+/// Index of a topic's packets. Stores for each packet its time, the angle of the head,
+/// and the message that contains the packet.
 class PacketLog {
 public:
-    /// Adds the packets of a message.
+    /// Adds the packets of one message to the index.
     /// @param calibration  known calibration data of the sensor
-    /// @throws DataError with the product if the packets cannot be decoded or come from a
-    /// different product than before
+    /// @throws DataError with the product if the packets cannot be decoded, or if the
+    /// product changes
     void add(const std::vector<PacketView>& packets, std::int64_t log_ns, const bag::Place& place,
              const Calibration& calibration);
     bool empty() const { return packets_.empty(); }
     std::size_t size() const { return packets_.size(); }
     /// Returns the complete revolutions.
     std::vector<PacketTurn> turns() const;
-    /// Position and recording time of a message with packets.
+    /// Position of a message in the recording, and the time at which the message was
+    /// recorded.
     struct Source {
         bag::Place place;
         std::int64_t log_ns;
     };
-    /// Returns the messages with the packets of a revolution.
+    /// Returns the messages that contain the packets of a revolution.
     std::vector<Source> messages(const PacketTurn& turn) const;
-    /// Returns the sensor with its measured rotation rate.
+    /// Returns the model of the sensor, with the rotation rate measured from the packets.
     SpinningSensor sensor() const;
     std::string about() const;
-    /// Returns the scan of a revolution. Times of rays are relative to `zero_ns`.
-    /// @param packets  packets of each of messages()
+    /// Decodes the packets of a revolution and returns its scan. The times of rays are
+    /// relative to `zero_ns`.
+    /// @param packets  packets of each message that messages() returns
     Scan scan(const PacketTurn& turn, const std::vector<std::vector<PacketView>>& packets,
               const SpinningSensor& sensor, std::int64_t zero_ns) const;
 
 private:
     struct Entry {
-        std::int64_t stamp_ns, clock_ns;  ///< times of its first firing; the sensor's clock is unwrapped
-        double azimuth_deg;               ///< unwrapped azimuth of its first firing
-        float turned_deg;                 ///< rotation from its first firing to its last
+        /// times of the packet's first firing; the sensor's clock is counted without
+        /// wrapping
+        std::int64_t stamp_ns, clock_ns;
+        double azimuth_deg;  ///< unwrapped azimuth of its first firing
+        float turned_deg;    ///< rotation from its first firing to its last
         std::uint32_t message;
         std::uint16_t in_message;  ///< index in the message
         std::int16_t first_slot;   ///< slot of its first firing
@@ -73,7 +79,8 @@ private:
     int n_slots_ = 1;  ///< slots per packet
     std::vector<Entry> packets_;
     std::vector<Source> messages_;
-    /// [255 x intensity + 1] number of echoes, if intensities exceed 1
+    /// [255 x intensity] number of returns with this intensity; empty unless intensities
+    /// may exceed 1
     std::vector<std::uint32_t> n_bright_;
 
     void check_product(const PacketView& packet, const Calibration& calibration);

@@ -16,13 +16,13 @@ namespace {
 
 using bag::MessageReader;
 
-/// Layout of a packet in a message.
+/// How a message stores a packet.
 enum class Form {
     fixed,   ///< a stamp and `n` bytes of packet
-    padded,  ///< stamp, `n` bytes, number of bytes that belong to the packet
+    padded,  ///< a stamp, `n` bytes, and the number of these bytes that belong to the packet
     list,    ///< a stamp and a list of bytes
-    bare,    ///< no header; stamp in nanoseconds, list of bytes
-    alone,   ///< no header and no list of packets; the list of bytes of one packet
+    bare,    ///< a stamp in nanoseconds and a list of bytes; the message has no header
+    alone,   ///< only the bytes of a single packet; the message has no header
 };
 struct MessageType {
     const char* type;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Identifies the product that sent a packet. The table has one row per product. For a
-// product without a decoder, it names the driver that makes clouds from the packets.
+// Finds the product that sent a packet. The table has one row per product. If relidar has
+// no decoder for a product, its row names the driver that converts the packets to clouds.
 #include <algorithm>
 
 #include <fmt/format.h>
@@ -25,7 +25,7 @@ template <int product>
 bool is_velodyne_of(string_view packet) {
     return is_velodyne(packet) && has_byte(packet, kProductAt, product);
 }
-/// Hesai since the XT: EE FF, then the version of the protocol.
+/// Hesai packets since the XT begin with EE FF and the protocol version.
 template <int major, int minor>
 bool is_hesai(string_view packet) {
     return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte(packet, 2, major) &&
