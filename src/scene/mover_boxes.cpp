@@ -20,7 +20,8 @@ constexpr int kRounds = 3;
 // this time.
 constexpr double kTop_s = 1.0;
 constexpr double kMargin_m = 0.1;  // added around the points of a box
-// the lowest part of a box has no returns, because it counts as ground (actors.cpp)
+// a box is extended downwards by this, because its lowest part counts as ground
+// (actors.cpp)
 constexpr double kGroundOfBox_m = 0.15;
 constexpr double kSpeedOver_s = 0.5;
 // Number of labelled observations that determine where the labelled box is relative to
