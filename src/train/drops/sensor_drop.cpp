@@ -15,7 +15,7 @@ constexpr int kColumnsPerBin = 3;
 // bin.
 constexpr int kNeighbours = 2;
 // Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor
-// cannot be distinguished from a few rays into the sky.
+// cannot be distinguished from a hole in the scene that a few sweeps have seen.
 constexpr std::uint32_t kCertainRays = 60;
 // Weight of the prior, as a number of rays. The expected drop rate includes this many
 // returned rays. The drop rate of a bin includes this many rays with the expected rate.

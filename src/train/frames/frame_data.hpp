@@ -35,9 +35,9 @@ struct FrameData {
     int index = 0;     ///< frame number of the dataset
     std::uint32_t n_rays = 0;
     ImageShape image;  ///< shape of the ray image; empty if the sensor has no image order
-    /// index of the first vehicle pose between which the rays are interpolated
+    /// index of the first vehicle pose that the rays need
     std::size_t first_knot = 0;
-    std::uint32_t n_knots = 0;  ///< number of vehicle poses between which the rays are interpolated
+    std::uint32_t n_knots = 0;                  ///< number of vehicle poses that the rays need
     std::shared_ptr<const FrameArrays> arrays;  ///< arrays that hold the frame while it is on the device
     /// [n] rays, computed from corrected poses; null if poses are not corrected
     const Array<DeviceRay>* moved_rays = nullptr;
