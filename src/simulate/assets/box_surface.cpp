@@ -10,8 +10,8 @@ namespace relidar {
 namespace {
 
 constexpr double kPatch_m = 0.3;
-// This lower part of a vertical side is ignored, as a fraction of the height, because
-// LiDARs hardly see it near the ground.
+// Ignores this lowest fraction of the height of a vertical side, because the ground hides
+// it.
 constexpr double kHiddenHeight = 0.2;
 /// A return observes a side only if the cosine between the ray and the normal of the side
 /// is at least kGrazing. At smaller angles the returns form separate streaks. The limit
@@ -56,8 +56,7 @@ BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
 }
 
 /// Finds the patch that a line from the centre of the box through a point hits. Returns
-/// false if the line hits no patch, or if the patch is ignored because it is near the
-/// ground.
+/// false if the line hits no patch, or only a patch that the ground hides.
 bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
     const glm::dvec3 share = point_m / half_m_, size = glm::abs(share);
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;

@@ -67,7 +67,7 @@ ScanStrand& ScanRenderer::Impl::next_strand() {
     return strand == 0 ? first : others[strand - 1];
 }
 
-/// Submits all scans to the device whose commands were recorded together.
+/// Submits the GPU commands of all scans that were recorded together.
 void ScanRenderer::Impl::send() {
     if (!together) return;
     together.reset();
