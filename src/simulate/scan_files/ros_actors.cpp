@@ -29,8 +29,8 @@ std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
 }
 
 /// Labels of autoware_perception_msgs/ObjectClassification, selected by a word in the
-/// class name of an object. The first match is used. Therefore a long word such as
-/// "truck" is listed before a more general word.
+/// class name of an object. The first match is used. Therefore a word is listed before
+/// the words that it contains, for example "caravan" before "car".
 struct Label {
     const char* word;
     std::uint8_t number;
