@@ -25,8 +25,8 @@ constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
 // each scan are kept, because a plane needs eight points.
 constexpr double kScansOnACell = 24.0;
 constexpr RegisterRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
-// Cell size and robust-kernel scale of the last odometry step. The kernel is larger here,
-// because the map of running sums is less accurate.
+// Cell size and robust-kernel scale of the last odometry step. The scale is larger than
+// in the last rounds, because the map of running sums is coarser.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
 constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
