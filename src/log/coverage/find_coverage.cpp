@@ -21,7 +21,9 @@ struct Look {
 };
 
 /// Returns for each ray of one firing the length of its observed path, highest beam
-/// first. A dropped ray below a return is handled with the returns above and below it.
+/// first. A dropped ray has observed space only if there is a return below it. Its path
+/// is then as long as the nearer one of the returns above and below, or max_range_m if
+/// there is no return above.
 /// @param range_m [rows] ranges of the returns, 0 if the ray was dropped
 std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();

@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interpolates poses and boxes, computes rays in the world frame, and collects the
-// properties of a log (paper Sec. 4).
+// Interpolates poses and boxes, and computes rays and returns in the world frame.
 //   pose(t): slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
 #include <relidar/log/sequence.hpp>
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the frames that are held out of training. Selects every n-th frame, the frames
-// of a published split, or the frames in a list.
+// Selects the frames that are held out of training (paper Sec. 4). Selects every n-th
+// frame, the frames of a published split, or the frames in a list.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
