@@ -277,7 +277,7 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep) {
-    // a map, because a log can have a thousand tracks
+    // a hash map, because a log can have a thousand tracks
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
         if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);

@@ -145,8 +145,8 @@ void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std:
     }
 }
 
-/// Returns the unit quaternion (w, x, y, z) of the rotation with these columns. The
-/// largest component of the quaternion is positive.
+/// Returns the unit quaternion (w, x, y, z) of a rotation matrix with the columns x, y,
+/// z. The largest component of the quaternion is positive.
 glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
     const double trace = x.x + y.y + z.z;
     const std::array<glm::dvec4, 4> candidates{{{1 + trace, y.z - z.y, z.x - x.z, x.y - y.x},

@@ -65,7 +65,8 @@ std::vector<Constant> activation_constants(bool stage_harmonics) {
 /// after all surfels, model by model.
 struct Placements {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
-    /// [models] first instance of each model, or -1 if the model is not placed
+    /// [models] index of the first instance of each model, or -1 if the model has no
+    /// instance
     std::vector<std::int64_t> first_instance;
     /// first gradient rows of the second and further instances, sorted by model
     std::vector<std::uint32_t> more;

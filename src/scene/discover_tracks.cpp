@@ -29,7 +29,7 @@ constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
 constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
-constexpr double kVehicle_m = 1.2;  // objects of at least this size are not people
+constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
 // An object must move at least this far, as a share of the box's longer side. The visible
 // part of a static object can drift within its box.
 constexpr double kWayOfSize = 0.9;
@@ -105,7 +105,7 @@ std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverT
     return continued_box(track, label);
 }
 
-/// Data of a box that the processes of a group exchange.
+/// Fixed-size data of a box, which the processes of a group exchange.
 struct BoxHead {
     glm::dvec3 size_m;
     std::uint64_t n_poses, n_before, n_after;
@@ -226,10 +226,10 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR found. If an object already has a box, the existing
-/// box stays, unless the new box has more than 1.5 times as many observations. A slightly
-/// longer track is not always better. A much shorter track means that the LiDAR lost the
-/// object.
+/// Adds the boxes that another LiDAR found. If both LiDARs found an object, the existing
+/// box is usually kept. The new box replaces it if it has more than 1.5 times as many
+/// observations. A slightly longer track is not always better. A much shorter track means
+/// that the LiDAR lost the object.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
         const auto is_same = [&](const BoxTrack& b) {

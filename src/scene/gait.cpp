@@ -113,7 +113,8 @@ constexpr double kNearSurface_m = 0.3;  // distances to the nearest point are li
 
 /// Distances from some samples of an actor to the nearest sample of each frame.
 struct FrameGaps {
-    std::vector<double> walked_m;                ///< [frames] distance walked at the time of each frame
+    /// [frames] distance that the actor had walked when each frame was recorded
+    std::vector<double> walked_m;
     std::vector<std::size_t> frame;              ///< [samples] frame of each sample
     std::vector<std::vector<float>> distance_m;  ///< [samples][frames]
     /// [samples] true for the half of the samples whose distances vary most; these
@@ -225,7 +226,7 @@ namespace {
 constexpr int kBins = 40;  // number of bins per stride
 // Standard deviation of the phase interval in which a surfel is visible, in strides.
 constexpr double kWindow = 0.06;
-constexpr double kSame_m = 0.07;  // points closer than this belong to the same surface
+constexpr double kSame_m = 0.07;  // points that are closer together than this belong to the same surface
 
 /// Samples of an actor, sorted into `kBins` bins by gait phase.
 struct Phases {

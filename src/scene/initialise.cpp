@@ -33,7 +33,7 @@ constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples in one voxel.
 struct Voxel {
-    std::uint64_t first = 0;  ///< index of the voxel's first sample, counted over all frames
+    std::uint64_t first = 0;  ///< index of the first sample in the voxel, counted over all frames
     glm::dvec3 position{0.0};
     glm::dvec3 view{0.0};
     double intensity = 0.0;
@@ -94,7 +94,7 @@ Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const Initi
     return {level, int(std::floor(p.x / edge)), int(std::floor(p.y / edge)), int(std::floor(p.z / edge))};
 }
 
-/// A sample, its voxel, and its index among the samples of its frame.
+/// A sample with its voxel and its index among the samples of its frame.
 struct Placed {
     Sample sample;
     Cell cell;
@@ -135,8 +135,8 @@ struct Voxels {
 };
 
 /// Returns the mean sample of each voxel, in the order in which the voxels first appear.
-/// This order is reproducible. Reads only a few frames at a time, so that memory grows
-/// with the number of voxels and not with the number of frames.
+/// This order is reproducible. Reads only a few frames at a time, so that memory does not
+/// grow with the number of frames.
 std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train,
                                 const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;

@@ -30,14 +30,15 @@ constexpr std::size_t kNearLabels = 10;
 // if the sensor is farther outside the box than this, it sees only one end
 constexpr double kBeside_m = 0.5;
 
-/// Frame of an object on the ground: position and heading.
+/// Position and heading of an object on the ground. They define the frame of the object.
 struct Placement {
     glm::dvec3 position_m{0.0};
     double yaw = 0.0;
     glm::dvec3 along() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
     glm::dvec3 across() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
     glm::dquat rotation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
-    /// Transforms a world point into this frame: x along the heading, y to the left.
+    /// Transforms a point from the world frame into the frame of the object: x along the
+    /// heading, y to the left.
     glm::dvec3 to_local(const glm::dvec3& world) const {
         const glm::dvec3 d = world - position_m;
         return {glm::dot(along(), d), glm::dot(across(), d), d.z};

@@ -18,7 +18,8 @@ namespace relidar {
 namespace {
 
 constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
-constexpr double kCell_m = 0.2;       // visibility is computed once per cell of this size
+// edge of a cell; whether frames see an empty space is computed once per cell
+constexpr double kCell_m = 0.2;
 // Edge of a square on the ground. Returns above neighbouring squares belong to the same
 // object.
 constexpr double kSquare_m = 0.3;
@@ -32,8 +33,8 @@ constexpr double kSeenThroughShare = 0.25;
 // Number of frames. A static object is observed in more frames, unless it is far away or
 // hidden.
 constexpr int kSeldomSeen = 3;
-// Points that lie lower than the moved points by more than this, and that few frames
-// observe, belong to the ground around the object.
+// Points lower than the moved points by more than this belong to the ground around the
+// object, if few frames observe them.
 constexpr double kGroundBelow_m = 0.05;
 // An empty vertical gap of this size separates two objects. Beams two degrees apart leave
 // a gap of this size at 29 m.
@@ -43,9 +44,9 @@ constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a clu
 // between two groups of frames are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// Motion state of a cell. If only a few frames observe a cell, for example at the end of
-/// a log, no frame may prove that a moving object left the cell. Such a cell is
-/// `seldom_seen` and joins a cluster together with moved cells.
+/// Motion state of a cell. If only a few frames observe a cell, they may not prove that a
+/// moving object left it. This happens at the end of a log. Such a cell is `seldom_seen`
+/// and joins a cluster together with moved cells.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// One return of a frame.
@@ -63,8 +64,8 @@ struct LabelledBox {
 };
 
 /// Returns the labelled boxes at a given time. A moving box is returned only while it has
-/// labels. A static box is returned at all times, because an object that is parked during
-/// its labels was also parked before and after them.
+/// labels. A static box is returned at all times. If an object is parked during its
+/// labels, it was also parked before and after them.
 std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {

@@ -20,7 +20,8 @@ struct MoverCluster {
     double time_s = 0.0;               ///< mean firing time of its returns
     glm::dvec3 centre_m{0.0};          ///< mean position of its returns, world
     std::vector<glm::dvec3> points_m;  ///< positions of its returns, world
-    int label = kNoLabel;              ///< index in Sequence::boxes of the labelled box, or kNoLabel
+    /// index of the labelled box in Sequence::boxes; kNoLabel if there is no label
+    int label = kNoLabel;
 
     /// Adds the returns of another cluster of the same frame.
     void take_in(const MoverCluster& other);

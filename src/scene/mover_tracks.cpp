@@ -21,7 +21,7 @@ constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before 
 // Number of observations that estimate a velocity. kNext predicts the next frame, and
 // kFar predicts across a gap.
 constexpr std::size_t kNext = 4, kFar = 10;
-constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that was seen once
+constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
 // Largest allowed error of a predicted position. The error has a constant part and a part
 // per second.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;

@@ -111,7 +111,7 @@ struct Gap {
 /// the point itself
 Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                       const glm::dvec3& normal) {
-    constexpr std::size_t kOnLine = 4;  // the nearest neighbours lie on the same scan line as the point
+    constexpr std::size_t kOnLine = 4;  // the nearest neighbours of a point are on the same scan line
     // A neighbour lies across the line if the cosine of its angle to `across` is at least
     // this value.
     constexpr double kAcross = 0.7071;
@@ -154,7 +154,7 @@ void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, d
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
                  albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
-    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // coefficients of the y, z and x of a direction
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // SH coefficients of degree 1 for the axes x, y, z
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
     sh[2] = static_cast<float>(slope.z);
@@ -192,7 +192,7 @@ struct Place {
 /// not determine the rotation of the plane about the line.
 Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
                std::vector<std::size_t> nearest, const InitialiseOptions& options) {
-    constexpr int kWider = 2;  // maximum number of times that the search is widened
+    constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours
     Place place{fit_plane(samples, nearest, samples[i].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return place;
     const auto widen = [&] {

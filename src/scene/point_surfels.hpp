@@ -16,7 +16,7 @@ struct Sample {
     float intensity;
     glm::vec3 view;         ///< unit vector from the sensor to the point
     float walked_m = 0.0f;  ///< distance that the actor had walked (WalkedWay)
-    int frame = 0;          ///< for an actor: index of the point's frame in the log
+    int frame = 0;          ///< index in the log of the point's frame; used only for actors
 };
 
 /// Calls work(WorldReturn) for each return of a frame, ray by ray.

@@ -27,9 +27,9 @@ namespace {
 
 constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
-// thickness of a surfel, in metres, for viewers that draw ellipsoids
+// Logarithm of a surfel's thickness in metres, for viewers that draw ellipsoids.
 const float kFlat = std::log(1e-4f);
-constexpr std::string_view kEndOfHeader = "\nend_header";  // followed by a line end of Unix or Windows
+constexpr std::string_view kEndOfHeader = "\nend_header";  // a Unix or Windows line end must follow
 constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
 // The index of a model is stored as a float, which is exact up to this number.

@@ -27,7 +27,8 @@ constexpr int kSectors = 64;
 // A ray passes through a point if its return lies behind the point by this many error
 // margins.
 constexpr double kBehind = 1.5;
-constexpr double kTile_m = 8.0;  // size of a ground tile; all points of a tile use the same frames
+// edge of a ground tile; all points of a tile are looked up in the same frames
+constexpr double kTile_m = 8.0;
 // Frames whose sensor is farther away than this are not used. They have only one or two
 // returns from a person and do not observe most positions.
 constexpr double kNear_m = 40.0;

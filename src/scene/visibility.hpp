@@ -21,8 +21,9 @@ enum class Sight : char { nothing, seen, seen_through };
 /// the lower beam. Evenly spaced rows without a beam would not show this.
 class BeamGrid {
 public:
-    BeamGrid() = default;                 ///< Makes an empty grid.
-    explicit BeamGrid(const Scan& scan);  ///< Makes the grid from any scan of the LiDAR.
+    BeamGrid() = default;  ///< Makes an empty grid.
+    /// Makes the grid from the rays of a scan. Any scan of the LiDAR can be used.
+    explicit BeamGrid(const Scan& scan);
 
     /// Cell of the grid that contains the direction of a point.
     struct Place {

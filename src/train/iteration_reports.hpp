@@ -72,7 +72,7 @@ public:
         visit("term_sums", sums_);
         visit("n_summed", n_summed_);
     }
-    /// Returns true if a state that was read from a checkpoint is valid.
+    /// Returns true if the state that was read from a checkpoint is valid.
     bool is_sound() const { return sums_.size() == kLossTerms; }
 
 private:

@@ -53,7 +53,7 @@ bool has_poses(const Sequence& sequence, const Config& config) {
 struct PoseCorrections {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
-    /// Computes the statistics.
+    /// Computes the median and the maximum of the corrections.
     /// @param from  [poses] poses of the log
     /// @param to  [poses] registered poses
     PoseCorrections(const PoseTrack& from, const PoseTrack& to) {
@@ -213,8 +213,8 @@ void report_noise(const Sequence& sequence, const PrepareSession& session) {
                             1e3 * lidar.range_noise.at(10.0, 1.0), 1e3 * lidar.range_noise.at(40.0, 1.0)));
 }
 
-/// Checks for an interruption.
-/// @throws Error with exit code 130 if the user has interrupted the program
+/// Throws an error if the user has interrupted the program.
+/// @throws Error with exit code 130
 void throw_if_interrupted(const PrepareSession& session) {
     if (session.stop && session.stop())
         throw Error(ExitCode::interrupted,

@@ -21,7 +21,7 @@ namespace {
 // margin around an actor's box, so that the rays at its silhouette are included
 constexpr double kBeside_m = 0.5;
 constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
-constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves within half a sweep
+constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
 // Radius of a surfel in standard deviations. Beyond this radius, alpha is too small to
 // contribute.
 constexpr double kReach_sigmas = 3.5;
@@ -42,8 +42,8 @@ struct Sight {
     /// @param after_s  firing time of the ray, relative to the reference time of the
     /// sweep
     bool is_met_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
-    /// Returns true if a sphere can be on a ray that hits the actor's box, in front of
-    /// the actor or behind it.
+    /// Returns true if a sphere may be hit by a ray that also hits the actor's box. The
+    /// sphere may be in front of the actor or behind it.
     bool may_show(const glm::dvec3& point_m, double reach_m) const {
         const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
@@ -58,7 +58,7 @@ private:
     }
 };
 
-/// A training frame, with the actors in its view.
+/// A training frame, and the actors that it may show.
 struct SightedFrame {
     int position = 0;  ///< index into Sequence::frames
     glm::dvec3 sensor_m{0.0};

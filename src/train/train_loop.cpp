@@ -67,9 +67,9 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
 }
 
 /// Returns the learning rates of the surfel positions of each model, relative to the rate
-/// of the background. The rate is proportional to the extent of the model, because steps
-/// suitable for a street would move an actor's surfels out of its box. The rate is used
-/// if surfels are cloned and split by fractions of this extent, as in the paper. A dense
+/// of the background. The rate is proportional to the extent of the model. Steps suitable
+/// for a street would move an actor's surfels out of its box. The rate is used if surfels
+/// are cloned and split by fractions of this extent, as in the paper. A dense
 /// initialisation uses a tenth of the paper's rate.
 /// @return [models] factors
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {

@@ -62,9 +62,9 @@ public:
     TrainLoop& operator=(const TrainLoop&) = delete;
 
     /// Records and submits the GPU commands of one iteration. Normally waits only until
-    /// an earlier submission is complete. Waits longer for densification, for a batch
-    /// with more rays or hits than any earlier batch, and if too many rays have more hits
-    /// than can be stored.
+    /// an earlier submission is complete. Waits longer for densification, and if a batch
+    /// has more rays or hits than any earlier batch. Also waits longer if too many rays
+    /// have more hits than can be stored.
     /// @param step  counts from 1
     /// @param ends_line  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite at
@@ -157,7 +157,7 @@ private:
     const FrameData& bring(std::size_t frame_index, bool surfels_changed);
     /// Records GPU commands that render a batch, and compute its losses and gradients.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
-    /// Evaluates the reports of the iterations up to `last`.
+    /// Checks the losses and counters of all iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);
     /// Compares the number of hits in a report with the capacity of the hit buffer.

@@ -25,9 +25,9 @@ struct ClosedLoops {
 
 /// Closes the loops of a track. Searches for poses near a place that the track passed at
 /// least 80 m of path earlier. The allowed distance grows with the path length. A loop
-/// closure is accepted if enough points of the scan lie on planes of the earlier pass, as
-/// many as in odometry. Loop closures that contradict the others get a lower weight
-/// (Geman and McClure 1985). The corrections x of the poses minimise
+/// closure is accepted if enough points of the scan lie on planes of the earlier pass.
+/// Loop closures that contradict the others get a lower weight (Geman and McClure 1985).
+/// The corrections x of the poses minimise
 ///   sum over the track of |x_k+1 - x_k|^2 / s_k^2
 ///   + sum over loop closures of rho(|x_later - x_earlier - measured correction|)
 /// where each x is a translation and a rotation that also moves all later poses.

@@ -48,7 +48,7 @@ constexpr int kTrialScans = 4;
 // Tested motions between two scans. The maximum corresponds to 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-/// Returns the motion from a to b, scaled by s.
+/// Returns the relative motion from pose a to pose b, scaled by the factor s.
 Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
 
 /// Section of a log. The poses of a section are estimated one after the other.
@@ -103,7 +103,8 @@ public:
     }
 
     const PoseTrack& track() const { return track_; }
-    double share() const { return share_; }  ///< share of points on planes, summed over the scans
+    /// share of points on planes of the map, summed over all scans so far
+    double share() const { return share_; }
 
 private:
     struct Candidate {

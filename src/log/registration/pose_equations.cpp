@@ -245,7 +245,8 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    std::vector<Matrix6> carry_;  // [poses] matrix from the twist of the group to the twist of the pose
+    // [poses] matrix that converts the twist of a group to the twist of one of its poses
+    std::vector<Matrix6> carry_;
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 

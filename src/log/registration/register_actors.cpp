@@ -48,7 +48,7 @@ struct ActorPoints {
     std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
 };
 
-/// Collects the returns of training frames that lie in the box.
+/// Collects the returns of training frames that lie inside a labelled box.
 ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
                            const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;

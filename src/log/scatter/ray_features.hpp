@@ -60,6 +60,7 @@ using Features = std::array<float, kFeatures>;
 /// known.
 class Context {
 public:
+    /// Stores references to the scan and to the known intensities.
     /// @param known [rows*columns] kNoIntensity for unknown intensities; can be filled
     /// between calls
     Context(const RenderedIntensities& rendered, std::span<const float> known)
@@ -119,8 +120,8 @@ private:
             &scan_.intensity, &scan_.range_m, &scan_.spread_m, &scan_.cosine, &scan_.elevation_rad};
         return (*values[k])[i];
     }
-    /// Returns the logarithm of the ratio between the range of another ray and the range
-    /// of this ray.
+    /// Returns the logarithm of the ratio of two ranges: another ray's range divided by
+    /// this ray's range.
     float steepness(std::size_t other, std::size_t i) const {
         return scan_.range_m[other] > 0.0f && scan_.range_m[i] > 0.0f
                    ? std::log(scan_.range_m[other] / scan_.range_m[i])

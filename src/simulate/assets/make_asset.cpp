@@ -47,8 +47,8 @@ bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const I
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Replaces the unobserved side of a symmetric object by the mirror image of its observed
-/// side.
+/// Completes a symmetric object. Replaces surfels in unobserved places by the mirror
+/// image of the observed opposite side.
 /// @return number of surfels that were added
 std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;

@@ -126,7 +126,8 @@ Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& r
     if (config.sensor.divergence_mrad > 0.0) takes.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) takes.divergence_rad = divergence_rad;
     if (step > 0.0) takes.darkest = 0.5 * step;
-    // An intensity that is reported as 0 lies between 0 and half a step.
+    // An intensity that the sensor reports as 0 lies between 0 and half a step. This is
+    // the middle of the interval.
     takes.weakest_reflectivity = 0.5 * takes.darkest;
     takes.separation_m = config.sensor.return_separation_m;
     takes.min_range_m = limits_of(sensor).min_m, takes.max_range_m = limits_of(sensor).max_m;

@@ -27,7 +27,8 @@ void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& vis
     visit(basic.instance, from.instance, to.instance);
 }
 
-/// Calls visit() for the basic and the optional channels of two scans.
+/// Calls visit(info, values of `from`, values of `to`) for the basic and the optional
+/// channels of two scans.
 /// @param to has the channels of `from` in the same order, see emptied()
 template <class Visit>
 void for_each_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {

@@ -104,7 +104,7 @@ float sum_of(const Group& group, const std::vector<float>& values) {
     return sum;
 }
 
-/// Returns the mean of n values, starting at `first`.
+/// Returns the mean of n consecutive values, starting at index `first`.
 float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
     float sum = 0.0f;
     for (std::size_t i = first; i < first + std::size_t(n); ++i) sum += values[i];

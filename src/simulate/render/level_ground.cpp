@@ -45,7 +45,7 @@ using Cells = std::unordered_map<std::uint64_t, Cell>;
 
 std::uint64_t key_of(const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kCell_m); }
 
-/// Plane z = height + slope . (x, y).
+/// Plane z = height + slope . (x, y) of the ground.
 struct GroundPlane {
     double height_m = 0.0;
     glm::dvec2 slope{0.0};

@@ -63,8 +63,10 @@ struct ScanRenderer::Impl {
     Sequence sweep;
     const PoseTrack log_world_from_vehicle;  ///< recorded poses of the vehicle
     const glm::dvec3 first_origin_m;         ///< see first_origin()
-    const std::vector<Frame> sweeps;         ///< frames of the log that have an azimuth shift, without scans
-    std::vector<ChannelInfo> wanted;         ///< requested channels
+    /// frames of the log whose head azimuth differs from the nominal azimuth; without
+    /// scans
+    const std::vector<Frame> sweeps;
+    std::vector<ChannelInfo> wanted;  ///< requested channels
     ResidentScene scene;
     std::vector<bool> shown;  ///< [instances]
     Device& device;

@@ -18,7 +18,7 @@ struct SeenByLog {
     double max_range_m;         ///< maximum range of the simulated sensor
 };
 
-/// A ray and the range of the surface that it hits.
+/// A ray, and the range of the surface that the ray hits.
 struct LookingRay {
     Pose dataset_from_firing;
     glm::dvec3 origin_m, direction;  ///< in the sensor frame

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the angles between rays and the sun. Private to render.
+// Computes the angle between each ray and the direction to the sun. Private to render.
 #pragma once
 
 #include <vector>

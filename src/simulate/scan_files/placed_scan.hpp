@@ -23,7 +23,8 @@ struct PlacedScan {
     std::vector<glm::vec3> origin, direction;  ///< [n] in the frame of the file
     /// [n] end points of the rays in the frame of the file, see PointsOf::rays
     std::vector<glm::vec3> end_m;
-    std::vector<ScanChannel> channels;  ///< [n] values each, in the frame of the file
+    /// optional channels with [n] values each; vectors are in the frame of the file
+    std::vector<ScanChannel> channels;
     FileNotes notes;
     std::optional<Pose> dataset_from_points;  ///< frame of the points, see place_points()
 

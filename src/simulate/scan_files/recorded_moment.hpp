@@ -53,7 +53,7 @@ struct RecordedActor {
     BoxState at_stamp;  ///< state at the time stamp of the cloud
 };
 
-/// Converts a time of the file to a stamp in nanoseconds.
+/// Converts a time of the file from seconds to a time stamp in nanoseconds.
 inline std::uint64_t stamp_of(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
 
 struct RecordedMoment {

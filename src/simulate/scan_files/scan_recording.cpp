@@ -40,7 +40,7 @@ ScanRecording::~ScanRecording() {
 void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     if (!std::exchange(has_notes_, true)) {
         McapWriter::Values values(notes_.begin(), notes_.end());
-        // offset from times of the log to times of the file
+        // Offset in seconds that was added to the times of the log.
         values["time_shift_s"] = fmt::format("{}", shift_s);
         writer_.add_metadata("relidar", values);
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models water on the ground as a smooth film on a diffuse surface (Lekner and Dorf, "Why
-// some things are darker when wet", Applied Optics 1988).
+// Models water on the ground as a smooth film on a diffuse surface. Follows Lekner and
+// Dorf, "Why some things are darker when wet", Applied Optics 1988.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>

@@ -30,7 +30,8 @@ bool looks_at_grid(const Config& config) {
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (!looks_at_grid(config)) return nominal_rays_of(config, sequence, frame);
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    sensor.rolling_shutter = sequence.rolling_shutter;  // same as the scan from which the network learns
+    // same setting as in the scans from which the network learns
+    sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
 }
 

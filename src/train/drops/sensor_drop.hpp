@@ -39,7 +39,7 @@ private:
     DropTable index_;  ///< no probabilities; used only for the layout of the bins
     std::vector<std::uint32_t> rays_, drops_;
 
-    /// Returns the index of a bin. Bin numbers wrap around.
+    /// Returns the array index of a bin. Bin numbers outside the row wrap around.
     std::size_t slot(int channel, int bin) const {
         return std::size_t(channel) * std::size_t(index_.bins) +
                std::size_t((bin + index_.bins) % index_.bins);

@@ -27,7 +27,7 @@ namespace {
 /// Describes n columns of an image, spread over the image like every stride-th column.
 struct Columns {
     std::uint32_t stride = 1;
-    std::uint32_t n = 0;  ///< 0: the batch is not a selection of columns
+    std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
 };
 
 std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
@@ -61,7 +61,7 @@ Columns columns_of_batch(const FrameData& frame, const TrainConfig& config, bool
     return windows ? window(frame, config) : every_nth(frame, config);
 }
 
-/// Returns the number of rays of the largest batch of columns.
+/// Returns the number of rays in the largest batch that consists of columns.
 std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const FrameData& frame : frames)
@@ -70,8 +70,9 @@ std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config&
     return largest;
 }
 
-/// Checks that all frames are images.
+/// Checks that the rays of all frames have rows and columns.
 /// @param setting  name of the setting that compares neighbouring pixels
+/// @throws UsageError if a frame is not an image
 void check_images(const char* setting, const std::vector<FrameData>& frames) {
     for (const FrameData& frame : frames)
         if (!frame.image.is_image())

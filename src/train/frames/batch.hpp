@@ -44,7 +44,7 @@ struct SampledBatch {
 /// every n-th ray.
 class BatchSampler {
 public:
-    /// Creates the arrays of the batches.
+    /// Creates the device arrays for batches.
     /// @throws UsageError if structural similarity or normal consistency is enabled and
     /// batches or frames are not images
     BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);

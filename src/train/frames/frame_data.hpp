@@ -34,7 +34,9 @@ struct FrameData {
     int position = 0;  ///< index into Sequence::frames
     int index = 0;     ///< frame number of the dataset
     std::uint32_t n_rays = 0;
-    ImageShape image;  ///< shape of the ray image; empty if the sensor has no image order
+    /// rows and columns of the rays; empty if the sensor's rays are not ordered as an
+    /// image
+    ImageShape image;
     /// index of the first vehicle pose that the rays need
     std::size_t first_knot = 0;
     std::uint32_t n_knots = 0;                  ///< number of vehicle poses that the rays need
@@ -59,7 +61,8 @@ std::uint32_t most_rays(std::span<const FrameData> frames);
 
 /// Selects the measurements that training must ignore.
 struct Unknown {
-    InitialiseOptions moving;  ///< determines which boxes are actors, masked, or part of the background
+    /// settings that decide which boxes are actors, ignored, or part of the background
+    InitialiseOptions moving;
     /// tracks of actors; their points are used because the scene has a model for them
     std::vector<std::string> actors;
     /// table of drop rates; rays for which is_blind() is true are ignored; empty: none is
@@ -67,9 +70,9 @@ struct Unknown {
     DropTable observed_drops;
 };
 
-/// Computes the rays and target values of a frame on the host. Gives weight 0 to rays
-/// that returned from inside a moving box, and to dropped rays that may have hit such a
-/// box. The background must not learn these rays.
+/// Computes the rays and target values of a frame on the host. Some rays get weight 0,
+/// because the background must not learn them. These are rays that returned from inside a
+/// moving box, and dropped rays that may have hit such a box.
 void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& unknown,
                   std::vector<DeviceRay>& rays, std::vector<DeviceTarget>& targets);
 

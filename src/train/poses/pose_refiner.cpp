@@ -21,8 +21,8 @@ namespace {
 constexpr double kFinalShare = 0.1;
 /// Learning rates are multiples of train.pose_rate_m, the learning rate of the sensor
 /// position in metres. The rotation rate per radian is a tenth of it, because most
-/// returns are about 10 m away. The rates of boxes are ten times as high, because the
-/// initial errors of boxes are about ten times the errors of a registered sensor.
+/// returns are about 10 m away. The rates of boxes are ten times as high. The initial
+/// errors of boxes are about ten times the errors of a registered sensor.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
 /// Weights of the squared pose corrections in the loss, per square metre and per square
 /// radian. The weights are small, so that they affect only pose parameters that no ray

@@ -68,7 +68,7 @@ public:
         visit("poses/coming/actor_time_s", coming_.actor_time_s);
         visit("poses/coming/gradient", coming_.gradient);
     }
-    /// Completes the object after its state was read from a checkpoint.
+    /// Applies the corrections after the state was read from a checkpoint.
     /// @return false if the state is invalid
     bool take_over();
 
@@ -82,7 +82,7 @@ private:
     /// Iterations whose pose gradients have not been applied yet, oldest first.
     struct Coming {
         std::vector<std::uint64_t> step;
-        /// index of the frame in the constructor's list of training frames
+        /// index of the iteration's frame in the list of training frames
         std::vector<std::uint64_t> frame;
         /// [iterations, actors, 2] first and last time at which each actor was visible
         std::vector<double> actor_time_s;
@@ -105,7 +105,8 @@ private:
     /// are not refined.
     std::vector<Readback> of_rays_, of_instances_;
 
-    /// Returns the gradients of the i-th pending iteration. Waits until they are ready.
+    /// Returns the gradients of the i-th pending iteration. Waits until the gradients are
+    /// on the host.
     std::span<float> fetch(Stream& stream, std::size_t i);
     void take_oldest_step(Stream& stream);
     void update_poses();

@@ -2,8 +2,9 @@
 // Corrects the poses of a track by gradient descent. Pose k becomes (exp([w_k]x) R_k, T_k
 // + v_k). v is in metres in the world frame. w is a rotation vector in the world's axes
 // about the origin of the pose. The track still interpolates between its poses. Therefore
-// a pose at the fraction s between two poses moves, to first order, by (1 - s) of the
-// previous correction and s of the next correction.
+// the corrections also move the interpolated poses. To first order, the fraction s
+// between two poses moves by (1 - s) times the previous correction plus s times the next
+// correction.
 #pragma once
 
 #include <cstdint>
