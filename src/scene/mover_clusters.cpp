@@ -30,8 +30,8 @@ constexpr double kMaxLength_m = 14.0;
 // A cell has moved if at least this share of the frames that observe the cell find it
 // empty. The share is low, because a vehicle ahead hides the places where it was before.
 constexpr double kSeenThroughShare = 0.25;
-// Number of frames. A static object is observed in more frames, unless it is far away or
-// hidden.
+// If at most this many frames observe a cell, its motion is undecided. A static object is
+// observed in more frames, unless it is far away or hidden.
 constexpr int kSeldomSeen = 3;
 // Points lower than the moved points by more than this belong to the ground around the
 // object, if few frames observe them.

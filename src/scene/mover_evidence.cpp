@@ -15,8 +15,7 @@ namespace {
 constexpr double kSamePlace_m = 0.2;
 // margin around the box; outside of it, a moving object leaves its positions empty
 constexpr double kClear_m = 0.4;
-// Other frames must prove for at least this share of a track's returns that the object
-// moved.
+// At least this share of a track's returns must be proven to have moved.
 constexpr double kToldShare = 0.25;
 // at least this share of the returns that other frames can judge must have moved
 constexpr double kLeftShare = 0.85;

@@ -34,8 +34,8 @@ constexpr double kOtherSpeed_mps = 2.0;
 constexpr double kMaxRatio = 8.0;
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-// A track must move straight: minimum ratio of net motion to path length. Noise moves to
-// and fro.
+// Minimum ratio of net motion to path length. Noise moves to and fro, so its ratio is
+// small.
 constexpr double kMinStraightness = 0.5;
 constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
 // Parts larger than this belong to one vehicle. Smaller parts can be people who walk
@@ -73,8 +73,9 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
            gate;
 }
 
-/// Returns the same mismatch for tracks and clusters that can have labels. While an
-/// object has a label, its track accepts only the clusters with this label.
+/// Returns how badly a cluster matches a track if both can have labels. While an object
+/// has a label, its track accepts only the clusters with this label. A value above 1
+/// means that the cluster is another object.
 double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
                 const Sequence& sequence) {
     if (track.label == kNoLabel) return mismatch(track, cluster);

@@ -27,12 +27,15 @@ struct LogLine {
 
 /// Counters on the device. Each report reads the counters and resets them to 0.
 struct DeviceCounts {
-    const Array<std::uint32_t>* pass_cap = nullptr;  ///< [1] see ForwardPass::pass_cap_count
-    /// [1] see BackwardPass::most_hits. Null if the counter is not needed.
+    /// [1] number of rays that were stopped too early (ForwardPass::pass_cap_count)
+    const Array<std::uint32_t>* pass_cap = nullptr;
+    /// [1] largest number of hits in one iteration (BackwardPass::most_hits). Null if the
+    /// counter is not needed.
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
-    const Array<std::uint32_t>* overfull = nullptr;  ///< [1] see ForwardPass::overfull_count
-    std::uint32_t kept_hits = 0;                     ///< maximum number of hits that are stored for each ray
+    /// [1] number of rays with more hits than can be stored (ForwardPass::overfull_count)
+    const Array<std::uint32_t>* overfull = nullptr;
+    std::uint32_t kept_hits = 0;  ///< maximum number of hits that are stored for each ray
 };
 
 class IterationReports {

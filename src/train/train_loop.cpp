@@ -109,8 +109,8 @@ TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
 /// Returns true if the acceleration structures are refitted in a step. They are refitted
 /// in every step as long as surfels could outgrow the margin between two refits.
 bool is_fit_due(const TreeFits& fits, const TrainConfig& config, int step) {
-    // Fraction of the margin that growing scales may use. Growing opacities also enlarge
-    // surfels.
+    // Fraction of the margin that growing scales may use. The remainder is left for
+    // growing opacities, which also enlarge surfels.
     constexpr double kShare = 0.9;
     const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
     return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;

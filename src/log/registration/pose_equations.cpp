@@ -229,7 +229,7 @@ public:
         factorise();
     }
 
-    /// Adds to z the motions of the groups that reduce a residual.
+    /// Solves for the group motions that reduce a residual, and adds these motions to z.
     void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));

@@ -93,7 +93,8 @@ public:
     double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// Matrix C L^-T of one plane and one pose, where B = L L^T.
+    /// Matrix C L^-T, which couples one plane with one pose. L is the Cholesky factor of
+    /// B = L L^T.
     struct Coupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;

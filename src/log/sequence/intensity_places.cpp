@@ -13,11 +13,10 @@
 namespace relidar {
 namespace {
 
-// Edge of a place. It is small enough to contain one surface, and large enough to be hit
-// several times.
+// Edge of the small cells (places) in which intensities are compared. A place contains
+// one surface and is still hit several times.
 constexpr double kPlace_m = 0.1;
-// edge of the larger cells in which a plane is fitted; its normal is the normal of the
-// place
+// edge of the larger cells in which planes are fitted, to get the normals of the places
 constexpr double kSurface_m = 0.4;
 constexpr double kMinPoints = 8.0;
 // Maximum thickness of a surface, relative to its narrower extent. Both are standard

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models a LiDAR beam as a cone. Samples its footprint with several sub-rays, and joins
-// their returns like a receiver. Private to render.
+// Models a LiDAR beam as a cone. Samples its footprint with several sub-rays. Joins their
+// returns as the receiver of a LiDAR does. Private to render.
 #pragma once
 
 #include <relidar/log/sensor.hpp>
