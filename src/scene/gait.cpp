@@ -175,7 +175,8 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
             if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
         }
     }
-    // Gives up if there are fewer frames than one for every second sample.
+    // Returns the worst value if there are too few pairs of a sample and a frame to
+    // compare.
     if (n_same < gaps.frame.size() / 2 || n_other < gaps.frame.size() / 2) return kWorst;
     return same / double(n_same) / std::max(other / double(n_other), 1e-9);
 }

@@ -18,7 +18,8 @@ namespace relidar {
 namespace {
 
 constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
-constexpr double kSh1 = 0.4886025119029199;   ///< SH constant of degree 1: factors of -y, z, -x
+/// constant of the spherical harmonics of degree 1, which is multiplied by -y, z and -x
+constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
 /// A gap between scan lines must be wider than this factor times the distance between
 /// neighbours on a line. Randomly distributed points have narrower gaps.

@@ -32,7 +32,8 @@ constexpr double kTile_m = 8.0;
 // Frames whose sensor is farther away than this are not used. They have only one or two
 // returns from a person and do not observe most positions.
 constexpr double kNear_m = 40.0;
-// If no sensor is that near, frames within this factor of the smallest distance are used.
+// If no sensor is within kNear_m of a tile, uses frames whose sensor is farther than the
+// nearest sensor by at most this factor.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 

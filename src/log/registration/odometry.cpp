@@ -34,8 +34,8 @@ constexpr double kFewestShare = 0.1;
 // Removes parts of the map that were last observed this path length ago, because odometry
 // must not close loops.
 constexpr double kMemory_m = 80.0;
-// Path length between two removals of old parts. Checking all cells takes as long as
-// adding a scan.
+// Path length between two removals of old parts of the map. Checking all cells takes as
+// long as adding a scan.
 constexpr double kForgotten_m = 5.0;
 // two predictions closer than this lead to the same result, so only one is tried
 constexpr double kSame_m = 0.05;

@@ -18,9 +18,9 @@ constexpr int kFits = 4;
 // Minimum standard deviation of the points along the narrower axis of a plane, relative
 // to the edge of the cell. Points that fill the cell have 0.29.
 constexpr double kSpread = 0.12;
-// Minimum of the same standard deviation, relative to the scale of the robust kernel. A
-// single ring that is observed from many wrong poses forms a ribbon of this width, which
-// is not a surface.
+// Minimum standard deviation of the points along the narrower axis of a plane, relative
+// to the scale of the robust kernel. A single ring that is observed from many wrong poses
+// forms a ribbon of this width, which is not a surface.
 constexpr double kSpreadScale = 0.8;
 // minimum share of the points that are closer to the plane than the scale of the robust
 // kernel

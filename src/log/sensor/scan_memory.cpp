@@ -95,7 +95,7 @@ public:
     void free(void* array, std::size_t bytes) noexcept {
         const std::size_t size = whole_pages(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        // Returns the disk space of the pages if the file system supports it.
+        // Gives the disk space of the pages back, if the file system supports it.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;

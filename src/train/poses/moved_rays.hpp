@@ -28,8 +28,8 @@ class MovedRays {
 public:
     MovedRays(Device& device, const std::vector<FrameData>& frames);
     /// Records GPU commands that compute the rays of a frame from the corrected poses.
-    /// The frame must be on the device. It refers to the new rays, which are valid until
-    /// the next call.
+    /// The frame must be on the device. Afterwards the frame refers to the new rays,
+    /// which are valid until the next call.
     void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
     /// Records GPU commands that compute the gradients of poses from dL/d(ray) of a
     /// backward pass. Each ray was fired between two of these poses. Call move() for the
