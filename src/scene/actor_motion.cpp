@@ -9,16 +9,16 @@
 namespace relidar {
 namespace {
 
-// maximum angle between the azimuth of a beam and the azimuth of the head, rounded up
+// Widest angle, in radians, between a beam's azimuth and the azimuth that the head faces.
 constexpr double kBeside_rad = 0.17;
-// Extra angle on each side of a box, as a share of half the angle that the box spans.
-// Sensor and box move while the head faces the box.
+// Widens the angle of a box on each side by this share of half its angle. The sensor and
+// the box move while the head faces the box.
 constexpr double kBesideShare = 0.25;
-// Extra time before and after a sweep, as a share of its duration, because real heads
-// deviate from the nominal firing times.
+// Lengthens the time span of a motion by this share. Real heads deviate from the nominal
+// firing times.
 constexpr double kBeyond = 0.02;
-// Time before and after the reference time in which a LiDAR without known firing times
-// may fire.
+// A LiDAR without known firing times may fire this many seconds before or after the
+// reference time.
 constexpr double kUnknownSweep_s = 0.1;
 
 /// First and last time of an interval, in seconds.
@@ -26,7 +26,7 @@ struct TimeSpan {
     double first_s, last_s;
 };
 
-/// Returns the time interval in which the rays of a sweep are fired.
+/// Returns the time interval in which a LiDAR fires the rays of a sweep.
 TimeSpan sweep_span(const Sequence& sequence, const SweepMoment& sweep) {
     const Lidar& lidar = sequence.lidars[std::size_t(sweep.lidar)];
     if (!sequence.rolling_shutter) return {sweep.time_s, sweep.time_s};
@@ -42,8 +42,8 @@ TimeSpan sweep_span(const Sequence& sequence, const SweepMoment& sweep) {
     return {sweep.time_s + double(*first), sweep.time_s + double(*last)};
 }
 
-/// Returns the seconds per radian of azimuth, or 0 if the LiDAR does not scan through the
-/// azimuths in order.
+/// Returns how many seconds the LiDAR needs to turn by one radian. Returns 0 if the LiDAR
+/// does not scan the azimuths in order.
 double seconds_per_radian(const Lidar& lidar) {
     if (!lidar.pattern) return lidar.sensor.period_s / (2.0 * kPi);
     const PatternSummary summary = describe_pattern(*lidar.pattern);
@@ -52,8 +52,8 @@ double seconds_per_radian(const Lidar& lidar) {
                                        : 0.0;
 }
 
-/// Returns half the angle of azimuth that a box spans. Returns pi if the sensor is inside
-/// or above the box.
+/// Returns half the azimuth angle that a box covers in the view of the sensor. Returns pi
+/// if the sensor is inside or above the box.
 double half_angle(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     const glm::dvec3& centre = sensor_from_box.translation;
     if (std::hypot(centre.x, centre.y) <= glm::length(half_size_m)) return kPi;
@@ -67,9 +67,9 @@ double half_angle(const Pose& sensor_from_box, const glm::dvec3& half_size_m) {
     return largest;
 }
 
-/// Returns the time interval in which rays can hit a box. This is the interval in which
-/// the head faces the box. If that interval cannot be determined, or does not lie inside
-/// the sweep, the function returns the time of the full sweep.
+/// Returns the time interval in which the rays of a sweep can hit a box. The LiDAR's head
+/// faces the box during this interval. Returns the time of the full sweep if the interval
+/// is unknown or reaches beyond the sweep.
 TimeSpan facing_span(const Sequence& sequence, const PoseTrack& world_from_box, const glm::dvec3& half_size_m,
                      const SweepMoment& sweep) {
     const TimeSpan all = sweep_span(sequence, sweep);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Initialises actors. An actor is one set of surfels for each moving tracked box, in the
-// frame of the box. The pose of the box at the query time places the actor in the world
-// (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
+// Initialises actors. An actor is the set of surfels of one moving tracked box, stored in
+// the frame of the box. The pose of the box at the rendered time places the actor in the
+// world (paper section 3.2, Eq. 4-5: mean_world = R_t mean_object + T_t).
 #include <relidar/scene/device_scene.hpp>
 #include <relidar/scene/scene.hpp>
 
@@ -25,12 +25,14 @@ namespace relidar {
 
 namespace {
 
-constexpr double kPointMargin_m = 0.1;  ///< added around a labelled box, because labels fit loosely
-constexpr double kGround_m = 0.15;      ///< height of the lowest part of a box, which contains ground
+/// margin added around a labelled box, because labels fit loosely
+constexpr double kPointMargin_m = 0.1;
+/// height of the lowest part of a box, whose points are dropped because they are ground
+constexpr double kGround_m = 0.15;
 constexpr std::string_view kEveryClass = "all";
 
-/// Adds the points of one frame that lie in boxes. The points are expressed in the frame
-/// of their box.
+/// Adds the returns of one frame that lie inside boxes. Stores each point in the frame of
+/// its box.
 void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
                bool second_returns, const std::vector<WalkedWay>& walks,
                std::vector<std::vector<Sample>>& samples) {
@@ -51,8 +53,8 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
     });
 }
 
-/// Returns the points of the training frames that lie in boxes, each in the frame of its
-/// box.
+/// Returns the returns of the training frames that lie inside boxes. Stores each point in
+/// the frame of its box.
 /// @return [boxes]
 std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train,
                                              const std::vector<BoxTrack>& boxes,
@@ -85,8 +87,8 @@ bool is_wanted(const BoxTrack& box, const InitialiseOptions& options) {
            lists(options.actor_classes, name_of(object_kind(box.category)));
 }
 
-/// Returns the kind of object in a box. For a discovered box without a label, guesses the
-/// kind from the size of the box.
+/// Returns the kind of object in a box (person, cyclist, other). If a box has no label,
+/// guesses the kind from the size of the box.
 ObjectKind kind_in(const BoxTrack& box) {
     if (box.category != kDiscoveredCategory) return object_kind(box.category);
     const double length = std::max(box.size_m.x, box.size_m.y), width = std::min(box.size_m.x, box.size_m.y);
@@ -124,7 +126,8 @@ void check_tracks(const Sequence& sequence, const std::string& tracks) {
 }
 
 /// Adds random points inside the box until there are `n` samples. The new points have the
-/// mean intensity of the existing samples and are seen from outside the box.
+/// mean intensity of the existing samples. Their viewing directions point from outside
+/// towards the box centre.
 void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::uint64_t seed) {
     double intensity = 0.0;
     for (const Sample& s : samples) intensity += s.intensity / double(samples.size());
@@ -137,8 +140,9 @@ void pad(std::vector<Sample>& samples, std::size_t n, const BoxTrack& box, std::
     }
 }
 
-/// Selects the samples of an actor from the points in its box. If the box has fewer
-/// points than `actor_min_points`, returns those points without padding.
+/// Selects at most `actor_points` samples of an actor from the points in its box. Adds
+/// random points if there are few. Adds no points if the box has fewer than
+/// `actor_min_points`.
 std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& box,
                                   const InitialiseOptions& options) {
     samples = thin_out(samples, std::size_t(options.actor_points));
@@ -178,10 +182,10 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
     scene.surfels.append(surfels);
 }
 
-/// Returns how far, in metres, an actor had walked at the first pose of a new track.
-/// Finds the nearest pose on the actor's recorded track, and adds the distance of the new
-/// pose ahead of it. This keeps the steps in phase with the position if a caller moves
-/// the actor to another track.
+/// Returns how far, in metres, an actor had walked when it starts on a new track. Finds
+/// the nearest pose on the actor's recorded track. Adds the distance by which the new
+/// pose is ahead of that pose. This keeps the steps in phase with the position if a
+/// caller moves the actor to another track.
 double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };
@@ -191,8 +195,8 @@ double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
     return WalkedWay(own.world_from_box).at(time_s) + glm::dot(at.translation - nearest->translation, ahead);
 }
 
-/// Places the background and all actors. `track_of` returns the track for the name of an
-/// actor; if it returns null, the actor is absent.
+/// Returns the poses of the background and of all actors. `track_of` returns the track
+/// for the name of an actor. If `track_of` returns null, the actor is absent.
 template <class TrackOf>
 std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
                                    const TrackOf& track_of) {
@@ -273,7 +277,7 @@ std::string names_of(const std::vector<BoxTrack>& boxes) {
 
 std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& sequence,
                                           const SweepMoment& sweep) {
-    // a map, because a log can have a thousand tracks
+    // a hash map, because a log can have a thousand tracks
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
         if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Generates the benchmark street, a deterministic synthetic scene of surfels, and its
-// sensor (docs/method.md section 2). The numbers equal those that
-// ../shared/bench/scene_gen.py draws with numpy, in the same order. The random generator
-// is numpy's legacy RandomState: MT19937 with an integer seed, 53-bit uniform numbers,
-// and normal numbers by the polar method. The polar method makes two numbers and keeps
-// the second one for the next call.
+// Generates the benchmark street, a deterministic synthetic scene of surfels, and the
+// rays of its sensor (docs/method.md section 2). Draws the same numbers in the same order
+// as ../shared/bench/scene_gen.py does with numpy. The random generator is numpy's legacy
+// RandomState: MT19937 with an integer seed and 53-bit uniform numbers. Normal numbers
+// use the polar method, which makes two numbers at a time and keeps the second for the
+// next call.
 #include "scene/benchmark_street.hpp"
 
 #include <algorithm>
@@ -54,7 +54,7 @@ private:
     bool has_next_ = false;
 };
 
-/// Rectangle of the street: a wall, one face of a car, or the ground.
+/// Rectangle of the street: a facade, one face of a car, or the ground.
 struct Rectangle {
     glm::dvec3 corner, edge_u, edge_v;
     double intensity;
@@ -62,8 +62,8 @@ struct Rectangle {
     double area = glm::length(glm::cross(edge_u, edge_v));
 };
 
-/// Adds five faces of a car: right, left, back, front and roof. The car's body begins 0.2
-/// m above the ground.
+/// Adds five faces of a car: right, left, back, front and roof. The body of the car
+/// begins 0.2 m above the ground.
 void add_car(const glm::dvec3& centre, double intensity, std::vector<Rectangle>& rectangles) {
     const double length = 4.4, width = 1.8, height = 1.5 - 0.2;
     const glm::dvec3 x(length, 0, 0), y(0, width, 0), z(0, 0, height);
@@ -101,8 +101,8 @@ void add_parked_cars(int side, LegacyRandom& random, std::vector<Rectangle>& rec
     }
 }
 
-/// Returns the ground, the facades and the parked cars. The layout is always the same
-/// because the seed is fixed (1).
+/// Returns the rectangles of the ground, the facades and the parked cars. The seed is
+/// fixed, so the layout is always the same.
 std::vector<Rectangle> street_layout() {
     LegacyRandom random(1);
     std::vector<Rectangle> rectangles{
@@ -114,8 +114,8 @@ std::vector<Rectangle> street_layout() {
     return rectangles;
 }
 
-/// Picks a rectangle for each surfel, with a probability in proportion to the area of the
-/// rectangle.
+/// Picks a random rectangle for each surfel. The probability of a rectangle is
+/// proportional to its area.
 std::vector<std::uint16_t> pick_rectangles(std::size_t n, const std::vector<Rectangle>& rectangles,
                                            LegacyRandom& random) {
     std::vector<double> cumulative;
@@ -145,8 +145,8 @@ void draw_means(const std::vector<Rectangle>& rectangles, const std::vector<std:
     }
 }
 
-/// Returns the unit quaternion (w, x, y, z) of the rotation with these columns. The
-/// largest component of the quaternion is positive.
+/// Returns the unit quaternion (w, x, y, z) of a rotation matrix with the columns x, y,
+/// z. The largest component of the quaternion is positive.
 glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dvec3& z) {
     const double trace = x.x + y.y + z.z;
     const std::array<glm::dvec4, 4> candidates{{{1 + trace, y.z - z.y, z.x - x.z, x.y - y.x},
@@ -159,8 +159,8 @@ glm::dvec4 quaternion_of(const glm::dvec3& x, const glm::dvec3& y, const glm::dv
     return glm::normalize(candidates[best]);
 }
 
-/// Draws the rotations of surfels. The normals scatter about the normal of the rectangle;
-/// the angle within the plane is uniform.
+/// Draws random rotations of the surfels. The surfel normals scatter around the normal of
+/// their rectangle. The rotation about the normal is uniform.
 void draw_rotations(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
                     LegacyRandom& random, Surfels& surfels) {
     std::vector<glm::dvec3> normal(index.size());
@@ -190,8 +190,8 @@ void draw_scales_and_opacities(bool refine, LegacyRandom& random, Surfels& surfe
     }
 }
 
-/// Draws the spherical harmonics. The coefficients are multiples of 1/4096 (degree 0) and
-/// 1/256 (other degrees), rounded half to even like numpy does.
+/// Draws random spherical harmonics. Rounds the coefficients to multiples of 1/4096
+/// (degree 0) or 1/256 (other degrees). Rounds half to even like numpy does.
 void draw_sh(const std::vector<Rectangle>& rectangles, const std::vector<std::uint16_t>& index,
              LegacyRandom& random, Surfels& surfels) {
     const auto put_dc = [&](std::size_t i, int channel, double value) {

@@ -9,13 +9,14 @@
 
 namespace relidar {
 
-/// Returns the deterministic street of surfels that the benchmarks use: scene A without
-/// `refine`, scene B with `refine`. The values equal those of the Python generator,
-/// except for rounding in the last digit. The surfels are not in kd order.
+/// Returns the deterministic street of surfels that the benchmarks use. Makes scene A
+/// without `refine`, and scene B with `refine`. The values equal the output of the Python
+/// generator, except for rounding in the last digit. The surfels are not in kd order.
 Surfels make_benchmark_street(std::uint32_t n, std::uint32_t seed = 20261120, bool refine = false);
 
 /// Returns the rays of the street's sensor at (0, -2, 1.8). The kind is "waymo" (64 x
-/// 2650) or "kitti" (66 x 1030). The second overload accepts any size and field of view.
+/// 2650 rays) or "kitti" (66 x 1030 rays). The second overload accepts any number of rays
+/// and any vertical field of view.
 RayTable make_benchmark_rays(const std::string& kind);
 RayTable make_benchmark_rays(int rows, int columns, double top_deg, double bottom_deg);
 

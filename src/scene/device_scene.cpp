@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores a scene on the device: parameter arrays, surfel records, and the tables of
-// models and instances. Runs the activation kernels that compute the records from the
-// parameters, and their derivatives.
+// Stores a scene on the device: the parameter arrays, the surfel records, and the tables
+// of models and instances. Runs the activation kernels, which compute the surfel records
+// from the parameters. Also runs the kernels that compute the gradients of the
+// parameters.
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
@@ -32,7 +33,8 @@ void check_primitive(Primitive found, const ImageModel& model) {
 }
 
 void check_layout(const Scene& scene) {
-    // kernels find the model of a surfel by binary search, so the ranges must be in order
+    // The kernels find the model of a surfel by binary search, so the surfel ranges must
+    // be sorted.
     std::size_t next = 0;
     for (const Model& model : scene.models) {
         if (model.first != next)
@@ -52,21 +54,24 @@ void check_layout(const Scene& scene) {
 
 std::vector<Constant> activation_constants(bool stage_harmonics) {
     std::vector<Constant> all{{ConstantId::STAGED, stage_harmonics ? 1u : 0u}};
-    // A workgroup of 64 threads shares 4.4 kB. It is one or two subgroups, depending on
-    // the device.
+    // A workgroup of 64 threads shares 4.4 kB of memory. The workgroup has one or two
+    // subgroups, depending on the device.
     if (stage_harmonics) all.push_back({ConstantId::WORKGROUP_SIZE, 64u});
     return all;
 }
 
-/// Rows of the record gradients for each placement of a model. The first placement of a
-/// model uses the rows of its surfels. The rows of further placements follow after all
-/// surfels, model by model.
+/// Assigns rows of the gradient array to each instance of a model. The first instance of
+/// a model uses the rows of the model's surfels. The rows of further instances follow
+/// after all surfels, model by model.
 struct Placements {
     std::vector<std::uint32_t> first_row;  ///< [instances] first gradient row of each instance
-    /// [models] first instance of each model, or -1 if the model is not placed
+    /// [models] index of the first instance of each model, or -1 if the model has no
+    /// instance
     std::vector<std::int64_t> first_instance;
-    std::vector<std::uint32_t> more;        ///< first gradient rows of further placements, sorted by model
-    std::vector<std::uint32_t> first_more;  ///< [models + 1] begin of each model's entries in `more`
+    /// first gradient rows of the second and further instances, sorted by model
+    std::vector<std::uint32_t> more;
+    /// [models + 1] index in `more` where the entries of each model begin
+    std::vector<std::uint32_t> first_more;
     std::uint32_t n_rows;
 
     Placements(const Scene& scene, std::uint32_t n_surfels)
@@ -140,9 +145,10 @@ struct DeviceScene::Impl {
 
     std::uint32_t n_models() const { return static_cast<std::uint32_t>(layout.models.size()); }
 
-    /// Stores the poses of all instances.
-    /// @return table of instances, with the transform that moves a hit into the frame of
-    /// its model. An absent instance gets no surfels.
+    /// Stores the poses of all instances, and returns the table of instances for the
+    /// device.
+    /// @return for each instance, the transform from the world frame to the model frame;
+    /// an absent instance has no surfels
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
             throw DataError(fmt::format("placing instances: found {} poses, expected {}", placed.size(),
@@ -169,8 +175,8 @@ struct DeviceScene::Impl {
         return entries;
     }
 
-    /// Transforms the view origin into the frame of each model, with the pose of the
-    /// model's first instance.
+    /// Transforms the view origin from the world frame into the frame of each model. Uses
+    /// the pose of the model's first instance.
     /// @return [models], valid for the next submission
     Address<glm::vec3> view_origins(Stream& stream, const glm::vec3& world) const {
         std::vector<glm::vec3> origins;
@@ -182,8 +188,8 @@ struct DeviceScene::Impl {
     }
 
     /// Returns the gait phase of each model, taken from the model's first instance.
-    /// @return [models] phase in turns, negative for rigid models; null if no model has a
-    /// gait
+    /// @return [models] phase as a fraction of a stride, 0..1; negative for rigid models;
+    /// null if no model has a gait
     Address<float> phases(Stream& stream) const {
         if (!parameters.bends) return {};
         std::vector<float> all;
@@ -275,7 +281,8 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     RELIDAR_ASSERT_LE(std::size_t(n), impl_->records.size());
     impl_->layout.models = models;
     impl_->parameters.n = n;
-    // same size as before, because the number of instances does not change
+    // The number of instances does not change, so the new tables are as long as the old
+    // ones.
     impl_->placements = Placements(impl_->layout, n);
     impl_->models.upload(model_table(impl_->layout, impl_->placements));
     impl_->more_rows.upload(impl_->placements.more);

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds tracks of moving objects without labels. Clusters returns at places that other
-// frames see through, links the clusters from frame to frame, and fits boxes. Keeps a box
-// only if other frames prove that it moved.
+// Finds tracks of moving objects without labels. Clusters the returns at positions that
+// are empty in other frames. Links the clusters from frame to frame and fits boxes. Keeps
+// a box only if other frames prove that it moved.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -22,22 +22,23 @@
 namespace relidar {
 namespace {
 
-// Margin around a box. A second track inside the margin may be a part of the same object.
+// Margin in metres around a box. A second track inside the margin may be a part of the
+// same object.
 constexpr double kFragment_m = 0.5, kVehicleFragment_m = 1.0;
-// minimum number of points per frame after static points are removed
+// minimum number of returns per frame after the static returns are removed
 constexpr std::size_t kFewestPoints = 5;
 constexpr double kLongest_m = 20.0, kWidest_m = 3.2, kTallest_m = 4.5;
 constexpr double kSlowest_mps = 0.4, kFastest_mps = 50.0;
-constexpr double kVehicle_m = 1.2;  // objects of at least this size are not people
-// Minimum net motion as a share of the box's longer side. The visible part of a static
-// object can drift within its box.
+constexpr double kVehicle_m = 1.2;  // objects that are at least this long are vehicles, not people
+// An object must move at least this far, as a share of the box's longer side. The visible
+// part of a static object can drift within its box.
 constexpr double kWayOfSize = 0.9;
 constexpr double kStraightness = 0.5;  // minimum ratio of net motion to path length
-// maximum turn of a vehicle, because a vehicle cannot turn on the spot
+// A vehicle may turn by at most this angle, because a vehicle cannot turn on the spot.
 constexpr double kTurnPer_m = 0.4, kTurn_rad = 0.5;
 
-/// Motion of a box: the distance between the ends of its path, the length of the path,
-/// and the total turn.
+/// Motion of a box: the distance from the first to the last position, the length of the
+/// path, and the total turn.
 struct Travel {
     double net_m = 0.0, path_m = 0.0, turned_rad = 0.0;
 };
@@ -52,8 +53,8 @@ Travel travel_of(const PoseTrack& track) {
     return travel;
 }
 
-/// Returns true if the size and the speed of a box are plausible. The box must also have
-/// moved so far that a changing view of a static object cannot explain the motion.
+/// Returns true if the size, the speed and the motion of a box are plausible. The box
+/// must move farther than a changing view of a static object can explain.
 bool is_plausible(const BoxTrack& box) {
     const std::vector<double> speeds = speeds_mps(box);
     const double fastest = speeds.empty() ? 0.0 : std::ranges::max(speeds),
@@ -64,14 +65,14 @@ bool is_plausible(const BoxTrack& box) {
     return box.size_m.x < kLongest_m && box.size_m.y < kWidest_m && box.size_m.z < kTallest_m &&
            fastest > kSlowest_mps && fastest < kFastest_mps && travel.net_m > kWayOfSize * longest &&
            travel.net_m > kStraightness * travel.path_m &&
-           // Applies the same motion test as for labels. It rejects a track that moved
-           // only by a jump across a gap.
+           // Also applies the test that labelled boxes must pass. This rejects a track
+           // that moved only by a jump across a gap.
            !turns_on_the_spot && box.moves();
 }
 
-/// Removes the returns that other frames prove to be static, and fits a box to the
-/// remainder of the track. Returns nothing if other frames do not prove that the track
-/// moved.
+/// Removes the returns that other frames prove to be static. Then fits a box to the
+/// remaining returns of the track. Returns nothing if other frames do not prove that the
+/// track moved.
 std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& track) {
     Testimony sum;
     const BoxTrack box = box_of(track);
@@ -85,8 +86,9 @@ std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& tra
     return result;
 }
 
-/// Extends a labelled box before and after its labels by those parts of its track that
-/// other frames prove to have moved. Returns nothing if no part is proven.
+/// Extends a labelled box to the time before and after its labels. Uses only those parts
+/// of the track that other frames prove to have moved. Returns nothing if no part is
+/// proven.
 std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverTrack& track,
                                             const BoxTrack& label) {
     const BoxTrack box = continued_box(track, label);
@@ -103,7 +105,7 @@ std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverT
     return continued_box(track, label);
 }
 
-/// Data of a box that the processes of a group exchange.
+/// Fixed-size data of a box, which the processes of a group exchange.
 struct BoxHead {
     glm::dvec3 size_m;
     std::uint64_t n_poses, n_before, n_after;
@@ -111,8 +113,8 @@ struct BoxHead {
     std::array<char, 16> size_guess;
 };
 
-/// Collects the boxes of the tracks of all processes. The boxes of labelled tracks get
-/// the id and the class of their label.
+/// Collects the boxes from all processes of the group. The box of a labelled track gets
+/// the id and the class of the label.
 std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverTrack>& tracks,
                              const std::vector<std::optional<BoxTrack>>& found, std::size_t first,
                              const Sequence& sequence) {
@@ -150,8 +152,8 @@ std::vector<BoxTrack> joined(const ProcessGroup& group, const std::vector<MoverT
     return boxes;
 }
 
-/// Returns the proven boxes of all tracks. Each process of a process group checks its
-/// share of the tracks.
+/// Returns the boxes of all tracks that are proven to have moved. Each process of a
+/// process group checks its share of the tracks.
 std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrack>& tracks,
                                    const Sequence& sequence, const Progress& progress,
                                    const ProcessGroup& group) {
@@ -168,8 +170,9 @@ std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrac
     return joined(group, tracks, found, share.begin, sequence);
 }
 
-/// Returns true if `part` lies inside the box `whole` for more than half of its time.
-/// Then it is a part of the object that was a separate cluster for a while.
+/// Returns true if the centre of `part` is inside the box `whole` for more than half of
+/// the time. Then both boxes are the same object, and `part` was a separate cluster for a
+/// while.
 bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
     const double margin =
         std::max(whole.size_m.x, whole.size_m.y) < kVehicle_m ? kFragment_m : kVehicleFragment_m;
@@ -183,8 +186,8 @@ bool is_part_of(const BoxTrack& part, const BoxTrack& whole) {
 
 bool is_continued(const BoxTrack& box) { return !box.id.empty(); }
 
-/// Keeps the box with the most observations of each object. A box that continues a label
-/// is removed only for a box with the same label.
+/// Removes boxes of the same object. Keeps the box with the most observations. A box that
+/// continues a label is removed only in favour of a box with the same label.
 std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
     std::ranges::stable_sort(boxes, [](const BoxTrack& a, const BoxTrack& b) {
         return std::pair(is_continued(a), a.world_from_box.time_s.size()) >
@@ -199,14 +202,14 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
     return kept;
 }
 
-/// Returns true if a track may yield a box. It must either move by itself, or extend a
-/// labelled track beyond its labels.
+/// Returns true if a box should be fitted to a track. The track must either move by
+/// itself, or extend a labelled track beyond its labels.
 bool is_worth_boxing(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     if (track.label == kNoLabel) return comes_far(track) && !rides_along(track, world_from_vehicle);
     return !std::ranges::all_of(track.seen, [](const Observation& o) { return o.cluster.label != kNoLabel; });
 }
 
-/// Returns the boxes of the objects that one LiDAR has seen move.
+/// Returns the boxes of the moving objects that one LiDAR observed.
 std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::vector<int> positions,
                                     const Progress& progress, const ProcessGroup& group) {
     std::erase_if(positions,
@@ -223,10 +226,10 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }
 
-/// Adds the boxes that another LiDAR has seen move. If an object already has a box, the
-/// existing box stays unless the other LiDAR saw the object 1.5 times as often. If two
-/// paths have a similar length, the longer one is not always better. A much shorter path,
-/// however, means that the LiDAR lost the object.
+/// Adds the boxes that another LiDAR found. If both LiDARs found an object, the existing
+/// box is usually kept. The new box replaces it if it has more than 1.5 times as many
+/// observations. A slightly longer track is not always better. A much shorter track means
+/// that the LiDAR lost the object.
 void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
     for (BoxTrack& other : others) {
         const auto is_same = [&](const BoxTrack& b) {
@@ -248,8 +251,8 @@ void add_movers(std::vector<BoxTrack>& boxes, std::vector<BoxTrack> others) {
 std::vector<BoxTrack> discover_tracks(const Sequence& sequence, const std::vector<int>& train_positions,
                                       const Progress& progress, const ProcessGroup& group) {
     std::vector<BoxTrack> boxes;
-    // Each LiDAR is processed separately, because two simultaneous sweeps would add one
-    // object twice to a track.
+    // Processes each LiDAR separately. Otherwise two simultaneous sweeps would add an
+    // object twice to one track.
     for (int lidar = 0; lidar < int(sequence.lidars.size()); ++lidar)
         add_movers(boxes, discovered_by(lidar, sequence, train_positions, progress, group));
     std::stable_partition(boxes.begin(), boxes.end(), [](const BoxTrack& box) { return !is_continued(box); });

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a scene at one moment into a single set of surfels in the world frame.
+// Converts a scene at one time into a single set of surfels in the world frame.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -17,8 +17,9 @@ namespace {
 
 using Basis = std::array<double, kShCoefficients>;
 
-/// Evaluates the real spherical harmonics up to degree 3, orthonormal on the sphere. Same
-/// as shaders/scene/gaussian/sh.glsl, in double precision.
+/// Evaluates the real spherical harmonics up to degree 3, which are orthonormal on the
+/// sphere. Computes the same values as shaders/scene/gaussian/sh.glsl, but in double
+/// precision.
 /// @param d [3] unit
 Basis harmonics(const glm::dvec3& d) {
     const double x = d.x, y = d.y, z = d.z, xx = x * x, yy = y * y, zz = z * z;
@@ -43,8 +44,8 @@ Basis harmonics(const glm::dvec3& d) {
 
 using Turn = std::array<std::array<double, kShCoefficients>, kShCoefficients>;
 
-/// Returns the matrix that rotates SH coefficients from the frame of a model to the world
-/// frame. Its elements are the integrals of Y_i(R d) Y_j(d) over the sphere. The products
+/// Returns the matrix that rotates SH coefficients from the model frame to the world
+/// frame. An element is the integral of Y_i(R d) Y_j(d) over the sphere. The integrands
 /// have degree 6, so a quadrature with four Gauss-Legendre heights and eight azimuths is
 /// exact.
 Turn turn_of(const glm::dquat& world_from_model) {
@@ -78,8 +79,8 @@ void turn_harmonics(const Turn& turn, float* channel) {
     std::ranges::copy(turned, channel);
 }
 
-/// Moves a surfel to its position at a phase of the gait and reduces its opacity outside
-/// its own phase (shaders/scene/gaussian/gait.glsl).
+/// Moves a surfel to its position at a phase of the gait. Reduces the surfel's opacity if
+/// the phase differs from the surfel's phase (shaders/scene/gaussian/gait.glsl).
 void bend(Surfels& s, std::size_t i, double phase) {
     const Gait& gait = s.gait[i];
     const double angle = 2.0 * kPi * (phase - double(gait.phase)), sharpness = double(gait.sharpness);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the stride of a walking actor from the points in its box, and makes surfels
-// that swing with the stride.
+// Estimates the stride of a walking actor from the points in its box. Makes surfels that
+// move periodically with the stride.
 #include "scene/gait.hpp"
 
 #include <algorithm>
@@ -19,7 +19,8 @@
 namespace relidar {
 namespace {
 
-constexpr double kAverage_s = 1.0;  // positions are averaged over this time, because labels jitter
+// positions are averaged over this time, because the boxes of labels jitter
+constexpr double kAverage_s = 1.0;
 constexpr double kStands_mps = 0.2;
 
 struct PhaseCloud {
@@ -51,7 +52,8 @@ struct Index {
         tree.knnSearch(&p.x, 1, &nearest, &distance2);
         return std::min(most_m, std::sqrt(double(distance2)));
     }
-    /// Returns the indices of at most `most` samples within a radius, sorted by distance.
+    /// Returns the indices of at most `most` samples within a radius around `p`, sorted
+    /// by distance.
     std::vector<std::uint32_t> within(const glm::vec3& p, double radius_m, std::size_t most) const {
         std::vector<std::size_t> found(most);
         std::vector<float> distance2(most);
@@ -65,7 +67,7 @@ struct Index {
 };
 
 double turn(double turns) { return turns - std::floor(turns); }
-/// Returns the shortest signed difference of two phases, -0.5 .. 0.5 turns.
+/// Returns the shortest signed difference b - a of two phases, -0.5 .. 0.5 strides.
 double apart(double a, double b) { return b - a - std::round(b - a); }
 
 }  // namespace
@@ -99,21 +101,24 @@ double WalkedWay::at(double t_s) const {
 
 std::optional<StrideRange> stride_range(ObjectKind kind) {
     if (kind == ObjectKind::person) return StrideRange{0.7, 2.4};
-    if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};  // distance per turn of the pedals
+    // metres that a cyclist rides per turn of the pedals
+    if (kind == ObjectKind::cyclist) return StrideRange{2.0, 9.0};
     return std::nullopt;
 }
 
 namespace {
 
 constexpr double kTurns = 2.0;          // minimum number of strides that must be observed
-constexpr double kNearSurface_m = 0.3;  // maximum search distance
+constexpr double kNearSurface_m = 0.3;  // distances to the nearest point are limited to this value
 
-/// Distances from selected samples to the nearest point of each frame.
+/// Distances from some samples of an actor to the nearest sample of each frame.
 struct FrameGaps {
-    std::vector<double> walked_m;                ///< [frames] distance walked at the time of each frame
+    /// [frames] distance that the actor had walked when each frame was recorded
+    std::vector<double> walked_m;
     std::vector<std::size_t> frame;              ///< [samples] frame of each sample
     std::vector<std::vector<float>> distance_m;  ///< [samples][frames]
-    /// [samples] true for the half whose distances vary most, which are the limbs
+    /// [samples] true for the half of the samples whose distances vary most; these
+    /// samples are on the limbs
     std::vector<char> varies;
 };
 
@@ -149,11 +154,12 @@ FrameGaps frame_gaps(const std::vector<Sample>& samples) {
     return gaps;
 }
 
-/// Returns the mean distance to frames of the same phase, divided by the mean distance to
-/// other frames. The ratio is about 1 for a wrong stride. Returns a larger value if too
-/// few frames have the same phase.
+/// Rates a stride length. Returns the mean distance between points of the same gait
+/// phase, divided by the mean distance between points of different phases. The ratio is
+/// about 1 for a wrong stride. Returns 2 if too few frames have the same phase.
 double misfit_share(const FrameGaps& gaps, double stride_m) {
-    constexpr double kSame = 0.06, kOther = 0.15;  // phase difference in turns
+    // Phases count as equal below kSame and as different above kOther. Unit: strides.
+    constexpr double kSame = 0.06, kOther = 0.15;
     constexpr double kWorst = 2.0;
     double same = 0.0, other = 0.0;
     std::size_t n_same = 0, n_other = 0;
@@ -162,14 +168,15 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
         for (std::size_t f = 0; f < gaps.walked_m.size(); ++f) {
             const double turns = (gaps.walked_m[f] - gaps.walked_m[gaps.frame[k]]) / stride_m,
                          off = std::abs(apart(0.0, turns));
-            // skips frames of the same stride, which look alike because they are close in
-            // time
+            // Skips frames of the same stride, because they look alike just because they
+            // are close in time.
             if (std::abs(turns) < 0.5) continue;
             if (off < kSame) same += gaps.distance_m[k][f], ++n_same;
             if (off > kOther) other += gaps.distance_m[k][f], ++n_other;
         }
     }
-    // less than one frame for every second sample
+    // Returns the worst value if there are too few pairs of a sample and a frame to
+    // compare.
     if (n_same < gaps.frame.size() / 2 || n_other < gaps.frame.size() / 2) return kWorst;
     return same / double(n_same) / std::max(other / double(n_other), 1e-9);
 }
@@ -177,7 +184,7 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
 }  // namespace
 
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
-    // with fewer samples or frames, a stride can fit by chance
+    // With fewer samples or frames, a wrong stride can fit by chance.
     constexpr std::size_t kFewest = 200, kFewestFrames = 24;
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;
@@ -198,7 +205,8 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
     std::vector<double> shares(strides.size()), smooth;
     parallel_for(int(strides.size()),
                  [&](int i) { shares[std::size_t(i)] = misfit_share(gaps, strides[std::size_t(i)]); });
-    // averages over neighbouring strides, because a single good stride can be chance
+    // Averages the ratios of neighbouring strides, because a single good ratio can be
+    // chance.
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
         smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) /
                          (2 * kBeside + 1));
@@ -216,12 +224,12 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
 
 namespace {
 
-constexpr int kBins = 40;  // bins per turn
-// turns: standard deviation of the time during which a surfel is visible
+constexpr int kBins = 40;  // number of bins per stride
+// Standard deviation of the phase interval in which a surfel is visible, in strides.
 constexpr double kWindow = 0.06;
-constexpr double kSame_m = 0.07;  // points closer than this belong to the same surface
+constexpr double kSame_m = 0.07;  // points that are closer together than this belong to the same surface
 
-/// Samples sorted into `kBins` bins by phase.
+/// Samples of an actor, sorted into `kBins` bins by gait phase.
 struct Phases {
     const std::vector<Sample>& samples;
     double stride_m;
@@ -239,8 +247,8 @@ struct Phases {
     const Index& at(int bin) const { return *bins[std::size_t((bin + kBins) % kBins)]; }
 };
 
-/// Returns true if there are points near `p` in at least three of four phases. Such a
-/// place does not move with the gait.
+/// Returns true if there are points near `p` in at least three quarters of the phases.
+/// Such a position does not move with the gait.
 bool rests(const Phases& phases, const glm::vec3& p) {
     int seen = 0, filled = 0;
     for (int bin = 0; bin < kBins; ++bin) {
@@ -251,8 +259,8 @@ bool rests(const Phases& phases, const glm::vec3& p) {
     return 4 * seen >= 3 * filled;
 }
 
-/// Estimates the velocity, in metres per turn, that moves the points around a sample onto
-/// the points of the earlier and later phases.
+/// Estimates the velocity of the surface at a sample, in metres per stride. This velocity
+/// moves the points around the sample onto the points of earlier and later phases.
 glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     constexpr double kPatch_m = 0.12, kFar_m = 0.15;
     constexpr std::size_t kOfPatch = 6;
@@ -264,7 +272,8 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     for (float x = -3.2f; x <= 3.21f; x += 0.4f)
         for (float z = -0.8f; z <= 0.81f; z += 0.4f) {
             const glm::vec3 velocity(x, 0.0f, z);
-            // prefers the slowest of equally good velocities
+            // Adds a small cost per speed, so that the slowest of equally good velocities
+            // wins.
             double sum = 1e-4 * double(glm::length(velocity));
             for (const int ahead : {-4, -2, 2, 4}) {
                 const Index& there = phases.at(bin + ahead);
@@ -279,10 +288,10 @@ glm::vec3 velocity_at(const Phases& phases, std::size_t i) {
     return best;
 }
 
-/// Estimates the velocities of all samples. Each velocity is the median over the samples
-/// nearby.
+/// Estimates the velocity at each sample. Replaces each velocity by the median of the
+/// velocities nearby.
 /// @param wanted true for each sample whose velocity is computed
-/// @return [samples]
+/// @return [samples] metres per stride
 std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>& wanted,
                                   const Progress& progress) {
     constexpr double kAround_m = 0.15;
@@ -312,8 +321,8 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
     return middle;
 }
 
-/// Makes one surfel for each sample. A surfel is visible around its own phase, or always
-/// if its gait is at rest.
+/// Makes one surfel for each sample. A surfel is visible around the gait phase of its
+/// sample. A surfel of a sample at rest is always visible.
 Surfels with_gait(const std::vector<Sample>& samples, const std::vector<Gait>& gait,
                   const InitialiseOptions& options, double incidence) {
     std::vector<std::uint32_t> order;
@@ -343,7 +352,8 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
         resting = thin_out(resting, most / 2);
         surfels = with_gait(resting, std::vector<Gait>(resting.size()), options, incidence);
     }
-    constexpr int kTogether = 4;  // number of bins whose points form surfaces together
+    // number of neighbouring bins whose points are merged into the same surfels
+    constexpr int kTogether = 4;
     for (int first = 0; first < kBins; first += kTogether) {
         std::vector<std::uint32_t> numbers;
         for (int bin = first; bin < first + kTogether; ++bin)
@@ -353,7 +363,7 @@ Surfels surfels_that_walk(const std::vector<Sample>& samples, double stride_m,
         for (const std::uint32_t i : numbers)
             gait.push_back(
                 {float(phases.of(i)), float(1.0 / (2.0 * kPi * kWindow)), velocity[i] / float(2.0 * kPi)});
-        std::vector<Sample> moving;  // samples moved to their positions at the middle phase of these bins
+        std::vector<Sample> moving;  // samples, moved to where they are at the middle phase of these bins
         const double middle = (first + 0.5 * kTogether) / kBins;
         for (std::size_t k = 0; k < numbers.size(); ++k) {
             moving.push_back(samples[numbers[k]]);

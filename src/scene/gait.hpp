@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures the walked distance and the stride of people and cyclists, and makes surfels
-// that move with the stride (docs/method.md M14). Private to scene.
+// Measures how far people and cyclists have moved, and estimates their stride. Makes
+// surfels that move with the stride (docs/method.md M14). Private to scene.
 #pragma once
 
 #include <optional>
@@ -13,40 +13,40 @@
 
 namespace relidar {
 
-/// Distance that an actor has walked along its track. Averages the positions over one
-/// second, because labels jitter. Motion slower than 0.2 m/s counts as standing.
+/// Computes the distance that an actor has walked along its track. Averages the positions
+/// over one second, because labels jitter. Motion slower than 0.2 m/s counts as standing.
 class WalkedWay {
 public:
     explicit WalkedWay(const PoseTrack& world_from_box);
-    /// Returns the distance walked since the first pose, in metres. Extrapolates outside
-    /// the track with the speed at its end.
+    /// Returns the distance walked since the first pose, in metres. Before and after the
+    /// track, extrapolates with the speed at that end of the track.
     double at(double t_s) const;
 
 private:
     std::vector<double> time_s_, walked_m_;
 };
 
-/// Range of distances that one turn of a gait may cover.
+/// Minimum and maximum length of a stride, in metres.
 struct StrideRange {
     double least_m, most_m;
 };
-/// Returns the range of strides of a kind of object that bends, or nothing for a rigid
-/// kind.
+/// Returns the possible stride lengths of people or cyclists. Returns nothing for rigid
+/// objects.
 std::optional<StrideRange> stride_range(ObjectKind kind);
 
-/// Estimated stride, or the reason why there is none.
+/// Stride of an actor, or the reason why no stride was found.
 struct FoundStride {
     double stride_m = 0.0;  ///< 0 if no stride was found
     std::string why_none = {};
 };
-/// Finds the stride for which points of the same phase in different turns are nearest to
-/// each other.
+/// Finds the stride length of an actor. Chooses the length for which points of the same
+/// phase, but of different strides, are nearest to each other.
 /// @param samples points in the frame of the box, with the distance walked so far
 FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range);
 
 /// Makes the surfels of a walking actor. Points that are present at every phase become
-/// surfels at rest. Other points become surfels that are visible around their own phase
-/// and swing with the velocity of their neighbours.
+/// static surfels. Every other point becomes a surfel that is visible only around the
+/// phase of the point. Such a surfel moves with the velocity of the points nearby.
 /// @param samples at least one
 /// @param most maximum number of surfels
 /// @param progress an exception that it throws ends the call

@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes background surfels from the training frames. Averages the points of each voxel
-// and estimates normals and scales from nearest neighbours (docs/method.md section 2;
-// paper section 3.2). Skips points in moving boxes. Never reads held-out frames.
+// Makes background surfels from the returns of the training frames. Averages the points
+// of each voxel. Estimates normals and scales from nearest neighbours (docs/method.md
+// section 2; paper section 3.2). Skips points in moving boxes. Never reads held-out
+// frames.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -26,21 +27,20 @@ namespace relidar {
 
 namespace {
 
-// Share of the frames observing a place that must see through it before its points are
-// removed. With a share of 1, objects that stood still for a while would remain as
-// ghosts.
+// Points are removed if at least this share of the frames observe an empty space there.
+// With a share of 1, the points of objects that stood still for a while would remain.
 constexpr double kGoneShare = 0.25;
 
 /// Running sums of the samples in one voxel.
 struct Voxel {
-    std::uint64_t first = 0;  ///< index of the voxel's first sample, counted over all frames
+    std::uint64_t first = 0;  ///< index of the first sample in the voxel, counted over all frames
     glm::dvec3 position{0.0};
     glm::dvec3 view{0.0};
     double intensity = 0.0;
     int count = 0;
 };
 
-/// Integer cell of a voxel grid. The edge length doubles with each level.
+/// Integer cell of a voxel grid. The edge length of a cell doubles with each level.
 struct Cell {
     int level, x, y, z;
     bool operator==(const Cell&) const = default;
@@ -52,8 +52,8 @@ struct CellHash {
     }
 };
 
-/// Returns the points of one frame in the world frame, each with the direction from the
-/// sensor at its firing time. Skips points inside the boxes `separate`.
+/// Returns the points of one frame in the world frame. Each point has the direction from
+/// the sensor at its firing time. Skips points inside the boxes `separate`.
 std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame,
                                   const std::vector<BoxTrack>& separate, const InitialiseOptions& options) {
     std::vector<Sample> samples;
@@ -80,8 +80,9 @@ std::vector<glm::vec3> sensor_places(const Sequence& sequence, const std::vector
     return places;
 }
 
-/// Returns the voxel that contains a point. The edge is `voxel_m`, doubled as needed for
-/// points far from all sensor positions if `voxel_growth` > 0.
+/// Returns the voxel that contains a point. The edge of a voxel is `voxel_m`. If
+/// `voxel_growth` is positive, the edge is doubled for points far from all sensor
+/// positions.
 Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const InitialiseOptions& options) {
     int level = 0;
     if (options.voxel_growth > 0.0) {
@@ -93,15 +94,15 @@ Cell cell_of(const glm::vec3& p, const NearestPlace<float>& sensors, const Initi
     return {level, int(std::floor(p.x / edge)), int(std::floor(p.y / edge)), int(std::floor(p.z / edge))};
 }
 
-/// A sample, its voxel, and its index among the samples of its frame.
+/// A sample with its voxel and its index among the samples of its frame.
 struct Placed {
     Sample sample;
     Cell cell;
     std::uint32_t number;
 };
 
-// Number of hash tables. Voxels are distributed over the tables by their hash, so that
-// threads can fill all tables in parallel.
+// Number of hash tables of voxels. The hash of a voxel selects its table, so that threads
+// can fill all tables in parallel.
 constexpr std::size_t kParts = 32;
 using PlacedByPart = std::array<std::vector<Placed>, kParts>;
 
@@ -133,9 +134,9 @@ struct Voxels {
     }
 };
 
-/// Returns the mean of each voxel in a reproducible order, the order of first appearance.
-/// Reads only a few frames at a time, so that memory grows with the number of voxels and
-/// not with the number of frames.
+/// Returns the mean sample of each voxel, in the order in which the voxels first appear.
+/// This order is reproducible. Reads only a few frames at a time, so that memory does not
+/// grow with the number of frames.
 std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>& train,
                                 const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;
@@ -170,7 +171,8 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
     return means;
 }
 
-/// Removes samples at places that other frames see through.
+/// Removes samples where other frames observe an empty space, because such samples belong
+/// to moving objects.
 std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Sequence& sequence,
                                    const std::vector<int>& train, const Progress& progress) {
     Visibility visibility(sequence, train);

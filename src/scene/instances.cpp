@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Finds instances by name and copies models, so that each instance has a separate model.
+// Finds instances by name. Copies models so that no two instances share a model.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>

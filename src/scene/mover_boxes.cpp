@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits a box to each track of a moving object, using the end of the object that faces the
-// sensor.
+// Fits a box to each track of a moving object. Uses the end of the object that faces the
+// sensor, because only this end is reliably visible.
 #include "scene/mover_boxes.hpp"
 
 #include <algorithm>
@@ -13,27 +13,32 @@
 namespace relidar {
 namespace {
 
-// several rounds, because the first path bends when other sides of the object become
-// visible
+// Repeats the fit, because the first path is bent where other sides of the object become
+// visible.
 constexpr int kRounds = 3;
-// window for the height of the top, in which the road height changes little
+// Window in seconds for the height of an object's top. The road height changes little in
+// this time.
 constexpr double kTop_s = 1.0;
-constexpr double kMargin_m = 0.1;        // added around the points of a box
-constexpr double kGroundOfBox_m = 0.15;  // the lowest part of a box counts as ground (actors.cpp)
+constexpr double kMargin_m = 0.1;  // added around the points of a box
+// a box is extended downwards by this, because its lowest part counts as ground
+// (actors.cpp)
+constexpr double kGroundOfBox_m = 0.15;
 constexpr double kSpeedOver_s = 0.5;
-// number of labelled observations that locate a labelled box relative to its visible
-// points
+// Number of labelled observations that determine where the labelled box is relative to
+// the visible points.
 constexpr std::size_t kNearLabels = 10;
-constexpr double kBeside_m = 0.5;  // a sensor farther outside the box than this sees one of its ends
+// if the sensor is farther outside the box than this, it sees only one end
+constexpr double kBeside_m = 0.5;
 
-/// Frame of an object on the ground: position and heading.
+/// Position and heading of an object on the ground. They define the frame of the object.
 struct Placement {
     glm::dvec3 position_m{0.0};
     double yaw = 0.0;
     glm::dvec3 along() const { return {std::cos(yaw), std::sin(yaw), 0.0}; }
     glm::dvec3 across() const { return {-std::sin(yaw), std::cos(yaw), 0.0}; }
     glm::dquat rotation() const { return {std::cos(0.5 * yaw), 0.0, 0.0, std::sin(0.5 * yaw)}; }
-    /// Transforms a world point into this frame: x along the heading, y to the left.
+    /// Transforms a point from the world frame into the frame of the object: x along the
+    /// heading, y to the left.
     glm::dvec3 to_local(const glm::dvec3& world) const {
         const glm::dvec3 d = world - position_m;
         return {glm::dot(along(), d), glm::dot(across(), d), d.z};
@@ -61,7 +66,7 @@ std::vector<Placement> placed_along(const std::vector<glm::dvec3>& path) {
     return placed;
 }
 
-/// Returns the placements along a path at the reference times of the frames.
+/// Returns the position and heading of the object at the reference time of each frame.
 std::vector<Placement> placed_at_frames(const MoverTrack& track, const std::vector<PathState>& path) {
     std::vector<glm::dvec3> positions;
     for (std::size_t k = 0; k < path.size(); ++k)
@@ -69,8 +74,8 @@ std::vector<Placement> placed_at_frames(const MoverTrack& track, const std::vect
     return placed_along(positions);
 }
 
-/// Interval of an observation's points along an axis, without the 0.5 % outermost points
-/// at each end.
+/// Returns the interval that the points of an observation cover along an axis. Ignores
+/// the outermost 0.5 % of the points at each end.
 struct Extent {
     double low, high;
 };
@@ -82,8 +87,8 @@ Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
     return {values[cut], values[values.size() - 1 - cut]};
 }
 
-/// Returns half the visible length along the axes. Uses the 90th percentile over all
-/// observations.
+/// Returns half the visible length of an object along the axes. Uses the 90th percentile
+/// over all observations.
 double half_shown(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
     std::vector<double> lengths;
     for (std::size_t k = 0; k < axes.size(); ++k) {
@@ -94,8 +99,8 @@ double half_shown(const MoverTrack& track, const std::vector<glm::dvec3>& axes) 
     return 0.5 * lengths[lengths.size() * 9 / 10];
 }
 
-/// Returns the centre of an object along each axis, computed from the end near the sensor
-/// and half the size of the object.
+/// Returns the centre of an object along each axis. Computes it from the end near the
+/// sensor and half the size of the object.
 std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm::dvec3>& axes, double half) {
     std::vector<double> centres;
     for (std::size_t k = 0; k < axes.size(); ++k) {
@@ -107,7 +112,7 @@ std::vector<double> centres_along(const MoverTrack& track, const std::vector<glm
 }
 
 /// Returns the height of the object's top for each observation. Beams can miss the top of
-/// a distant object, so the function takes the maximum over one second.
+/// a distant object. Therefore the function returns the maximum over one second.
 std::vector<double> tops(const MoverTrack& track) {
     std::vector<double> own, result;
     for (const Observation& o : track.seen) own.push_back(extent_along(o.cluster, {0.0, 0.0, 1.0}).high);
@@ -121,8 +126,8 @@ std::vector<double> tops(const MoverTrack& track) {
     return result;
 }
 
-/// Returns the position of the object in each observation, given its headings. The
-/// horizontal position comes from the near ends, and the height is that of the top.
+/// Returns the position of the object in each observation. The horizontal position is
+/// computed from the end near the sensor. The height is the height of the object's top.
 /// @param size_m length and width; if null, the visible size is used
 std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vector<Placement>& placed,
                                         const glm::dvec3* size_m) {
@@ -138,8 +143,8 @@ std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vect
     return places;
 }
 
-/// Corners of a track's returns in the frame of the object, without the 1 % outermost
-/// points at each end, plus a margin.
+/// Corners of the box around all returns of a track, in the frame of the object. Ignores
+/// the outermost 1 % of the points at each end, and adds a margin.
 struct Corners {
     glm::dvec3 low, high;
 };
@@ -161,25 +166,28 @@ Corners corners_of(const MoverTrack& track, const std::vector<Placement>& placed
     return corners;
 }
 
-/// Typical sizes of objects of which only one side is visible. Passenger cars are 3.6 to
+/// Typical size of an object of which only one side is visible. Passenger cars are 3.6 to
 /// 5 m long and 1.6 to 1.9 m wide. A bicycle is 1.8 m long and its rider 0.6 m wide. The
 /// length of a lorry or a bus cannot be estimated from its rear. It gets the length of a
-/// light lorry, because a longer one shows its side.
+/// light lorry, because a longer lorry would show its side.
 struct Kind {
     const char* name;
     double length_m, width_m;
-    /// a box below one minimum and above the other shows a single side
+    /// A box that is shorter or narrower than one of these minima shows only one side of
+    /// the object.
     double least_length_m, least_width_m;
 };
 constexpr Kind kCar{"car", 4.2, 1.8, 3.4, 1.5}, kCyclist{"cyclist", 1.8, 0.6, 1.4, 0.0},
     kTruck{"truck", 7.0, 2.4, 3.4, 1.5};
-constexpr double kDrives_mps = 2.5;  // pedestrians are slower, and several of them may walk side by side
-constexpr double kTruck_m = 2.5;     // objects taller than this are trucks
-// objects that are narrower and taller than this are cyclists
+// pedestrians are slower; several pedestrians side by side can look as wide as a car
+constexpr double kDrives_mps = 2.5;
+constexpr double kTruck_m = 2.5;  // objects taller than this are trucks
+// An object that is narrower than the first value and taller than the second is a
+// cyclist.
 constexpr double kCyclistWidth_m = 1.1, kCyclistTop_m = 1.4;
 
 /// Returns the kind of an object of which only the rear, the front or a side is visible.
-/// Returns null if the object is too small to classify.
+/// Returns null if the object is too slow or too small to classify.
 const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
     if (speed_mps < kDrives_mps) return nullptr;
     const bool cyclist =
@@ -188,8 +196,8 @@ const Kind* kind_of(const glm::dvec3& size_m, double speed_mps) {
     return size_m.x < kind->least_length_m && size_m.y < kind->least_width_m ? nullptr : kind;
 }
 
-/// Returns on which side of a box the sensor was for most of the time, along one axis: -1
-/// or 1. Returns 0 if the sensor was next to the box or on both sides.
+/// Returns the side of a box, -1 or 1 along one axis, on which the sensor was most of the
+/// time. Returns 0 if the sensor was next to the box or on both sides.
 double side_of_sensor(const BoxTrack& box, const MoverTrack& track, int axis) {
     std::ptrdiff_t low = 0, high = 0;
     for (std::size_t k = 0; k < track.seen.size(); ++k) {
@@ -207,14 +215,14 @@ double median(std::vector<double> values) {
     return values[values.size() / 2];
 }
 
-/// Offset of the labelled box from the visible points of its object: position in the
-/// frame of a placement, and turn.
+/// Offset of a labelled box from the visible points of its object. Holds a translation in
+/// the frame of the object and a rotation about z.
 struct Offset {
     glm::dvec3 local_m{0.0};
     double yaw = 0.0;
 };
-/// Returns the median offset of the labels.
-/// @param members labelled observations
+/// Returns the median offset between a labelled box and the visible points of its object.
+/// @param members indices of the labelled observations to use
 Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& members,
                  const std::vector<Placement>& placed, const std::vector<glm::dvec3>& places,
                  const BoxTrack& label) {
@@ -228,7 +236,7 @@ Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& member
     return {{median(values[0]), median(values[1]), median(values[2])}, median(values[3])};
 }
 
-/// Labelled observations nearest to the first and to the last label.
+/// Indices of the labelled observations nearest to the first and to the last label.
 struct NearLabels {
     std::vector<std::size_t> first, last;
 };
@@ -299,7 +307,7 @@ BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
     }
     const std::vector<Placement> at_frames = placed_at_frames(track, path);
     BoxTrack box = label;
-    PoseTrack poses[2];  // poses before the labels and after them
+    PoseTrack poses[2];  // [0] poses before the labels, [1] poses after the labels
     for (std::size_t k = 0; k < at_frames.size(); ++k) {
         if (is_labelled(track.seen[k])) continue;
         PoseTrack& side = poses[is_before(k) ? 0 : 1];

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits boxes to the observations of a track, with one size per track. Private to scene.
+// Fits boxes to the observations of a track. A track has one box size. Private to scene.
 #pragma once
 
 #include <vector>
@@ -10,22 +10,23 @@
 
 namespace relidar {
 
-/// Returns the upright box of a track's returns at the times of its frames, with x along
-/// the motion. In each frame, only the end near the sensor is certain. The size is the
-/// largest visible extent over the track.
+/// Fits an upright box to the returns of a track. Returns one pose per frame, with x
+/// along the motion. In each frame, only the end near the sensor is certain. The size is
+/// the largest visible extent over the track.
 BoxTrack box_of(const MoverTrack& track);
 
 /// Enlarges a box away from the sensor if only one side of the object was visible. Stores
-/// the kind of object whose size was used. Other boxes are unchanged.
+/// the name of the kind of object (car, truck, cyclist) whose typical size was used.
+/// Leaves other boxes unchanged.
 void complete_size(BoxTrack& box, const MoverTrack& track);
 
-/// Returns a labelled box with additional poses at the times when its track was seen
-/// without a label. The box keeps its size. Its offset from the visible points is taken
-/// from the nearest labels.
+/// Returns a labelled box with additional poses, for the times when its object was
+/// observed without a label. The box keeps its size. The nearest labels determine the
+/// offset between the box and the visible points.
 BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label);
 
-/// Returns the speeds of a box in m/s, each measured over at least half a second before
-/// one of its poses. Returns an empty vector if the track is shorter.
+/// Returns the speeds of a box in m/s. Each speed is measured over at least half a second
+/// before a pose. Returns an empty vector if the track is shorter than half a second.
 std::vector<double> speeds_mps(const BoxTrack& box);
 
 }  // namespace relidar

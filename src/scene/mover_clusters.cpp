@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides which returns of a frame moved, and groups them into clusters.
+// Decides which returns of a frame belong to moving objects. Groups these returns into
+// clusters.
 #include "scene/mover_clusters.hpp"
 
 #include <algorithm>
@@ -16,33 +17,36 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxRange_m = 40.0;  // a person farther away than this has only one or two returns
-constexpr double kCell_m = 0.2;       // visibility is computed once per cell of this size
-// size of the ground squares that hold the returns of one object, seen from above
+constexpr double kMaxRange_m = 40.0;  // beyond this range, a person has only one or two returns
+// edge of a cell; whether frames see an empty space is computed once per cell
+constexpr double kCell_m = 0.2;
+// Edge of a square on the ground. Returns above neighbouring squares belong to the same
+// object.
 constexpr double kSquare_m = 0.3;
-// maximum distance to the next square of the same object, in squares: 0.6 to 0.9 m
+// Squares at most this many squares apart belong to the same object: 0.6 to 0.9 m.
 constexpr int kReach = 2;
-constexpr double kMinPoints = 12;  // minimum number of moved points
+constexpr double kMinPoints = 12;  // minimum number of moved returns in a cluster
 constexpr double kMaxLength_m = 14.0;
-// Minimum share of the frames observing a cell that must see through it. It is low
-// because a vehicle ahead hides the places where it was before.
+// A cell has moved if at least this share of the frames that observe the cell find it
+// empty. The share is low, because a vehicle ahead hides the places where it was before.
 constexpr double kSeenThroughShare = 0.25;
-// in frames: more frames see a static object, unless it is far away or hidden
+// If at most this many frames observe a cell, its motion is undecided. A static object is
+// observed in more frames, unless it is far away or hidden.
 constexpr int kSeldomSeen = 3;
-// Points below the moved points by more than this, and seldom seen, belong to the ground
-// around the object.
+// Points lower than the moved points by more than this belong to the ground around the
+// object, if few frames observe them.
 constexpr double kGroundBelow_m = 0.05;
-// Size of an empty vertical gap that separates two objects. Beams two degrees apart have
+// An empty vertical gap of this size separates two objects. Beams two degrees apart leave
 // a gap of this size at 29 m.
 constexpr double kGapAbove_m = 1.0;
 constexpr double kMovedShare = 0.15;  // minimum share of moved returns in a cluster
-// Minimum number of frames whose returns are in memory at a time. Cells at the border of
-// two groups of frames are computed twice.
+// Minimum number of frames whose returns are in memory at a time. Cells at the border
+// between two groups of frames are computed twice.
 constexpr std::size_t kStretch = 200;
 
-/// State of a cell. If few frames see a place, as at the end of a log, no frame may see
-/// through parts of a moving object. Such parts are `seldom_seen` and join a cluster with
-/// the moved parts.
+/// Motion state of a cell. If only a few frames observe a cell, they may not prove that a
+/// moving object left it. This happens at the end of a log. Such a cell is `seldom_seen`
+/// and joins a cluster together with moved cells.
 enum class Motion : char { rests, seldom_seen, moved };
 
 /// One return of a frame.
@@ -53,15 +57,15 @@ struct Return {
     Motion motion = Motion::rests;
 };
 
-/// Labelled box of which a frame may see a part.
+/// Labelled box at the time of a frame.
 struct LabelledBox {
     BoxTrack box;
     int label;  ///< kNoLabel if the box does not move
 };
 
-/// Returns the labelled boxes at a time; their points need no discovery. A moving box is
-/// returned only while it is labelled. A static box is returned at all times, because an
-/// object that is parked during its labels was also parked before and after them.
+/// Returns the labelled boxes at a given time. A moving box is returned only while it has
+/// labels. A static box is returned at all times. If an object is parked during its
+/// labels, it was also parked before and after them.
 std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     std::vector<LabelledBox> boxes;
     for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
@@ -79,13 +83,15 @@ std::vector<LabelledBox> labelled_at(const Sequence& sequence, double time_s) {
     return boxes;
 }
 
-/// Returns of a frame in moving labelled boxes, and returns outside of all boxes.
+/// Returns of a frame: points outside of all labelled boxes, and clusters of the points
+/// in moving labelled boxes.
 struct Returns {
     std::vector<Return> others;
     std::vector<MoverCluster> of_labels;
 };
 
-/// Divides the sums of a cluster by its number of points.
+/// Converts sums to means: divides the time and the centre of a cluster by its number of
+/// points.
 /// @param sum cluster whose time and centre are sums over all points
 MoverCluster averaged(MoverCluster sum) {
     sum.time_s /= double(sum.points_m.size());
@@ -104,7 +110,7 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
             labelled, [&](const LabelledBox& l) { return l.box.holds(w.point_m, w.time_s, kMoverMargin_m); });
         if (in == labelled.end()) {
             result.others.push_back({glm::vec3(w.point_m), w.time_s, 0, Motion::rests});
-            // without the margin around the box, which contains ground
+            // Uses no margin here, because the margin around the box contains ground.
         } else if (in->label != kNoLabel && in->box.holds(w.point_m, w.time_s, 0.0)) {
             MoverCluster& cluster = of_boxes[std::size_t(in - labelled.begin())];
             cluster.label = in->label;
@@ -118,7 +124,7 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
     return result;
 }
 
-/// Assigns each return to a cell of the world.
+/// Assigns each return to a cell of a world grid.
 /// @return [cells] mean position of the returns in each cell
 std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
     std::vector<Return*> all;
@@ -137,9 +143,9 @@ std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
     return means;
 }
 
-/// Finds the vertical extent of one object. An object has no gap from bottom to top; a
-/// tree above it and the ground below it are separate pieces. Selects the piece with the
-/// most moved returns.
+/// Finds the vertical extent of one object. An object has no large gap between its bottom
+/// and its top. A tree above the object and the ground below it are separate pieces.
+/// Selects the piece with the most moved returns.
 /// @param heights_m heights of the moved returns of a cluster, at least one
 /// @return lowest and highest point of the object, metres
 std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
@@ -153,8 +159,8 @@ std::pair<double, double> heights_of_one(std::vector<double> heights_m) {
     return {heights_m[best] - kGroundBelow_m, heights_m[best + n_best - 1] + kGapAbove_m};
 }
 
-/// Groups returns whose ground squares are near each other. A return that is seldom seen
-/// joins a group only if it is near a moved return.
+/// Groups returns that are close to each other on the ground. A return in a cell that few
+/// frames observe joins a group only if it is near a moved return.
 std::vector<MoverCluster> group(const std::vector<Return>& returns) {
     std::unordered_map<std::uint64_t, std::vector<std::uint32_t>> squares;
     const auto square_of = [](const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kSquare_m); };
@@ -173,7 +179,7 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
             const Return& here = returns[open.back()];
             const glm::dvec3 p(here.point_m);
             open.pop_back();
-            // only moved returns extend a group to their neighbours
+            // Only moved returns add their neighbours to the group.
             if (here.motion != Motion::moved) continue;
             moved_at_m.push_back(p.z);
             for (int dx = -kReach; dx <= kReach; ++dx)
@@ -217,7 +223,7 @@ namespace {
 
 using Clusters = std::vector<std::vector<MoverCluster>>;  // [frames]
 
-/// Returns the clusters of some consecutive frames.
+/// Returns the clusters of moved returns in some consecutive frames.
 Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, Visibility& visibility) {
     std::vector<Returns> frames(positions.size());
     parallel_for(static_cast<int>(positions.size()), [&](int i) {
@@ -244,7 +250,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
     return clusters;
 }
 
-/// Collects the clusters of the frames of all processes.
+/// Collects the clusters of all frames from all processes of the group.
 Clusters joined_clusters(const ProcessGroup& group, const Clusters& own) {
     if (group.size == 1) return own;
     struct Head {

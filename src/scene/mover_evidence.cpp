@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts evidence for and against motion. A static object has returns at the same places
-// whenever they are visible. A moving object leaves its places empty, or another object
-// fills them later. A cell that frames see through is only a candidate, because glass,
-// leaves and edges are seen through as well.
+// Counts the frames that support and that contradict the motion of an object. A static
+// object has returns at its position whenever the position is visible. A moving object
+// leaves the position empty, or another object fills it later. An empty cell is only a
+// candidate, because beams also pass through glass, between leaves and past edges.
 #include "scene/mover_evidence.hpp"
 
 #include <algorithm>
@@ -10,14 +10,16 @@
 namespace relidar {
 namespace {
 
-// maximum distance between returns of one static object, including errors of poses and
-// ranges
+// Returns closer than this can be the same static object, in spite of errors of poses and
+// ranges.
 constexpr double kSamePlace_m = 0.2;
-constexpr double kClear_m = 0.4;  // margin around the box, outside of which a place should be free
-// minimum share of a track's returns about which other frames give evidence
+// margin around the box; outside of it, a moving object leaves its positions empty
+constexpr double kClear_m = 0.4;
+// At least this share of a track's returns must be proven to have moved.
 constexpr double kToldShare = 0.25;
-constexpr double kLeftShare = 0.85;   // minimum share of those returns that must have moved
-constexpr double kProvenShare = 0.5;  // minimum share of a track's frames in which motion is proven
+// at least this share of the returns that other frames can judge must have moved
+constexpr double kLeftShare = 0.85;
+constexpr double kProvenShare = 0.5;  // motion must be proven in at least this share of a track's frames
 
 }  // namespace
 

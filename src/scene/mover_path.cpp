@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits a smoothing spline. The spline is the mean of a random walk with white noise on
-// the jerk. A Kalman filter runs forward and a Rauch-Tung-Striebel smoother backward:
+// Fits a smoothing spline to noisy positions. The spline is the mean of a random walk
+// with white noise on the jerk. A Kalman filter runs forward, and a Rauch-Tung-Striebel
+// smoother runs backward:
 //   state = (p, v, a)
 //   F = [1 dt dt^2/2; 0 1 dt; 0 0 1]
 //   Q = q [dt^5/20 dt^4/8 dt^3/6; dt^4/8 dt^3/3 dt^2/2; dt^3/6 dt^2/2 dt]
@@ -12,21 +13,23 @@
 namespace relidar {
 namespace {
 
-constexpr double kPlaceNoise_m = 0.1;  // standard deviation of the observed near end of an object
-// q, m^2/s^5. With a position every 0.1 s, the path follows motions that take longer than
-// 0.4 s.
+// standard deviation of the observed position of an object's near end
+constexpr double kPlaceNoise_m = 0.1;
+// Noise density q of the jerk, m^2/s^5. With a position every 0.1 s, the path follows
+// motions that take longer than 0.4 s.
 constexpr double kJerk = 0.2;
-constexpr double kFarFromPath_m = 0.3;  // distance from the path at which a position has half the weight
+// a position at this distance from the path has half the weight of a position on it
+constexpr double kFarFromPath_m = 0.3;
 constexpr int kPathRounds = 3;
-// length of a chord to either side; an error of 3 cm at its ends turns it by less than a
-// degree
+// Length of the chord to either side that determines a heading. An error of 3 cm at both
+// ends rotates the chord by less than a degree.
 constexpr double kChord_m = 1.5;
-// share of the longer half chord; below it the path turns back and the chord has no
-// direction
+// Limits the chord relative to its longer half. A shorter chord means that the path turns
+// back, so the chord gives no heading.
 constexpr double kTurnsBack = 0.3;
 
-/// Estimate of the filter. One column per world axis; the rows are position, velocity and
-/// acceleration.
+/// State of the Kalman filter. Each column is a world axis. The rows are position,
+/// velocity and acceleration.
 struct Estimate {
     glm::dmat3 state{0.0};
     glm::dmat3 covariance{0.0};
@@ -79,9 +82,9 @@ std::vector<PathState> smooth_once(const std::vector<double>& time_s, const std:
     return path;
 }
 
-/// Returns the first point of the path at the distance kChord_m from one of its
-/// positions, or the end of the path.
-/// @param step 1 for later positions, -1 for earlier ones
+/// Walks along the path from one of its positions. Returns the first point at the
+/// distance kChord_m, or the end of the path.
+/// @param step 1 for later positions, -1 for earlier positions
 glm::dvec2 end_of_chord(const std::vector<glm::dvec3>& path_m, std::size_t place, int step) {
     const glm::dvec2 here(path_m[place]);
     glm::dvec2 last = here;

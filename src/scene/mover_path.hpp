@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Smooths the noisy observed positions of an object and computes its headings. Private to
-// scene.
+// Smooths the noisy observed positions of an object, and computes its headings from the
+// smooth path. Private to scene.
 #pragma once
 
 #include <vector>
@@ -17,17 +17,17 @@ struct PathState {
     }
 };
 
-/// Fits a path over a full track that passes near the positions and whose acceleration
-/// changes little (a smoothing spline of the fifth degree, docs/method.md section 6).
-/// Positions far from the path have a low weight.
+/// Fits a smooth path through all observed positions of a track. The acceleration along
+/// the path changes little (a smoothing spline of the fifth degree, docs/method.md
+/// section 6). Positions far from the path have a low weight.
 /// @param time_s ascending
 /// @param place_m [times] observed positions
 /// @return [times]
 std::vector<PathState> smooth_path(const std::vector<double>& time_s, const std::vector<glm::dvec3>& place_m);
 
-/// Returns the headings along a path on the ground, in radians. A heading points from the
-/// position 1.5 m earlier to the position 1.5 m later, so that a stopped object keeps its
-/// last heading.
+/// Returns the heading at each position of a path on the ground, in radians. The heading
+/// points from the path 1.5 m earlier to the path 1.5 m later. Therefore a stopped object
+/// keeps its last heading.
 /// @param path_m [positions]
 /// @return [positions]
 std::vector<double> headings_along(const std::vector<glm::dvec3>& path_m);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Links clusters to tracks by their predicted positions. Joins tracks that are parts of
-// one object, either side by side or one after the other.
+// Links clusters to tracks by their predicted positions. Joins tracks of the same object,
+// which are parallel in time or follow each other.
 #include "scene/mover_tracks.hpp"
 
 #include <algorithm>
@@ -15,29 +15,35 @@
 namespace relidar {
 namespace {
 
-constexpr double kMaxGap_s = 0.35;     // a track is interrupted if no cluster continues it for this time
-constexpr double kLongestGap_s = 1.5;  // maximum gap after which a track may continue
-constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations on either side of a gap
-// Number of observations used to estimate a velocity: for the next frame, and across a
-// gap.
+constexpr double kMaxGap_s = 0.35;     // a track is interrupted if no cluster continues it within this time
+constexpr double kLongestGap_s = 1.5;  // a track does not continue after a longer gap
+constexpr std::size_t kEndsOfGap = 4;  // minimum number of observations before and after a gap
+// Number of observations that estimate a velocity. kNext predicts the next frame, and
+// kFar predicts across a gap.
 constexpr std::size_t kNext = 4, kFar = 10;
-constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that was seen once
-// Maximum error of a prediction: a constant part, and a part per second.
+constexpr double kFirstSpeed_mps = 15.0;  // maximum speed of an object that has been observed only once
+// Largest allowed error of a predicted position. The error has a constant part and a part
+// per second.
 constexpr double kAcceleration_m = 0.7, kAcceleration_mps = 4.0;
-constexpr double kOverGap_mps = 0.8;     // maximum error per second across a gap, forward and backward
-constexpr double kOtherSpeed_mps = 2.0;  // maximum difference of the speeds before and after a gap
-// maximum ratio of the numbers of returns of one object in consecutive frames
+// largest allowed error per second of a prediction across a gap, forward and backward
+constexpr double kOverGap_mps = 0.8;
+// largest allowed difference between the speeds before and after a gap
+constexpr double kOtherSpeed_mps = 2.0;
+// The number of returns of an object may change at most by this factor between two
+// frames.
 constexpr double kMaxRatio = 8.0;
 constexpr std::size_t kMinObservations = 6;
 constexpr double kMinPath_m = 0.6;
-// minimum ratio of net motion to path length, because noise moves to and fro
+// Minimum ratio of net motion to path length. Noise moves to and fro, so its ratio is
+// small.
 constexpr double kMinStraightness = 0.5;
 constexpr double kOwnVehicle_m = 4.0, kRides_m = 0.3;
-// Parts larger than this belong to a vehicle and not to people who walk together.
+// Parts larger than this belong to one vehicle. Smaller parts can be people who walk
+// together.
 constexpr double kVehiclePart_m = 1.2;
 constexpr double kBesides_m = 1.5;  // maximum distance between the parts of one vehicle
-// Maximum standard deviation of the offset between two parts of one vehicle. The offset
-// varies because the visible side changes.
+// Largest allowed standard deviation of the offset between two parts of one vehicle. The
+// offset varies because the visible side of the vehicle changes.
 constexpr double kRigid_m = 0.5;
 
 glm::dvec3 velocity_between(const MoverCluster& from, const MoverCluster& to) {
@@ -52,8 +58,9 @@ glm::dvec3 first_velocity(const MoverTrack& track, std::size_t most) {
                             track.seen[std::min(track.seen.size(), most) - 1].cluster);
 }
 
-/// Returns the distance between a cluster and the predicted position of a track, relative
-/// to the allowed distance. A value above 1 means a different object.
+/// Returns the distance between a cluster and the predicted position of a track, divided
+/// by the largest allowed distance. A value above 1 means that the cluster is another
+/// object.
 double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
     const double dt = cluster.time_s - track.last().time_s;
     if (!(dt > 0.0 && dt < kMaxGap_s)) return 2.0;
@@ -66,8 +73,9 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster) {
            gate;
 }
 
-/// Returns the mismatch for tracks and clusters with labels. While a label exists, its
-/// track accepts the clusters of the label and no others.
+/// Returns how badly a cluster matches a track if both can have labels. While an object
+/// has a label, its track accepts only the clusters with this label. A value above 1
+/// means that the cluster is another object.
 double mismatch(const MoverTrack& track, const MoverCluster& cluster, double frame_time_s,
                 const Sequence& sequence) {
     if (track.label == kNoLabel) return mismatch(track, cluster);
@@ -77,7 +85,8 @@ double mismatch(const MoverTrack& track, const MoverCluster& cluster, double fra
                : mismatch(track, cluster);
 }
 
-/// Tracks that the clusters of the next frame may continue.
+/// Collects tracks frame by frame. Keeps a list of the tracks that clusters of the next
+/// frame may continue.
 class OpenTracks {
 public:
     explicit OpenTracks(const Sequence& sequence) : sequence_(sequence) {}
@@ -114,7 +123,7 @@ private:
             return false;
         return frame_time_s - track.seen.back().frame_time_s > 2.0 * kMaxGap_s;
     }
-    /// Returns all possible pairs of track and cluster, sorted from best to worst.
+    /// Returns all possible pairs of a track and a cluster, sorted from best to worst.
     std::vector<Fit> fits(double frame_time_s, const std::vector<MoverCluster>& clusters) const {
         std::vector<Fit> result;
         for (const std::size_t t : open_)
@@ -133,7 +142,7 @@ private:
     }
 };
 
-/// Returns the longer side of a cluster's bounding rectangle, seen from above.
+/// Returns the longer side of the rectangle around a cluster, seen from above.
 double width_seen(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
     for (const glm::dvec3& p : cluster.points_m)
@@ -149,7 +158,7 @@ double gap_between(const MoverCluster& a, const MoverCluster& b) {
     return nearest;
 }
 
-/// Returns the pairs of observations of two tracks that are in the same frame.
+/// Returns the index pairs of observations of two tracks that are in the same frame.
 std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, const MoverTrack& b) {
     std::vector<std::pair<std::size_t, std::size_t>> pairs;
     for (std::size_t i = 0, j = 0; i < a.seen.size() && j < b.seen.size();) {
@@ -160,8 +169,8 @@ std::vector<std::pair<std::size_t, std::size_t>> in_common(const MoverTrack& a, 
     return pairs;
 }
 
-/// Returns true if two tracks are parts of one vehicle. Example: no beam hits the roof of
-/// a vehicle, so that its tail and its cabin are separate clusters.
+/// Returns true if two tracks are parts of one vehicle. Example: beams that miss the roof
+/// of a van observe its tail and its cabin as separate clusters.
 bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     if (part.label != kNoLabel) return false;
     const auto common = in_common(whole, part);
@@ -180,8 +189,9 @@ bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     return variance.x + variance.y < kRigid_m * kRigid_m;
 }
 
-/// Returns how badly one track continues another after a gap. The predictions from both
-/// sides are compared across the gap. A value above 1 means a different object.
+/// Returns how badly one track continues another track after a gap. Predicts the position
+/// across the gap from both sides. A value above 1 means that the tracks are different
+/// objects.
 double mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
     if (before.label != kNoLabel && after.label != kNoLabel) return 2.0;
     if (std::min(before.seen.size(), after.seen.size()) < kEndsOfGap) return 2.0;
@@ -195,13 +205,13 @@ double mismatch_over_gap(const MoverTrack& before, const MoverTrack& after) {
                     glm::length(glm::dvec2(from_velocity - to_velocity)) / kOtherSpeed_mps);
 }
 
-/// Pair of tracks of which the second may continue the first.
+/// Pair of tracks. The track `after` may continue the track `before` after a gap.
 struct GapFit {
     double mismatch;
     std::size_t before, after;
 };
-// Returns the possible continuations across gaps, sorted from best to worst. The tracks
-// must be sorted by their first frames.
+// Returns the pairs of tracks that may be joined across a gap, sorted from best to worst.
+// @param tracks sorted by their first frames
 std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
     std::vector<GapFit> fits;
     const auto starts_s = [&](std::size_t t) { return tracks[t].seen.front().frame_time_s; };
@@ -220,7 +230,8 @@ std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
     return fits;
 }
 
-/// Joins tracks across gaps. Tracks with different labels are not joined.
+/// Joins tracks of the same object across gaps. Does not join tracks with different
+/// labels.
 std::vector<MoverTrack> joined_across_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);

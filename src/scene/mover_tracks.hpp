@@ -18,32 +18,34 @@ struct Observation {
 };
 
 /// All observations of one object in the order of the frames. If the object is labelled
-/// for a while, the observations with the label are included.
+/// for some time, the track also contains the observations with the label.
 struct MoverTrack {
     std::vector<Observation> seen;
     int label = kNoLabel;  ///< index in Sequence::boxes, or kNoLabel
 
     const MoverCluster& last() const { return seen.back().cluster; }
-    /// Returns the mean firing time of each observation's returns.
+    /// Returns the time of each observation, which is the mean firing time of its
+    /// returns.
     std::vector<double> times() const;
 };
 
-/// Links the clusters of ascending frames, the best matches of a frame first. While an
-/// object has a label, its clusters are linked by the label. Before and after, they are
-/// linked like the clusters of other objects.
+/// Links the clusters of consecutive frames to tracks. The best match of a frame is
+/// linked first. While an object has a label, the label decides which clusters are
+/// linked. Before and after, the predicted position decides.
 /// @param clusters [frames]
 std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster>>& clusters,
                                       const std::vector<double>& frame_times_s, const Sequence& sequence);
 
-/// Returns true if a track moves far enough, fairly straight, and in enough frames.
+/// Returns true if a track is observed in enough frames and moves far enough and fairly
+/// straight.
 bool comes_far(const MoverTrack& track);
 
-/// Returns true if a track keeps its position relative to the vehicle and is close to it.
-/// Such a track is a part of the recording vehicle.
+/// Returns true if a track stays close to the recording vehicle and keeps its position
+/// relative to it. Such a track is a part of the vehicle.
 bool rides_along(const MoverTrack& track, const PoseTrack& world_from_vehicle);
 
-/// Adds the returns of tracks that are parts of an object to the main track of that
-/// object.
+/// Merges tracks that are parts of one object. Adds their returns to the longest track of
+/// the object.
 void join_parts(std::vector<MoverTrack>& tracks);
 
 }  // namespace relidar

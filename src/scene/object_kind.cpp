@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Maps the classes of datasets to a few kinds of objects. A word that occurs in several
-// of KITTI, KITTI-360, Waymo, Argoverse 2 and nuScenes means the same in each. Therefore
-// one table serves all datasets.
+// Maps the class names of datasets to a few kinds of objects. If several of KITTI,
+// KITTI-360, Waymo, Argoverse 2 and nuScenes use a class name, it has the same meaning.
+// Therefore one table serves all datasets.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>

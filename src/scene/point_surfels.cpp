@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes normals, scales and start values of surfels from the points around each of
-// them (docs/method.md section 2; paper section 3.2).
+// Computes the normal, scales and initial parameters of each surfel from the points
+// around it (docs/method.md section 2; paper section 3.2).
 #include "scene/point_surfels.hpp"
 
 #include <algorithm>
@@ -18,10 +18,11 @@ namespace relidar {
 namespace {
 
 constexpr float kSh0 = 0.28209479177387814f;  ///< SH constant of degree 0
-constexpr double kSh1 = 0.4886025119029199;   ///< SH constant of degree 1: factors of -y, z, -x
+/// constant of the spherical harmonics of degree 1, which is multiplied by -y, z and -x
+constexpr double kSh1 = 0.4886025119029199;
 constexpr int kScaleNeighbours = 3;
-/// A gap is wider than this factor times the distance of neighbours on a scan line.
-/// Random points have narrower gaps.
+/// A gap between scan lines must be wider than this factor times the distance between
+/// neighbours on a line. Randomly distributed points have narrower gaps.
 constexpr double kGap = 2.5;
 
 /// Adapter that gives nanoflann access to the samples.
@@ -44,16 +45,16 @@ struct Plane {
     glm::dvec3 point{0.0};
     glm::dvec3 normal{0.0};
     bool is_line = false;  ///< the points spread along one axis only
-    /// The points spread along two axes. Their spread along the third axis is below
-    /// options.flatness.
+    /// true if the points lie in a plane: their spread along the third axis is below
+    /// options.flatness, relative to the second axis
     bool is_surface = false;
 };
 
-/// Fits a plane. The normal is the eigenvector of the smallest eigenvalue. Points of a
-/// single scan line leave the rotation about the line undetermined; then the normal is
-/// chosen to face the sensor as much as possible. The normal of points that form no
-/// surface faces the sensor as well. Other discs would be seen edge-on, and rays of the
-/// next scan would pass by them and hit the background.
+/// Fits a plane to neighbouring points. The normal is the eigenvector of the smallest
+/// eigenvalue. The points of a single scan line do not determine the rotation about the
+/// line. In this case, the function chooses the normal that faces the sensor most. If the
+/// points form no surface, the normal points to the sensor. Other discs would be seen
+/// edge-on, so that rays of the next scan would miss them and hit the background.
 Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                 const glm::dvec3& view, double flatness) {
     Eigen::Vector3d mean = Eigen::Vector3d::Zero();
@@ -81,7 +82,8 @@ Plane fit_plane(const std::vector<Sample>& samples, const std::vector<std::size_
     return {{mean.x(), mean.y(), mean.z()}, length > 1e-9 ? normal / length : -view, is_line, is_surface};
 }
 
-/// Returns a unit vector perpendicular to a normal, rotated about the normal by an angle.
+/// Returns a unit vector perpendicular to a normal. The angle selects one of these
+/// vectors by rotating it about the normal.
 glm::dvec3 direction_within(const glm::dvec3& normal, double angle) {
     const glm::dvec3 helper = std::abs(normal.x) < 0.9 ? glm::dvec3(1, 0, 0) : glm::dvec3(0, 1, 0);
     const glm::dvec3 x = glm::normalize(glm::cross(helper, normal));
@@ -94,9 +96,9 @@ glm::vec4 rotation_of(const glm::dvec3& x, const glm::dvec3& normal) {
     return {float(q.w), float(q.x), float(q.y), float(q.z)};
 }
 
-/// Distance between the scan lines on a surface. `across` is the direction within the
-/// surface that is perpendicular to the lines. `left_m` and `right_m` are the distances
-/// to the nearest points on either side, or 0 if there are none.
+/// Gap between the scan lines on a surface. `across` is the direction in the surface that
+/// is perpendicular to the lines. `left_m` and `right_m` are the distances to the nearest
+/// points on the next lines, or 0 without such a point.
 struct Gap {
     glm::dvec3 across{0.0};
     double left_m = 0.0, right_m = 0.0;
@@ -105,19 +107,20 @@ struct Gap {
     double width_m() const { return std::max(left_m, right_m); }
 };
 
-/// Measures the gap to the next scan lines.
+/// Measures the distance from a point to the next scan line on each side.
 /// @param neighbours indices of points on the surface, sorted by distance; the first is
 /// the point itself
 Gap gap_between_lines(const std::vector<Sample>& samples, const std::vector<std::size_t>& neighbours,
                       const glm::dvec3& normal) {
-    constexpr std::size_t kOnLine = 4;  // the nearest neighbours lie on the same scan line as the point
-    // minimum cosine of the angle between a neighbour and the direction across the line
+    constexpr std::size_t kOnLine = 4;  // the nearest neighbours of a point are on the same scan line
+    // A neighbour lies across the line if the cosine of its angle to `across` is at least
+    // this value.
     constexpr double kAcross = 0.7071;
     constexpr double kSlope = 0.1, kNoise_m = 0.05;  // maximum distance from the plane
     const glm::dvec3 point(samples[neighbours[0]].position), x = direction_within(normal, 0.0),
                                                              y = glm::cross(normal, x);
-    // sums of cos and sin of twice the angle, so that both directions along a line count
-    // as the same
+    // Sums the cosine and sine of twice the angle, so that opposite directions along a
+    // line count as the same direction.
     double even = 0.0, odd = 0.0;
     for (std::size_t j = 1; j < std::min(neighbours.size(), kOnLine + 1); ++j) {
         const glm::dvec3 d = glm::dvec3(samples[neighbours[j]].position) - point;
@@ -141,9 +144,10 @@ glm::dvec3 random_direction(Random& random) {
     return d / std::max(glm::length(d), 1e-12);
 }
 
-/// Sets the SH coefficients of degrees 0 and 1 for the intensity a (1 - q (1 - cos)) with
-/// cos = -n . d, where d is the direction of a ray towards the surface. A sample seen at
-/// a grazing angle determines the albedo a poorly, so the cosine has a lower bound.
+/// Sets the SH coefficients of degrees 0 and 1. They encode the intensity a (1 - q (1 -
+/// cos)) with cos = -n . d, where d is the direction of a ray towards the surface. A
+/// sample seen at a grazing angle determines the albedo a poorly, so the cosine has a
+/// lower bound.
 /// @param normal zero if unknown: then the intensity is the same from all directions
 void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, double incidence) {
     constexpr double kGrazing = 0.1;
@@ -151,14 +155,15 @@ void fill_intensity(float* sh, const Sample& sample, const glm::dvec3& normal, d
     const glm::dvec3 n = facing < 0.0 ? -normal : normal;
     const double q = normal == glm::dvec3(0.0) ? 0.0 : incidence,
                  albedo = double(sample.intensity) / (1.0 - q * (1.0 - std::max(std::abs(facing), kGrazing)));
-    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // coefficients of the y, z and x of a direction
+    const glm::dvec3 slope = -albedo * q / kSh1 * n;  // SH coefficients of degree 1 for the axes x, y, z
     sh[0] = (static_cast<float>(albedo * (1.0 - q)) - 0.5f) / kSh0;
     sh[1] = static_cast<float>(-slope.y);
     sh[2] = static_cast<float>(slope.z);
     sh[3] = static_cast<float>(-slope.x);
 }
 
-/// Indices of up to n samples, sorted by distance, and their squared distances.
+/// Indices of the n samples nearest to a sample, sorted by distance, and their squared
+/// distances.
 struct Neighbours {
     std::vector<std::size_t> samples;
     std::vector<float> distance2;
@@ -166,8 +171,8 @@ struct Neighbours {
     Neighbours(const Tree& tree, const Sample& sample, std::size_t n) : samples(n), distance2(n) {
         samples.resize(tree.knnSearch(&sample.position.x, n, samples.data(), distance2.data()));
     }
-    /// Returns the mean distance to the nearest samples without the sample itself, or 0
-    /// if there are no others.
+    /// Returns the mean distance to the nearest other samples, or 0 if there are no other
+    /// samples.
     double spacing_m() const {
         double sum = 0.0;
         std::size_t n = 0;
@@ -177,18 +182,18 @@ struct Neighbours {
     }
 };
 
-/// Plane of a disc, and the gap between the scan lines that hit it.
+/// Plane of a surfel, and the gap between the scan lines around it.
 struct Place {
     Plane plane;
     Gap gap;
 };
 
-/// Finds the plane and the gap at a sample. If the nearest points lie on one scan line or
-/// on one side of a gap, repeats the search with more neighbours. The points of one line
-/// leave the plane free to rotate about it.
+/// Finds the plane and the gap at a sample. Searches again with more neighbours if the
+/// nearest points lie on one scan line or on one side of a gap. The points of one line do
+/// not determine the rotation of the plane about the line.
 Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t i,
                std::vector<std::size_t> nearest, const InitialiseOptions& options) {
-    constexpr int kWider = 2;  // maximum number of times that the search is widened
+    constexpr int kWider = 2;  // maximum number of repeated searches with more neighbours
     Place place{fit_plane(samples, nearest, samples[i].view, options.flatness), {}};
     if (options.max_gap_m <= 0.0) return place;
     const auto widen = [&] {
@@ -198,7 +203,7 @@ Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t
     for (int k = 0; is_line && !place.plane.is_surface && k < kWider; ++k) {
         widen();
         const Plane wider = fit_plane(samples, nearest, samples[i].view, options.flatness);
-        // The wider plane gives only the normal, because it is too coarse to move the
+        // Uses only the normal of the wider plane. This plane is too coarse to move the
         // point onto it.
         if (wider.is_surface) place.plane = {samples[i].position, wider.normal, true, true};
     }
@@ -210,7 +215,7 @@ Place place_of(const Tree& tree, const std::vector<Sample>& samples, std::size_t
     return place;
 }
 
-/// Fills surfel i from its sample and its neighbours.
+/// Computes all parameters of surfel i from its sample and the samples nearby.
 void fill_surfel(Surfels& surfels, std::size_t i, const std::vector<Sample>& samples, const Tree& tree,
                  const InitialiseOptions& options, double incidence) {
     const std::size_t k =
@@ -262,7 +267,7 @@ Surfels surfels_from_points(const std::vector<Sample>& samples, const Initialise
 
 std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
                              std::vector<std::uint32_t>* kept) {
-    constexpr double kVoxel_m = 0.06;  // label jitter blurs smaller details
+    constexpr double kVoxel_m = 0.06;  // voxel edge; label jitter blurs smaller details
     std::unordered_set<std::uint64_t> seen;
     std::vector<std::uint32_t> first;
     for (std::size_t i = 0; i < samples.size(); ++i) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes surfels from points, with normals and scales from nearest neighbours
+// Makes surfels from points. Estimates their normals and scales from nearest neighbours
 // (docs/method.md section 2). Used for the background and for actors. Private to scene.
 #pragma once
 
@@ -9,14 +9,14 @@
 
 namespace relidar {
 
-/// A point of the log: position, intensity, and direction from the sensor. The frame is
-/// the world, or the frame of an actor's box.
+/// A point of the log: position, intensity, and direction from the sensor. Coordinates
+/// are in the world frame or in the frame of an actor's box.
 struct Sample {
     glm::vec3 position;
     float intensity;
     glm::vec3 view;         ///< unit vector from the sensor to the point
     float walked_m = 0.0f;  ///< distance that the actor had walked (WalkedWay)
-    int frame = 0;          ///< for an actor: index of the point's frame in the log
+    int frame = 0;          ///< index in the log of the point's frame; used only for actors
 };
 
 /// Calls work(WorldReturn) for each return of a frame, ray by ray.
@@ -32,8 +32,8 @@ void for_each_return(const Sequence& sequence, const Frame& frame, bool second_r
     }
 }
 
-/// Makes one surfel for each sample, in kd order. If normals are estimated, the intensity
-/// starts with the incidence dependence of the log.
+/// Makes one surfel for each sample, in kd order. If normals are estimated, the initial
+/// intensity depends on the angle of incidence as measured in the log.
 /// @param samples at least one
 /// @param incidence coefficient of IntensityResponse
 /// @param order output [n]: the index of each surfel's sample
@@ -41,9 +41,9 @@ Surfels surfels_from_points(const std::vector<Sample>& samples, const Initialise
                             double incidence, const Progress& progress = {},
                             std::vector<std::uint32_t>* order = nullptr);
 
-/// Returns the first sample of each voxel of an actor, at most `most` samples. The
-/// samples of a voxel are not averaged, because the mean over jittering labels would
-/// shrink the box.
+/// Returns the first sample of each voxel of an actor, at most `most` samples. Does not
+/// average the samples of a voxel, because the mean over jittering labels would shrink
+/// the actor.
 /// @param kept output: indices of the returned samples
 std::vector<Sample> thin_out(const std::vector<Sample>& samples, std::size_t most,
                              std::vector<std::uint32_t>* kept = nullptr);

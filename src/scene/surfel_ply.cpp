@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes and reads surfels as PLY files in the layout of tools for 3D Gaussian splatting.
-// Parameters that these tools know keep their names and activations; a surfel is a flat
-// Gaussian. The LiDAR channels are additional properties, so that a file edited in such a
-// tool can be read back as a scene. The reader checks every number of the header against
-// the file size before it uses the number.
+// Writes and reads surfels as PLY files in the layout that tools for 3D Gaussian
+// splatting use. Parameters that these tools know keep their names and activations. A
+// surfel is stored as a flat Gaussian. The LiDAR channels are additional properties, so
+// that a file edited in such a tool can be read back. The reader checks every number of
+// the header against the file size before it uses the number.
 #include <relidar/base/files.hpp>
 #include <relidar/scene/surfel_ply.hpp>
 
@@ -27,22 +27,22 @@ namespace {
 
 constexpr std::uint32_t kColours = 3;
 constexpr std::uint32_t kRest = kShCoefficients - 1;
-// thickness of a surfel, in metres, for viewers that draw ellipsoids
+// Logarithm of a surfel's thickness in metres, for viewers that draw ellipsoids.
 const float kFlat = std::log(1e-4f);
-constexpr std::string_view kEndOfHeader = "\nend_header";  // followed by a line end of Unix or Windows
+constexpr std::string_view kEndOfHeader = "\nend_header";  // a Unix or Windows line end must follow
 constexpr std::size_t kMaxPlyHeader = 65536;
 constexpr std::size_t kMaxSurfels = 4294967295;
-// the index of a model is stored as a float, which must be exact
+// The index of a model is stored as a float, which is exact up to this number.
 constexpr std::size_t kMaxModels = 1u << 24;
 
 const auto& [kGait, kMean, kRotation, kLogScale, kOpacityLogit, kSh, kLogScaleW] = kParameterGroups;
 
 /// A PLY property. It is either a float of a parameter group, or a value that other tools
-/// expect. The second and third colours repeat the first one.
+/// expect. The properties of the second and third colour repeat the first colour.
 struct Property {
     std::string name;
-    const ParameterGroup* group = nullptr;  ///< group, if the property is a parameter
-    std::uint32_t index = 0;                ///< index in a row of the group, or component of the normal
+    const ParameterGroup* group = nullptr;  ///< parameter group of the property, or null
+    std::uint32_t index = 0;  ///< index in a row of the group, or component (x, y, z) of the normal
     bool read = true;
     enum Kind { parameter, normal, thickness, model } kind = parameter;
 };
@@ -72,8 +72,8 @@ std::vector<Property> properties(ParameterSet of) {
     return list;
 }
 
-/// Returns the third column of the rotation, or zero if the quaternion is zero or not a
-/// number.
+/// Returns the third column of the rotation matrix. Returns zero if the quaternion is
+/// zero or not a number.
 glm::vec3 normal_of(const glm::vec4& wxyz) {
     const float length = glm::length(wxyz);
     if (!(length > 0.0f)) return glm::vec3(0.0f);
@@ -96,15 +96,16 @@ float property_value(const Property& p, const Surfels& s, std::size_t i, std::si
     return 0.0f;
 }
 
-/// Stores the value of a property in surfel i, or in `model`.
+/// Stores the value of a property in surfel i. Stores the value in `model` if the
+/// property is the model index.
 /// @param p a property that is read
 void set_value(const Property& p, Surfels& s, std::size_t i, std::uint32_t& model, float value) {
     if (p.kind == Property::model) model = static_cast<std::uint32_t>(value);
     else p.group->mutable_values(s)[i * p.group->floats() + p.index] = value;
 }
 
-/// Layout of the only element in a PLY header: number of records, and name and byte
-/// offset of each property.
+/// Layout of the records in a PLY file, parsed from its header. Holds the number of
+/// records, and the name and byte offset of each property.
 struct Layout {
     std::size_t count = 0;
     std::size_t stride = 0;
@@ -180,7 +181,7 @@ Layout parse_ply_header(const std::string& header) {
     return layout;
 }
 
-/// Properties that are read, and their byte offsets in a record.
+/// Properties that the reader uses, and their byte offsets in a record.
 struct Columns {
     std::vector<Property> property;
     std::vector<std::size_t> offset;
@@ -213,7 +214,7 @@ float checked(float value, const Property& p, std::size_t row, std::size_t n_mod
     return value;
 }
 
-/// Sorts the surfels by model and keeps the order of the file within each model.
+/// Sorts the surfels by model. Keeps the order of the file within each model.
 Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, const Scene& layout) {
     std::vector<std::uint32_t> order(model.size());
     std::iota(order.begin(), order.end(), 0u);
@@ -232,8 +233,8 @@ Scene grouped(const Surfels& surfels, const std::vector<std::uint32_t>& model, c
     return scene;
 }
 
-/// Returns the position of the line end before the last line of the header, or npos if
-/// there is none.
+/// Returns the position of the line end before "end_header", or npos if the header has no
+/// end.
 std::size_t find_end_of_header(const std::string& start) {
     std::size_t at = start.find(kEndOfHeader);
     while (at != std::string::npos) {

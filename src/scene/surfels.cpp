@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the host arrays of surfels: shapes, order and concatenation.
+// Implements the arrays of surfels in host memory: resize, check shapes, sort and
+// concatenate.
 #include <relidar/scene/scene.hpp>
 
 #include <algorithm>
@@ -22,7 +23,7 @@ constexpr bool are_in_order() {
 }
 static_assert(are_in_order(), "the numbers of primitives count up from 0");
 
-/// Returns true if surfels of this kind have the parameters of the group.
+/// Returns true if surfels of this kind need the parameter group.
 bool have(ParameterSet of, const ParameterGroup& group) {
     switch (group.of) {
         case ParameterGroup::Of::third_scale:
@@ -75,7 +76,7 @@ void Surfels::append(const Surfels& other) {
         group.resize(*this, before + more.size());
         std::ranges::copy(more, group.mutable_values(*this).begin() + static_cast<std::ptrdiff_t>(before));
     }
-    if (bends) gait.resize(n);  // surfels appended from a set without a gait are at rest
+    if (bends) gait.resize(n);  // adds gaits that do not move, if the appended surfels have no gait
 }
 
 Surfels Surfels::permuted(const std::vector<std::uint32_t>& order) const {
@@ -112,7 +113,8 @@ Scene with_background(const Scene& scene, const Surfels& background) {
     other.blocks.clear();
     other.surfels = background.permuted(kd_order(background.mean));
     other.models.front().count = n;
-    // Unsigned arithmetic modulo 2^32, so that a smaller background works too.
+    // Subtracts modulo 2^32, so that the result is also right if the new background is
+    // smaller.
     for (std::size_t i = 1; i < other.models.size(); ++i) other.models[i].first += n - before;
     other.surfels.append(scene.surfels.slice(before, scene.surfels.size() - before));
     return other;

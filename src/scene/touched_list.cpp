@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs the kernel scene/list_touched, which lists the rows that have a gradient.
+// Runs the kernel scene/list_touched, which lists the surfels that have a gradient.
 #include <relidar/scene/device_scene.hpp>
 
 #include <algorithm>
@@ -39,7 +39,7 @@ Address<std::uint32_t, shared::TouchedRows> TouchedList::rows() const { return i
 Address<std::uint32_t, shared::TouchedCount> TouchedList::count() const { return impl_->count.address(); }
 
 std::size_t TouchedList::threads(std::size_t most) const {
-    // A CPU uses fewer threads, so that each thread has as much work.
+    // Uses fewer threads on a CPU than on a GPU, so that each thread has more work.
     const bool is_cpu = !coalesces(impl_->device);
     return std::min(most, is_cpu ? std::size_t(1) << 12 : std::size_t(1) << 17);
 }

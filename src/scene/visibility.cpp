@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the visibility of points in the frames of a log from range images.
+// Uses range images to decide whether the frames of a log observe a return or empty space
+// at a point.
 #include "scene/visibility.hpp"
 
 #include <algorithm>
@@ -16,19 +17,23 @@ namespace relidar {
 namespace {
 
 constexpr int kMostRows = 96, kEvenRows = 64, kFewestColumns = 64, kMostColumns = 1024;
-// chosen so that the six cells around a point hold four or five returns
+// With this ratio, the six cells around a point hold four or five returns.
 constexpr double kCellsPerRay = 4.0 / 3.0;
 constexpr double kBeyond_rad = 0.002;  // margin at the outermost beams, about the width of a beam
-constexpr int kMinReturns = 3;         // minimum number of returns in the 2 x 3 cells around a point
-// sectors of a sweep; within one sector the sensor moves by millimetres to centimetres
+constexpr int kMinReturns = 3;  // the 2 x 3 cells around a point must contain at least this many returns
+// Number of azimuth sectors of a sweep. The sensor moves by millimetres to centimetres
+// within one sector.
 constexpr int kSectors = 64;
-// number of margins by which a return must lie behind a point to see through it
+// A ray passes through a point if its return lies behind the point by this many error
+// margins.
 constexpr double kBehind = 1.5;
-constexpr double kTile_m = 8.0;  // size of a ground tile; all points of a tile use the same frames
-// A sensor farther away has only one or two returns from a person and does not see most
-// places.
+// edge of a ground tile; all points of a tile are looked up in the same frames
+constexpr double kTile_m = 8.0;
+// Frames whose sensor is farther away than this are not used. They have only one or two
+// returns from a person and do not observe most positions.
 constexpr double kNear_m = 40.0;
-// maximum distance relative to the nearest sensor, if no sensor is near
+// If no sensor is within kNear_m of a tile, uses frames whose sensor is farther than the
+// nearest sensor by at most this factor.
 constexpr double kHardlyFarther = 1.25;
 constexpr std::size_t kMostViews = 64;
 
@@ -36,7 +41,7 @@ double elevation_rad(const glm::vec3& direction) {
     return std::asin(std::clamp(double(direction.z), -1.0, 1.0));
 }
 
-/// Returns the elevations of the rows of a scan, descending. For rays without rows,
+/// Returns the elevations of the rows of a scan, descending. If the rays have no rows,
 /// returns evenly spaced elevations over the field of view.
 std::vector<double> row_elevations(const RayTable& rays) {
     std::vector<double> rows;
@@ -54,8 +59,8 @@ std::vector<double> row_elevations(const RayTable& rays) {
     return rows;
 }
 
-/// Returns the number of columns per turn. A column is a little narrower than the spacing
-/// of the rays in a row.
+/// Returns the number of columns of the range image per turn. Each column is a little
+/// narrower than the spacing of the rays in a row.
 int columns_of(const RayTable& rays) {
     if (rays.rows <= 1 || rays.columns <= 1) return kMostColumns;
     const auto azimuth = [&](int column) {
@@ -74,7 +79,7 @@ glm::dvec3 tile_centre(const glm::dvec3& p) {
     return kTile_m * (glm::floor(glm::dvec3(p.x, p.y, 0.0) / kTile_m) + glm::dvec3(0.5, 0.5, 0.0));
 }
 
-/// Keeps at most kMostViews views, evenly spaced.
+/// Removes views, so that at most kMostViews evenly spaced views remain.
 void thin_out(std::vector<std::uint32_t>& views) {
     if (views.size() <= kMostViews) return;
     std::vector<std::uint32_t> kept;
@@ -130,7 +135,8 @@ std::vector<float> BeamGrid::nearest_m(const Scan& scan) const {
 
 Visibility::Visibility(const Sequence& sequence, const std::vector<int>& positions)
     : sequence_(sequence), positions_(positions) {
-    grids_.resize(sequence.lidars.size());  // LiDARs without a view keep an empty grid, which is not used
+    // a LiDAR without views has an empty grid, which is never used
+    grids_.resize(sequence.lidars.size());
     std::vector<char> has_grid(grids_.size());
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];

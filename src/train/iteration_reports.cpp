@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads back the reports of iterations from the device and sums their losses.
+// Copies the reports of iterations from the device to the host, and sums their losses.
 #include "train/iteration_reports.hpp"
 
 #include <cmath>

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reports of iterations: losses, and counts of overflows. The device collects a row of
-// losses for each iteration. A report of up to 64 iterations is read back without waiting
-// and evaluated a few iterations later (readback_lag.hpp).
+// Reads the losses and the overflow counters of iterations from the device. The device
+// stores one row of losses for each iteration. A report covers up to 64 iterations. It is
+// copied without waiting and evaluated a few iterations later (readback_lag.hpp).
 #pragma once
 
 #include <array>
@@ -19,49 +19,55 @@ namespace relidar {
 /// A line of the training log.
 struct LogLine {
     int step = 0;
-    std::array<double, kLossTerms> terms{};  ///< means over the iterations since the last line
+    std::array<double, kLossTerms> terms{};  ///< mean losses over the iterations since the last line
     std::uint32_t n_surfels = 0;             ///< number of surfels after this step
-    DensifyReport densified;                 ///< changes by densification since the last line
+    /// number of surfels that densification added or removed since the last line
+    DensifyReport densified;
 };
 
-/// Counters on the device. Each is read and reset to 0 with a report.
+/// Counters on the device. Each report reads the counters and resets them to 0.
 struct DeviceCounts {
-    const Array<std::uint32_t>* pass_cap = nullptr;  ///< [1] see ForwardPass::pass_cap_count
-    /// [1] see BackwardPass::most_hits. Null if it is not needed.
+    /// [1] number of rays that were stopped too early (ForwardPass::pass_cap_count)
+    const Array<std::uint32_t>* pass_cap = nullptr;
+    /// [1] largest number of hits in one iteration (BackwardPass::most_hits). Null if the
+    /// counter is not needed.
     const Array<std::uint32_t>* most_hits = nullptr;
     std::uint64_t hit_capacity = 0;
-    const Array<std::uint32_t>* overfull = nullptr;  ///< [1] see ForwardPass::overfull_count
-    std::uint32_t kept_hits = 0;                     ///< hits that are kept for each ray
+    /// [1] number of rays with more hits than can be stored (ForwardPass::overfull_count)
+    const Array<std::uint32_t>* overfull = nullptr;
+    std::uint32_t kept_hits = 0;  ///< maximum number of hits that are stored for each ray
 };
 
 class IterationReports {
 public:
     explicit IterationReports(Device& device);
 
-    /// Returns the row in which the current iteration accumulates its losses.
+    /// Returns the row to which the current iteration adds its losses.
     TermRow row() const { return {terms_, static_cast<std::uint32_t>(iterations_.size())}; }
-    /// Adds an iteration after it was recorded.
+    /// Adds an iteration after its GPU commands were recorded.
     /// @param frame  frame number of the dataset
     void add(int step, int frame) { iterations_.push_back({step, frame}); }
     bool is_full() const { return iterations_.size() == kRows; }
-    /// Records a report of the iterations since the last one. Call it after add(), at
-    /// most once for each iteration.
+    /// Copies the losses and counters since the last report to the host, without waiting.
+    /// Call it after add(), at most once for each iteration.
     /// @param line  log line that ends with these iterations, if any
     void close(Stream& stream, const DeviceCounts& counts, const std::optional<LogLine>& line);
 
-    /// Contents of a report that was read back.
+    /// Contents of a report that was copied to the host.
     struct Report {
         int first_step, last_step;
         std::uint32_t pass_cap, most_hits, overfull;
-        /// hit_capacity and kept_hits have the values at the time of recording
+        /// hit_capacity and kept_hits have the values from the time when close() was
+        /// called
         std::uint64_t hit_capacity;
         std::uint32_t kept_hits;
     };
-    /// Returns the oldest report that was not returned yet, if it ends at iteration
+    /// Returns the oldest report that has not been returned yet, if it ends at iteration
     /// `last` or earlier. Waits if the device has not completed it.
     /// @throws DataError naming iteration, frame and term if a loss is not finite
     std::optional<Report> take(Stream& stream, int last);
-    /// Returns the log lines of the reports that take() has returned, and clears them.
+    /// Returns the log lines of the reports that take() has returned. Clears the list of
+    /// lines.
     std::vector<LogLine> take_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
@@ -69,7 +75,7 @@ public:
         visit("term_sums", sums_);
         visit("n_summed", n_summed_);
     }
-    /// Returns true if a state that was read from a checkpoint is valid.
+    /// Returns true if the state that was read from a checkpoint is valid.
     bool is_sound() const { return sums_.size() == kLossTerms; }
 
 private:
@@ -93,10 +99,12 @@ private:
 
     Array<float> terms_;                 ///< [kRows, kLossTerms] losses of iterations_
     std::vector<Iteration> iterations_;  ///< iterations since the last report
-    std::vector<Slot> slots_;            ///< [kReadbackLag] used in turn by iterations
-    std::deque<Closed> closed_;          ///< recorded reports, oldest first
-    std::vector<double> sums_;           ///< [kLossTerms] sums over the reports since the last log line
-    std::uint64_t n_summed_ = 0;         ///< number of iterations in sums_
+    /// [kReadbackLag] host buffers; iteration i uses buffer i modulo kReadbackLag
+    std::vector<Slot> slots_;
+    std::deque<Closed> closed_;  ///< reports that the host has not evaluated yet, oldest first
+    /// [kLossTerms] sums of the losses over the reports since the last log line
+    std::vector<double> sums_;
+    std::uint64_t n_summed_ = 0;  ///< number of iterations in sums_
     std::vector<LogLine> lines_;
 
     void add_up(const Closed& report, const float* terms);

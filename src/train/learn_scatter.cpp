@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits the intensity model (scatter) of each LiDAR of a log. Renders some training frames
-// along their measured rays and compares the intensities. Training frames are suitable,
-// because residuals of held-out frames have about the same size.
+// Fits the random scatter of measured intensities for each LiDAR of a log. Renders some
+// training frames along their measured rays and compares the intensities. Training frames
+// are suitable, because their residuals have about the same size as the residuals of
+// held-out frames.
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
 #include <relidar/train/train.hpp>
@@ -11,7 +12,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kMostFrames = 16;  // maximum number of frames of a LiDAR
+constexpr int kMostFrames = 16;  // maximum number of frames per LiDAR
 
 std::vector<int> frames_of(const Run& run, int lidar) {
     std::vector<int> frames;

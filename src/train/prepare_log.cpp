@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates properties of a log before training: poses of the sensor, calibration of its
-// beams, and moving objects without labels.
+// Prepares a log for training. Estimates the sensor poses, calibrates the beams, and
+// finds moving objects without labels.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -42,17 +42,18 @@ Sequence load_log(const Config& config, const Progress& progress, int most_scans
 
 namespace {
 
-/// Returns true if the log provides poses of the sensor, so that registration does not
-/// start from nothing.
+/// Returns true if the log provides poses of the sensor, which the registration of scans
+/// can start from.
 bool has_poses(const Sequence& sequence, const Config& config) {
     return config.dataset.poses != kNoPoses && sequence.has_poses;
 }
 
-/// Statistics of how far registration moved and rotated the poses of a log.
+/// Computes how far the registration moved and rotated the poses of a log: median and
+/// maximum.
 struct PoseCorrections {
     double median_m = 0.0, most_m = 0.0, median_deg = 0.0, most_deg = 0.0;
 
-    /// Computes the statistics.
+    /// Computes the median and the maximum of the corrections.
     /// @param from  [poses] poses of the log
     /// @param to  [poses] registered poses
     PoseCorrections(const PoseTrack& from, const PoseTrack& to) {
@@ -74,8 +75,8 @@ struct PoseCorrections {
             "corrections of {:.3f} m and {:.2f} degrees (median) to {:.3f} m and {:.2f} degrees", median_m,
             median_deg, most_m, most_deg);
     }
-    /// Returns a warning if the corrections are larger than the errors of good vehicle
-    /// poses. Otherwise returns an empty text.
+    /// Returns a warning if the corrections are larger than the usual errors of good
+    /// vehicle poses. Otherwise returns an empty text.
     std::string warning() const {
         constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
         if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
@@ -102,9 +103,10 @@ std::string loops_text(const Registration& registration) {
                        registration.places_again, registration.loops_off_m);
 }
 
-constexpr double kMostLost = 0.05;  // maximum fraction of lost scans; one lost scan is always allowed
+// maximum fraction of scans that could not be registered; one such scan is always allowed
+constexpr double kMostLost = 0.05;
 
-/// Reports the scans that could not be registered.
+/// Prints which scans could not be registered.
 /// @throws DataError if there are too many of them
 void report_lost_scans(const Sequence& sequence, const Registration& registration, const Config& config,
                        const PrepareSession& session) {
@@ -126,7 +128,7 @@ void report_lost_scans(const Sequence& sequence, const Registration& registratio
     session.tell(text + "; they were moved with their neighbours");
 }
 
-/// Registers the scans of the log.
+/// Registers the scans of the log, which means that it estimates their poses.
 /// @return a registration with `done` set if it has new poses
 Registration register_log(Sequence& sequence, const Split& split, const Config& config,
                           const PrepareSession& session) {
@@ -211,15 +213,16 @@ void report_noise(const Sequence& sequence, const PrepareSession& session) {
                             1e3 * lidar.range_noise.at(10.0, 1.0), 1e3 * lidar.range_noise.at(40.0, 1.0)));
 }
 
-/// Checks for an interruption.
-/// @throws Error with exit code 130 if the user has interrupted the program
+/// Throws an error if the user has interrupted the program.
+/// @throws Error with exit code 130
 void throw_if_interrupted(const PrepareSession& session) {
     if (session.stop && session.stop())
         throw Error(ExitCode::interrupted,
                     "interrupted during the preparation of the log, before training started");
 }
 
-/// Calibrates the beams on the first process and sends the results to all processes.
+/// Calibrates the beams in the first process, and sends the results to all processes of
+/// the group.
 void calibrate(Sequence& sequence, const Split& split, const SensorConfig& config,
                const PrepareSession& session) {
     if (session.group.is_first()) {
@@ -257,8 +260,8 @@ std::string box_text(const BoxTrack& box) {
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
-/// Returns a text with the id of a label, and the number of frames in which the object
-/// was seen before and after its labels.
+/// Returns a text about a labelled object that was also observed outside its labels. The
+/// text contains the id, and the numbers of frames before and after the labels.
 std::string continuation_text(const BoxTrack& box) {
     std::vector<std::string> sides;
     if (box.n_before > 0) sides.push_back(fmt::format("{} frames before the first label", box.n_before));
@@ -288,7 +291,8 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
         session.tell(fmt::format("tracks extended beyond their labels: {}", fmt::join(extended, ", ")));
 }
 
-/// Registers moving boxes on the first process and sends their poses to all processes.
+/// Registers the points of moving boxes in the first process. Sends the corrected poses
+/// to all processes of the group.
 void register_boxes(Sequence& sequence, const Split& split, const PrepareSession& session) {
     ActorRegistration registration;
     if (session.group.is_first())
@@ -310,7 +314,9 @@ void register_boxes(Sequence& sequence, const Split& split, const PrepareSession
 RegisterOptions register_options(const Sequence& sequence, const Config& config) {
     RegisterOptions options;
     options.given_motion = has_poses(sequence, config);
-    for (const BoxTrack& box : sequence.boxes)  // without poses, it is unknown which boxes move
+    // Without vehicle poses, it is unknown which boxes move, so all boxes count as
+    // moving.
+    for (const BoxTrack& box : sequence.boxes)
         if (!options.given_motion || box.moves()) options.movers.push_back(box);
     return options;
 }

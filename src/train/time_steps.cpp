@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs training steps after a warm-up and averages their times.
+// Runs training steps after a warm-up, and computes their mean times.
 #include "train/time_steps.hpp"
 
 #include <algorithm>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures the time of training steps on the batches of a trained run, for each kernel.
+// Measures how long training steps take for a trained run, in total and for each kernel.
 #pragma once
 
 #include <cstdint>
@@ -12,9 +12,9 @@
 
 namespace relidar {
 
-/// Mean times of training steps, as at the end of a run's training.
+/// Mean times of the training steps at the end of a run's training.
 struct StepTimes {
-    /// Mean of a kernel in a step.
+    /// Mean number of launches and mean time of a kernel in one step.
     struct Kernel {
         double launches = 0.0, ms = 0.0;
     };
@@ -22,17 +22,18 @@ struct StepTimes {
     std::map<std::string, Kernel> kernels;  ///< times by kernel; empty if the device has no timestamps
     double kernels_ms = 0.0;                ///< sum over all kernels
     double wall_ms = 0.0;
-    std::size_t surfels = 0, rays = 0;  ///< surfels in the scene; rays in a batch
-    std::uint32_t kept_hits = 0;        ///< hits kept for each ray at the end
+    std::size_t surfels = 0, rays = 0;  ///< surfels in the scene; rays in the last batch
+    std::uint32_t kept_hits = 0;        ///< maximum number of hits stored for each ray, after the last step
 
     double between_ms() const { return wall_ms - kernels_ms; }  ///< time in which no kernel runs
 };
 
-/// Maximum number of timed steps, because the times of all launches are kept in memory.
+/// Maximum number of timed steps. It is limited because the times of all launches are
+/// kept in memory.
 inline constexpr int kMostTimedSteps = 500;
 
-/// Continues training from a run's scene, with the learning rates of its last steps, and
-/// measures the time. Does not change the run.
+/// Continues training from the scene of a run, and measures the time. Uses the learning
+/// rates of the run's last steps. Does not change the run.
 /// @param run  a run with the scans of its training frames
 /// @param n_steps  number of timed steps after a few warm-up steps, 1 to kMostTimedSteps
 /// @param stop  polled after each step; if it returns true, the measurement ends

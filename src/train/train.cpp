@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a scene from a log: initialises or resumes, iterates, reports and saves
-// checkpoints. The iteration itself is in train_loop.cpp.
+// Trains a scene from a log. Initialises or resumes the training, runs the iterations,
+// prints progress, and saves checkpoints. The iteration itself is in train_loop.cpp.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -26,8 +26,8 @@ double seconds_since(Clock::time_point start) {
     return std::chrono::duration<double>(Clock::now() - start).count();
 }
 
-/// Returns the options of the initialisation. With a single drop logit, its start value
-/// is the difference of the two logits, which gives the same ray-drop probability (M6).
+/// Returns the options of the initialisation. If there is a single drop logit, it starts
+/// with the difference of the two logits. This gives the same ray-drop probability (M6).
 InitialiseOptions start_options(const Config& config) {
     InitialiseOptions options = config.init;
     options.seed = config.train.seed;
@@ -46,7 +46,7 @@ Scene start_scene(const Sequence& sequence, const Split& split, const Config& co
     return scene;
 }
 
-/// Reports the moving boxes that are masked out and have no surfels.
+/// Prints which moving boxes have no surfels, because training ignores their returns.
 void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Config& config,
                          const TrainSession& session) {
     const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
@@ -58,7 +58,7 @@ void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Con
                     masked.size(), names_of(masked)));
 }
 
-/// Reports how many training frames are resident on the device, unless all of them are.
+/// Prints how many training frames stay on the device, unless all of them do.
 void report_sent_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.n_staying() == frames.all().size() || !session.note) return;
     session.note(
@@ -67,9 +67,9 @@ void report_sent_frames(const TrainingFrames& frames, const Config& config, cons
                     frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
 }
 
-/// Returns the settings, with refinement disabled for poses that cannot be determined. If
-/// all training frames belong to the same sweep, nothing constrains its pose. The pose
-/// and the scene would then drift away from the poses of all other sweeps.
+/// Returns the settings, but disables pose refinement where poses cannot be determined.
+/// If all training frames belong to one sweep, nothing constrains the pose of this sweep.
+/// The pose and the scene would then drift away from the poses of all other sweeps.
 Config with_findable_poses(Config config, const Sequence& sequence, const Split& split, const Scene& initial,
                            const TrainSession& session) {
     const auto frame = [&](int position) -> const Frame& { return sequence.frames[std::size_t(position)]; };
@@ -92,7 +92,8 @@ bool logs_at(int step, const TrainConfig& config) {
     return step == 1 || step % std::max(1, config.log_every) == 0 || step == config.iterations;
 }
 
-/// Reads the trained scene, its poses, ray-drop and coverage from the device.
+/// Downloads the trained scene and its poses. Estimates the ray-drop of the sensor and
+/// the coverage.
 void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const Split& split,
                 const Config& config, const TrainSession& session, TrainResult& result) {
     result.interrupted = result.iterations < config.train.iterations;
@@ -124,7 +125,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     report_masked_boxes(initial, sequence, config, session);
 
     begin_stage(session.stages, "train");
-    // a variable, because the loop keeps a reference to it
+    // The settings need a variable, because the loop keeps a reference to them.
     const Config findable = with_findable_poses(config, sequence, split, initial, session);
     if (session.progress) session.progress("memory and kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);
@@ -152,7 +153,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
         stop = stop || (session.stop && session.stop());
         if (!stop && !checkpoints.due(step)) continue;
         loop.settle();
-        take_lines();  // the lines are part of the checkpoint
+        take_lines();  // A checkpoint includes the log lines.
         checkpoints.save(loop, result, trained_s());
     }
     loop.finish();

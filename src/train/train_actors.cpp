@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Trains the actors of a scene in blocks again, in front of the joined background. This
-// needs only the rays near their boxes and the surfels along these rays. So many blocks
-// fit into a single training, and an actor that drives along learns from all of them in
-// random order.
+// needs only the rays near the actors' boxes and the surfels along these rays. Therefore
+// many blocks fit into one training. An actor that drives through several blocks then
+// learns from all of them in random order.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -18,19 +18,21 @@
 namespace relidar {
 namespace {
 
-constexpr double kBeside_m = 0.5;  // margin around an actor's box, so that its silhouette is included
-constexpr double kSweep_m = 0.2;   // maximum distance that a sensor moves while its beam crosses an actor
-constexpr double kAlong_m = 2.0;   // maximum distance that a sensor moves within half a sweep
-// radius of a surfel in standard deviations; farther out, its alpha is too small to be
-// blended
+// margin around an actor's box, so that the rays at its silhouette are included
+constexpr double kBeside_m = 0.5;
+constexpr double kSweep_m = 0.2;  // maximum distance that a sensor moves while its beam crosses an actor
+constexpr double kAlong_m = 2.0;  // maximum distance that a sensor moves during half a sweep
+// Radius of a surfel in standard deviations. Beyond this radius, alpha is too small to
+// contribute.
 constexpr double kReach_sigmas = 3.5;
-// Maximum number of surfels in the blocks of a training, which uses those near actors.
+// Maximum number of surfels in the blocks of one training. The training uses only the
+// surfels near actors.
 constexpr std::size_t kTogether = 1'500'000;
-// maximum drop probability of the sensor itself; rays above it carry no information about
-// actors
+// Rays with a higher drop probability of the sensor are skipped, because they carry no
+// information about actors.
 constexpr float kBlind = 0.5f;
 
-/// An actor in a sweep, and the position of the sensor when it faces the actor.
+/// An actor in a sweep, and the position of the sensor when its head faces the actor.
 struct Sight {
     glm::dvec3 sensor_m;
     InstancePose placed;
@@ -40,8 +42,8 @@ struct Sight {
     /// @param after_s  firing time of the ray, relative to the reference time of the
     /// sweep
     bool is_met_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
-    /// Returns true if a sphere can lie on a ray that hits the actor, in front of it or
-    /// behind it.
+    /// Returns true if a sphere may be hit by a ray that also hits the actor's box. The
+    /// sphere may be in front of the actor or behind it.
     bool may_show(const glm::dvec3& point_m, double reach_m) const {
         const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
@@ -56,7 +58,7 @@ private:
     }
 };
 
-/// A training frame, with the actors in its view.
+/// A training frame, and the actors that it may show.
 struct SightedFrame {
     int position = 0;  ///< index into Sequence::frames
     glm::dvec3 sensor_m{0.0};
@@ -68,14 +70,14 @@ struct SightedFrame {
     }
 };
 
-/// Frames of a training, and the blocks that their rays can reach.
+/// Frames of one training, and the blocks that the rays of these frames can reach.
 struct Stretch {
     std::vector<SightedFrame> frames;
     std::set<std::size_t> blocks;
 };
 
-/// Returns the poses of each LiDAR. They are computed only once, because there are as
-/// many poses as sweeps.
+/// Returns the track of each LiDAR. The tracks are computed only once, because they have
+/// as many poses as the log has sweeps.
 std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
     std::vector<PoseTrack> tracks;
     for (std::size_t l = 0; l < sequence.lidars.size(); ++l)
@@ -83,7 +85,7 @@ std::vector<PoseTrack> sensor_tracks(const Sequence& sequence) {
     return tracks;
 }
 
-/// Returns a frame with the actors that are within the range of its returns.
+/// Returns a frame together with the actors that are within the range of its returns.
 SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>& tracks) {
     const Frame& frame = run.sequence.frames[std::size_t(position)];
     const PoseTrack& world_from_sensor = tracks[std::size_t(frame.lidar)];
@@ -101,8 +103,8 @@ SightedFrame sighted(const Run& run, int position, const std::vector<PoseTrack>&
     return result;
 }
 
-/// Divides the training frames into sections. The blocks of a section have at most
-/// kTogether surfels, unless it has only one frame.
+/// Divides the training frames into sections. Starts a new section if its blocks would
+/// have more than kTogether surfels. A section has at least one frame.
 std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& tracks) {
     std::vector<Stretch> stretches(1);
     for (const int position : run.split.train) {
@@ -121,8 +123,8 @@ std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& 
     return stretches;
 }
 
-/// Returns the rays of a scan that are near an actor, without image order. Skips rays for
-/// which the sensor itself has a high drop probability.
+/// Returns the rays of a scan that pass near an actor, without image order. Skips rays
+/// that the sensor itself drops with a high probability.
 Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
                const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;
@@ -145,7 +147,7 @@ Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_s
     return scan;
 }
 
-/// Returns the log of a section: its frames, with the rays near actors.
+/// Returns the log of a section. Its frames contain only the rays near actors.
 Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTrack>& tracks) {
     std::vector<Frame> frames(stretch.frames.size());
     parallel_for(static_cast<int>(frames.size()), [&](int i) {
@@ -162,7 +164,7 @@ Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTr
     return log;
 }
 
-/// Returns the surfels along the rays near actors.
+/// Returns the surfels on the rays that pass near actors.
 Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*>& frames) {
     std::vector<std::uint8_t> kept(surfels.size(), 0);
     for_each_block(surfels.size(), [&](std::size_t i) {
@@ -180,7 +182,7 @@ Surfels along_rays(const Surfels& surfels, const std::vector<const SightedFrame*
     return surfels.permuted(order);
 }
 
-/// Scene of a section, and the extent that a training of one of its blocks would use.
+/// Scene of a section. `extent_m` is the mean background extent of its blocks.
 struct StretchScene {
     Scene scene;
     double extent_m = 1.0;
@@ -202,8 +204,8 @@ StretchScene scene_of(const Run& run, const Stretch& stretch) {
     return {with_background(run.scene, background), extent_m};
 }
 
-/// Returns the settings: the same schedule, with all rays, and without changes of the
-/// poses or of the number of surfels.
+/// Returns the settings for training actors. Keeps the schedule and uses all rays. Does
+/// not refine poses or change the number of surfels.
 Config settings_of(const Config& config, std::size_t n_frames) {
     Config c = config;
     TrainConfig& t = c.train;
@@ -211,11 +213,11 @@ Config settings_of(const Config& config, std::size_t n_frames) {
         std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;  // rays_near() has already removed such rays
+    t.sensor_drop = false;  // unnecessary, because rays_near() has already removed such rays
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;
-    c.loss.intensity_ssim = 0.0f;  // compare neighbours in an image
+    c.loss.intensity_ssim = 0.0f;  // off, because this loss compares neighbouring pixels of an image
     return c;
 }
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A training iteration: samples a frame, renders its rays, computes losses and
-// gradients, updates the parameters (docs/method.md sections 4-6). Each iteration is one
-// submission without a wait. The host evaluates its results a few iterations later
-// (readback_lag.hpp).
+// Runs a training iteration. It samples a frame, renders its rays, computes losses and
+// gradients, and updates the parameters (docs/method.md sections 4-6). Each iteration is
+// one GPU submission without a wait. The host evaluates the results a few iterations
+// later (readback_lag.hpp).
 #include "train/train_loop.hpp"
 
 #include <algorithm>
@@ -45,12 +45,14 @@ bool FrameSampler::is_sound(std::size_t n) const {
 
 namespace {
 
-/// Learning rate of the higher spherical harmonics, relative to the constant one. The
-/// dependence on direction is observed in few views, so it learns at a twentieth of the
-/// rate, as in 3D Gaussian splatting.
+/// Learning rate of the higher spherical harmonics, relative to the rate of the constant
+/// coefficient. Few views observe the dependence on direction. Therefore the rate is a
+/// twentieth, as in 3D Gaussian splatting.
 constexpr double kShRestFactor = 0.05;
 
-constexpr int kGrowthEvery = 32;  // iterations between two checks of how much the tree has grown
+// number of iterations between two checks of how much the acceleration structure has
+// grown
+constexpr int kGrowthEvery = 32;
 
 LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
     const double decay = exponential_schedule(1.0, c.rate_decay, step, c.iterations);
@@ -64,11 +66,11 @@ LearningRates rates_at(const TrainConfig& c, double extent_m, int step) {
             .intensity_factor = c.intensity_factor};
 }
 
-/// Returns the learning rates of the means of each model, relative to the background's.
-/// The rate is proportional to the extent of the model, because the steps for a street
-/// would move an actor's surfels out of its box. It applies if surfels are cloned and
-/// split by fractions of that extent, as in the paper. A dense initialisation uses a
-/// tenth of the paper's rate.
+/// Returns the learning rates of the surfel positions of each model, relative to the rate
+/// of the background. The rate is proportional to the extent of the model. Steps suitable
+/// for a street would move an actor's surfels out of its box. The rate is used if surfels
+/// are cloned and split by fractions of this extent, as in the paper. A dense
+/// initialisation uses a tenth of the paper's rate.
 /// @return [models] factors
 std::vector<float> mean_factors(const Scene& layout, double background_extent_m) {
     std::vector<float> factors;
@@ -79,36 +81,36 @@ std::vector<float> mean_factors(const Scene& layout, double background_extent_m)
     return factors;
 }
 
-/// Returns the active degree of the spherical harmonics. The maximum degree of the image
-/// model can be lower.
+/// Returns the highest active degree of the spherical harmonics. The image model can
+/// limit it to a lower degree.
 int sh_degree_at(const TrainConfig& c, int step) {
     return c.sh_degree_start + std::max(step - 1, 0) / std::max(1, c.sh_degree_interval);
 }
 
-/// How often trees are refitted to the trained surfels, and the margin of their boxes,
-/// which prevents lost hits between two refits.
+/// Describes how often the acceleration structures are refitted to the surfels. The
+/// margin of their boxes prevents missed hits between two refits.
 struct TreeFits {
     int every = 1;  ///< iterations between two refits
     AccelOptions accel;
 };
 
-/// Returns the refit interval and margins. In an iteration, a surfel moves by millimetres
-/// and grows by a few per cent. A surfel that has just become visible may grow more; rays
-/// hit it after the next refit. If most surfels are fixed, the interval is longer,
-/// because refitting for few trained surfels would dominate the iteration. Without
-/// per-surfel harmonics, trees are refitted in every iteration, because only a refit
-/// updates the hit records.
+/// Returns the refit interval and margins. In one iteration, a surfel moves by
+/// millimetres and grows by a few per cent. A surfel that has just become visible may
+/// grow more. Rays hit it after the next refit. If most surfels are fixed, the interval
+/// is longer, because refitting for few trained surfels would take most of the time.
+/// Without per-surfel harmonics, every iteration refits, because only a refit updates the
+/// hit records.
 TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
     if (config.image.sh_direction == ShDirection::ray) return {};
     if (n_fixed > 0) return {4, {.margin_scale = 1.1f, .margin_m = 0.01f}};
     return {2, {.margin_scale = 1.05f, .margin_m = 0.003f}};
 }
 
-/// Returns true if trees are refitted in a step. They are refitted in every step as long
-/// as surfels could outgrow the margin between two refits.
+/// Returns true if the acceleration structures are refitted in a step. They are refitted
+/// in every step as long as surfels could outgrow the margin between two refits.
 bool is_fit_due(const TreeFits& fits, const TrainConfig& config, int step) {
-    // fraction of the margin for growth of scales, because growing opacities also enlarge
-    // surfels
+    // Fraction of the margin that growing scales may use. The remainder is left for
+    // growing opacities, which also enlarge surfels.
     constexpr double kShare = 0.9;
     const double growth = (fits.every - 1) * rates_at(config, 1.0, step).log_scale;
     return growth > kShare * std::log(fits.accel.margin_scale) || (step - 1) % fits.every == 0;
@@ -122,7 +124,7 @@ RendererOptions renderer_options(const Config& config, const TrainingFrames& fra
 }
 
 /// Returns the maximum size of each surfel. Surfels that are close together start small
-/// and do not need to become large. Surfels that are far apart must close holes.
+/// and need not become large. Surfels that are far apart must grow to close holes.
 std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     std::vector<float> bounds;
     for (std::size_t i = 0; i < surfels.size(); ++i) {
@@ -133,8 +135,8 @@ std::vector<float> scale_bounds(const Surfels& surfels, double max_growth) {
     return bounds;
 }
 
-/// Returns true if every surfel gets a gradient, even if no ray hits it: the box loss
-/// depends on the surfels alone.
+/// Returns true if every surfel gets a gradient, even if no ray hits it. The box loss
+/// gives such gradients, because it depends on the surfels alone.
 bool all_have_gradients(const Config& config) { return config.loss.box > 0.0f && !config.train.only_touched; }
 
 Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
@@ -145,8 +147,8 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
     return masks;
 }
 
-/// Returns the grid whose cells are used for training, or nothing to train on the
-/// sensor's rays.
+/// Returns the grid whose cells are used for training. Returns nothing if the sensor's
+/// rays are used.
 /// @throws UsageError if another setting requires the sensor's rays
 std::optional<RangeGrid> trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
@@ -191,18 +193,19 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
     for (std::size_t i = 0; i < frames_.all().size(); ++i)
         frames_[i].placed =
             place_instances(initial, sequence, moment_of(sequence.frames[std::size_t(frames_[i].position)]));
-    // with densification, surfels are replaced and large ones are split, so no limit is
-    // needed
+    // Limits the size of surfels only without densification. Densification replaces
+    // surfels and splits large surfels, so it needs no limit.
     if (config.densify.strategy == DensifyStrategy::none)
         adam_.bound_scales(device, scale_bounds(initial.surfels, config.train.max_growth));
 }
 
 TrainLoop::~TrainLoop() {
     try {
-        // if training ends with an exception, the device may still use the arrays
+        // If training ends with an exception, the device may still use the arrays, so
+        // wait for it.
         stream_.wait(submitted_);
     } catch (const DeviceError&) {
-        // a lost device uses no arrays any more; the error was already reported
+        // A lost device no longer uses the arrays, and the error was already reported.
     }
 }
 
@@ -301,17 +304,18 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
                         "fewer rays of a step (train.rays_per_iteration) have fewer",
                         report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
-    close_report(last_step_, false);  // a report of the iterations with the current capacity
-    // reserves the capacity before it is needed
+    close_report(last_step_, false);  // finishes the report of the iterations with the current capacity
+    // Reserves twice the number of hits, before the capacity is exceeded.
     renderer_.backward_pass().reserve_hits(stream_, 2 * std::uint64_t(report.most_hits));
 }
 
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
-    // a report from before the last increase
+    // Ignores a report from before the last increase.
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
     const std::uint32_t n_hits = kept_hits_wanted(report.kept_hits, report.overfull);
     if (n_hits == report.kept_hits) return;
-    close_report(last_step_, false);  // a report of the iterations with the current number of kept hits
+    // finishes the report of the iterations with the current number of stored hits
+    close_report(last_step_, false);
     no_room_to_keep_more_ = !renderer_.keep_hits(n_hits);
 }
 
@@ -335,7 +339,7 @@ void TrainLoop::save(Checkpoint& checkpoint) {
 }
 
 void TrainLoop::restore(const Checkpoint& checkpoint) {
-    settle();  // waits for the steps that this state replaces
+    settle();  // waits for iterations whose results this state replaces
     visit_state(StateReader(checkpoint));
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
@@ -350,13 +354,13 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
 }
 
 DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequence) {
-    // rays of a frame in one batch: hundreds for each bin over a log
+    // Number of rays of a frame in one batch. Over a log, each bin gets hundreds of rays.
     constexpr std::uint32_t kRays = 20000;
-    // minimum for each bin; for a short log this can mean all rays
+    // Minimum number of rays per bin. For a short log, this can mean all rays.
     constexpr std::size_t kRaysPerBin = 20;
     Config some_rays = config_;
     some_rays.train.rays_per_iteration = kRays;
-    some_rays.loss.intensity_ssim = 0.0f;  // no windows: rays from all directions
+    some_rays.loss.intensity_ssim = 0.0f;  // disables windows, so that a batch has rays in all directions
     BatchSampler batches(device, some_rays, frames_.all());
     DropCounts counts(sequence);
     renderer_.set_sh_degree(sh_degree_at(config_.train, config_.train.iterations));
@@ -364,7 +368,7 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
     const std::size_t rays_of_frame =
         kRaysPerBin * counts.bins() / std::max<std::size_t>(1, frames_.all().size());
     for (std::size_t k = 0; k < frames_.all().size(); ++k) {
-        // surfels_changed for the first frame, because the last step has moved them
+        // The first frame needs a refit, because the last iteration moved the surfels.
         const FrameData& frame = bring(k, k == 0);
         if (k + 1 < frames_.all().size()) frames_.expect(k + 1);
         const std::uint32_t first = batches.draw_first(frame, sampler_.random());
@@ -378,8 +382,8 @@ DropTable TrainLoop::estimate_sensor_drop(Device& device, const Sequence& sequen
 
 void TrainLoop::count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                             const SampledBatch& batch) {
-    // Minimum blending weight for a ray to count. Blind rays need no minimum, because no
-    // surface was trained for them.
+    // A ray counts only if its blending weight is at least this value. Blind rays always
+    // count, because no surface was trained for them.
     constexpr float kSolid = 0.9f;
     const Frame& sweep = sequence.frames[std::size_t(frame.position)];
     const DropTable& observed = frames_.unknown().observed_drops;

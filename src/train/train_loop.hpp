@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The training loop: an iteration and all of its data on the device.
+// Runs training iterations and owns all of their data on the device.
 #pragma once
 
 #include <functional>
@@ -23,12 +23,12 @@
 
 namespace relidar {
 
-/// Draws frames in random order, each once in an epoch.
+/// Draws frames in random order. Each frame is drawn once in an epoch.
 class FrameSampler {
 public:
     FrameSampler(std::size_t n, std::uint64_t seed);
     std::size_t next();
-    /// Returns the value that next() will return. Returns nothing at the end of an epoch,
+    /// Returns the frame that next() will return. Returns nothing at the end of an epoch,
     /// because the next order has not been drawn.
     std::optional<std::size_t> coming() const;
     Random& random() { return random_; }
@@ -61,22 +61,23 @@ public:
     TrainLoop(const TrainLoop&) = delete;
     TrainLoop& operator=(const TrainLoop&) = delete;
 
-    /// Records and submits an iteration. Normally waits only for a free slot of the
-    /// stream. It waits longer for densification, for a batch with more rays or hits than
-    /// any before, and if too many rays have more hits than are kept.
+    /// Records and submits the GPU commands of one iteration. Normally waits only until
+    /// an earlier submission is complete. Waits longer for densification, and if a batch
+    /// has more rays or hits than any earlier batch. Also waits longer if too many rays
+    /// have more hits than can be stored.
     /// @param step  counts from 1
     /// @param ends_line  true if a log line ends with this iteration
     /// @throws DataError naming iteration, frame and term if a loss was not finite at
     /// most 64 + kReadbackLag iterations ago
     void iterate(int step, bool ends_line = false);
-    /// Returns the log lines that were read back since the last call. They arrive
-    /// kReadbackLag iterations late or after settle().
+    /// Returns the log lines that became available since the last call. A line becomes
+    /// available kReadbackLag iterations late, or after settle().
     std::vector<LogLine> take_lines() { return reports_.take_lines(); }
     /// Waits for all submitted iterations and evaluates their reports.
     /// @throws DataError like iterate()
     void settle();
-    /// Completes training after the last iteration: calls settle(), then applies the
-    /// pending steps of poses.
+    /// Completes training after the last iteration. Calls settle(), then applies the
+    /// pending pose updates.
     void finish();
     /// Writes all trained state into a checkpoint. Calls settle().
     /// @throws DataError like iterate()
@@ -85,10 +86,10 @@ public:
     /// scene and log of the checkpoint.
     /// @throws DataError if the state does not match
     void restore(const Checkpoint& checkpoint);
-    /// Estimates the ray-drop of the sensor itself. Uses rays for which the current scene
-    /// expects a return. Waits for the device.
+    /// Estimates the drop probability of the sensor itself. Uses only rays for which the
+    /// current scene expects a return. Waits for the device.
     DropTable estimate_sensor_drop(Device& device, const Sequence& sequence);
-    /// Returns the current poses if they are refined.
+    /// Returns the current poses, or nothing if no poses are refined.
     std::optional<RefinedPoses> refined_poses() const {
         return refiner_.is_active() ? std::optional(refiner_.poses()) : std::nullopt;
     }
@@ -97,7 +98,7 @@ public:
     const KernelTimes& times() { return renderer_.stream().times(); }
     std::uint32_t n_surfels() const { return renderer_.scene().size(); }
     std::uint32_t rays_of_last_batch() const { return renderer_.rendered().rays.n_rays; }
-    /// current number of kept hits for each ray
+    /// Returns the number of hits that are currently stored for each ray.
     std::uint32_t kept_hits() const { return renderer_.kept_hits(); }
     const TrainingFrames& frames() const { return frames_; }
 
@@ -112,16 +113,19 @@ private:
     std::vector<std::unique_ptr<Loss>> losses_;
     Adam adam_;
     Densifier densifier_;
-    DensifyReport densified_;  ///< changes since the last log line
+    /// number of surfels that densification added or removed since the last log line
+    DensifyReport densified_;
     IterationReports reports_;
     double extent_m_;
     FrameSampler sampler_;
     std::uint64_t submitted_ = 0;  ///< submission ticket of the last iteration
     int last_step_ = 0;
-    bool no_room_to_keep_more_ = false;  ///< the device had no memory to keep more hits
+    /// true if the device had no memory to store more hits for each ray
+    bool no_room_to_keep_more_ = false;
 
-    /// Visits all state of the loop. State that is not listed here is lost when training
-    /// stops. Add a line for each new kind of state.
+    /// Passes all state of the loop to a visitor that reads or writes a checkpoint. State
+    /// that is not listed here is lost when training stops. Add a line for each new kind
+    /// of state.
     template <class Visitor>
     void visit_state(Visitor&& visit) {
         visit("parameters", renderer_.scene().parameters());
@@ -143,26 +147,27 @@ private:
             visit(std::string("densify/report/") + name, densified_.*count);
     }
 
-    /// Records a frame's rays, the poses of its instances, and the appearance of the
-    /// surfels from its sensor position at a step.
+    /// Records GPU commands that select a frame for this step. They set its rays, the
+    /// poses of its instances, and the appearance of the surfels from its sensor
+    /// position.
     const FrameData& place(std::size_t frame_index, int step);
-    /// Uploads a frame to the device if necessary, and moves the instances to their poses
-    /// in it.
+    /// Uploads a frame to the device if necessary. Moves the instances to their poses in
+    /// this frame.
     /// @param surfels_changed  true if surfels have changed since the last frame
     const FrameData& bring(std::size_t frame_index, bool surfels_changed);
-    /// Records the image of a batch, its losses and their gradients.
+    /// Records GPU commands that render a batch, and compute its losses and gradients.
     void learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms);
-    /// Evaluates the reports of the iterations up to `last`.
+    /// Checks the losses and counters of all iterations up to `last`.
     void look_at_reports(int last);
     void close_report(int step, bool ends_line);
-    /// Compares the number of hits in a report with the capacity of the hit records, and
-    /// increases the capacity if necessary.
+    /// Compares the number of hits in a report with the capacity of the hit buffer.
+    /// Increases the capacity if necessary.
     /// @throws DeviceError if a deterministic step exceeded the capacity
     void check_room(const IterationReports::Report& report);
-    /// Increases the number of hits that the forward pass keeps for each ray if too many
-    /// rays exceeded it. Then almost no ray is searched twice.
+    /// Increases the number of hits that the forward pass stores for each ray, if too
+    /// many rays had more hits. Then almost no ray must be searched twice.
     void keep_more_hits(const IterationReports::Report& report);
-    /// Counts the rays of a batch for which the scene expects a return.
+    /// Adds those rays of a batch to `counts` for which the scene expects a return.
     void count_drops(DropCounts& counts, const Sequence& sequence, const FrameData& frame,
                      const SampledBatch& batch);
     void change_surfels(const std::function<DensifyReport(double others_bytes)>& change);

@@ -12,7 +12,8 @@ namespace relidar {
 namespace {
 
 constexpr int kEdge = Coverage::kBlockCells;
-constexpr double kFarthestPoint_m = 1e6;  // the keys of blocks repeat beyond 8e6 m
+// points farther from the origin are ignored; the keys of blocks repeat beyond 8e6 m
+constexpr double kFarthestPoint_m = 1e6;
 
 struct Place {
     glm::ivec3 block;
@@ -31,7 +32,8 @@ bool is_near(const glm::dvec3& point_m) {
            std::abs(point_m.z) < kFarthestPoint_m;
 }
 
-/// Calls visit(cell, length_m) for each cell that a line segment crosses, in order.
+/// Calls visit(cell, length_m) for each cell that a line segment crosses, in order along
+/// the segment.
 template <class Visit>
 void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) {
     if (!is_near(from_m) || !is_near(to_m)) return;
@@ -40,7 +42,9 @@ void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) 
     const glm::ivec3 end(glm::floor(a + way));
     const double length_m = glm::distance(from_m, to_m);
     glm::ivec3 step;
-    glm::dvec3 next, pace;  // share of the segment at the next cell border, and between two borders
+    // position of the next cell border along the segment, and distance between two
+    // borders, both as fractions
+    glm::dvec3 next, pace;
     int n_borders = 0;
     for (int axis = 0; axis < 3; ++axis) {
         step[axis] = way[axis] > 0.0 ? 1 : -1;
@@ -64,7 +68,8 @@ void walk(const glm::dvec3& from_m, const glm::dvec3& to_m, const Visit& visit) 
 }  // namespace
 
 void Coverage::add(const glm::dvec3& from_m, const glm::dvec3& to_m) {
-    Block* block = nullptr;  // cached block of the previous cell, because most cells share it
+    // block of the previous cell, because the next cell is usually in the same block
+    Block* block = nullptr;
     walk(from_m, to_m, [&](const glm::ivec3& cell, double) {
         const Place place = place_of(cell);
         if (!block || block->place != place.block) {
@@ -88,7 +93,7 @@ void Coverage::add(const Coverage& other) {
 double Coverage::share(const glm::dvec3& from_m, const glm::dvec3& to_m) const {
     double within_m = 0.0, length_m = 0.0;
     const Block* block = nullptr;
-    glm::ivec3 at(std::numeric_limits<int>::max());  // index of the cached block
+    glm::ivec3 at(std::numeric_limits<int>::max());  // index of the block that `block` points to
     walk(from_m, to_m, [&](const glm::ivec3& cell, double crossed_m) {
         const Place place = place_of(cell);
         if (place.block != at) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes which space the scans of a log have observed, one firing at a time.
+// Computes which space the scans of a log have observed. Processes the scans one firing
+// at a time.
 #include <relidar/log/coverage.hpp>
 
 #include <algorithm>
@@ -11,15 +12,18 @@
 namespace relidar {
 namespace {
 
-/// A ray in the world, and how far it has observed the space.
+/// A ray in the world frame, and the length along which it has observed the space.
 struct Look {
     WorldRay ray;
-    double length_m = 0.0;  ///< 0 if the ray gives no information
+    double length_m = 0.0;  ///< length of the observed path; 0 if the ray gives no information
 
     glm::dvec3 end_m() const { return ray.origin_m + length_m * ray.direction; }
 };
 
-/// Returns how far the rays of one firing have observed the space, highest beam first.
+/// Returns for each ray of one firing the length of its observed path, highest beam
+/// first. A dropped ray has observed space only if there is a return below it. Its path
+/// is then as long as the nearer one of the returns above and below, or max_range_m if
+/// there is no return above.
 /// @param range_m [rows] ranges of the returns, 0 if the ray was dropped
 std::vector<double> looked_m(const std::vector<double>& range_m, double max_range_m) {
     const std::size_t n = range_m.size();
@@ -34,7 +38,7 @@ std::vector<double> looked_m(const std::vector<double>& range_m, double max_rang
     return result;
 }
 
-/// Adds the space between two neighbouring rays.
+/// Marks the space between two neighbouring rays as observed.
 void add_between(Coverage& coverage, const Look& a, const Look& b) {
     const double length_m = std::min(a.length_m, b.length_m);
     const int n =
@@ -47,8 +51,8 @@ void add_between(Coverage& coverage, const Look& a, const Look& b) {
     }
 }
 
-/// Returns the step between the columns that are used. Columns in between can be skipped,
-/// because they cross the same cells.
+/// Returns n so that only every n-th column is used. The columns in between can be
+/// skipped, because they cross the same cells.
 std::size_t column_step(const Lidar& lidar, double max_range_m) {
     const double step_m =
         lidar.sensor.columns > 0 ? 2.0 * kPi / lidar.sensor.columns * max_range_m : Coverage::kCell_m;

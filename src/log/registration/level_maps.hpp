@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores a map at several cell sizes, so that scans can be aligned from coarse to fine.
+// Stores a map of planes at several cell sizes, so that scans can be aligned from coarse
+// to fine.
 #pragma once
 
 #include <vector>
@@ -13,7 +14,9 @@ class LevelMaps {
 public:
     static constexpr int kLevels = 3;
 
-    /// @param first, last cell size and kernel of the coarsest and of the finest level
+    /// Creates an empty map for each cell size.
+    /// @param first, last cell size and robust-kernel scale of the coarsest and of the
+    /// finest level
     LevelMaps(const RegisterRound& first, const RegisterRound& last) : first_(first), last_(last) { clear(); }
 
     void clear() {
@@ -22,7 +25,8 @@ public:
     }
     bool empty() const { return maps_.front().empty(); }
     RegisterRound round(int level) const { return between(first_, last_, level / double(kLevels - 1)); }
-    /// Adds points to the maps of all levels, like VoxelPlanes::add().
+    /// Adds points to the maps of all levels.
+    /// @param travelled_m path length of the sensor when the points were measured
     void add(const std::vector<glm::dvec3>& points_m, double travelled_m) {
         parallel_for(kLevels, [&](int level) {
             for (const glm::dvec3& point_m : points_m) maps_[std::size_t(level)].add(point_m, travelled_m);
@@ -31,9 +35,9 @@ public:
     void forget(double travelled_m) {
         for (VoxelPlanes& map : maps_) map.forget(travelled_m);
     }
-    /// Returns the plane at a point from the finest level that has one, up to `level`.
-    /// Distant points are sparse and form planes in large cells only. Returns null if no
-    /// level has a plane.
+    /// Returns the plane at a point. Searches from `level` to coarser levels, and returns
+    /// the first plane found. Distant points are sparse, so they form planes only in
+    /// large cells. Returns null if no level has a plane.
     const Plane* finest_plane(const glm::dvec3& point_m, int level) const {
         const Plane* plane = nullptr;
         for (int l = level; l >= 0 && !plane; --l) plane = maps_[std::size_t(l)].at(point_m);

@@ -14,34 +14,43 @@
 namespace relidar {
 namespace {
 
-constexpr double kKey_m = 4.0;  // distance between the key poses, in metres of path
-// Minimum path length between two passes. If it is shorter, odometry already had both
-// passes on one map.
+// Path length in metres between two key poses. Only key poses are tested for loop
+// closures.
+constexpr double kKey_m = 4.0;
+// Minimum path length between two passes of a place. If the path is shorter, odometry
+// already aligned both passes to one map.
 constexpr double kApart_m = 80.0;
-// Maximum distance between two passes. It grows with the path length between them.
+// Maximum distance between two passes of a place. The distance grows with the path length
+// between them, because odometry drifts.
 constexpr double kNear_m = 4.0, kNearShare = 0.01, kFarthest_m = 15.0;
-constexpr double kMap_m = 14.0;  // the map covers this length of the earlier pass on each side
-// Grid of start positions around the predicted pose.
+// The map covers this path length of the earlier pass, before and after its key pose.
+constexpr double kMap_m = 14.0;
+// Grid of start positions that are tried around the predicted pose.
 constexpr double kGrid_m = 1.5, kWidest_m = 6.0, kHighest_m = 4.5;
-// additional share of matching points that a start must have for each grid step away from
-// the prediction
+// A start position far from the prediction must have a larger share of matching points.
+// This is the additional share per grid step.
 constexpr double kGridPenalty = 0.01;
 constexpr std::size_t kGridPoints = 400;
 constexpr int kMostLoopSteps = 10;
 constexpr double kLoopStep_m = 1e-3, kLoopPrior = 1e-4;
 // Minimum share of a scan's points that lie on planes of the earlier pass. Odometry
-// reaches 0.5 to 0.8.
+// reaches a share of 0.5 to 0.8.
 constexpr double kLeastShare = 0.4;
 constexpr std::size_t kFewestPlaces = 2;
-constexpr double kWay_m = 0.01, kWay_rad = 3e-4;      // standard deviations of odometry over kKey_m
+// standard deviations of the odometry over a path of kKey_m
+constexpr double kWay_m = 0.01, kWay_rad = 3e-4;
 constexpr double kPlace_m = 0.05, kPlace_rad = 2e-3;  // standard deviations of a loop closure
-constexpr double kBelieved_m = 0.5;  // kernel scale for loop closures that contradict the others
+// scale of the robust kernel, which reduces the weight of loop closures that contradict
+// the others
+constexpr double kBelieved_m = 0.5;
 constexpr int kReweighted = 6;
 
-/// Loop closure: a later pose that was registered to the map of an earlier pass.
+/// Loop closure: a later pose whose scan was registered to the map of an earlier pass.
 struct SeenAgain {
     std::size_t earlier, later;  // indices of the key poses
-    Twist off;                   // correction of the later pose relative to the earlier pose
+    // correction of the later pose relative to the earlier pose (translation, rotation
+    // vector)
+    Twist off;
 };
 
 class Loops {
@@ -115,8 +124,8 @@ private:
         maps_.add(points_m, 0.0);
     }
 
-    /// Returns the points of a scan in the frame of its pose, each with the position of
-    /// the vehicle when it was fired.
+    /// Returns the points of a scan in the frame of its pose. Each point comes with the
+    /// position of the vehicle when the point was measured.
     std::vector<PlacedPoint> points_of(std::size_t key) const {
         const Pose pose_from_world = inverse(pose(key));
         std::vector<PlacedPoint> points;
@@ -139,7 +148,8 @@ private:
         return double(on_planes) / double(std::max<std::size_t>(n, 1));
     }
 
-    /// Returns the best pose of a grid of start positions around a pose.
+    /// Tries a grid of start positions around a pose. Returns the position at which the
+    /// most points lie on planes.
     Pose best_start(const std::vector<PlacedPoint>& points, const Pose& about, double reach_m) const {
         std::vector<glm::dvec3> offsets;
         const auto steps = [&](double widest_m) {
@@ -160,7 +170,7 @@ private:
         return start_at(std::size_t(std::ranges::max_element(scores) - scores.begin()));
     }
 
-    /// Makes one Gauss-Newton step of a rigid scan.
+    /// Performs one Gauss-Newton step that moves a scan as a rigid body onto the map.
     /// @return length of the step
     double step(const std::vector<PlacedPoint>& points, Pose& at, int level, double& share) const {
         const double scale_m = maps_.round(level).scale_m;
@@ -196,8 +206,8 @@ private:
         Pose at = before ? carried(before->off, pose(before->later), pose(later))
                          : best_start(points, pose(later), reach_m);
         double share = settle(points, at);
-        // The prediction from the previous loop closure failed, so the search starts
-        // again.
+        // The prediction from the previous loop closure failed, so try the grid of start
+        // positions.
         if (before && share < kLeastShare) {
             at = best_start(points, pose(later), reach_m);
             share = settle(points, at);
@@ -206,13 +216,15 @@ private:
         return SeenAgain{earlier, later, twist_between(pose(later), at)};
     }
 
-    /// Returns the pose `other` moved rigidly by a correction at the pose `at`.
+    /// Moves the pose `other` as if it were rigidly attached to the pose `at`, to which a
+    /// correction is applied.
     static Pose carried(const Twist& correction, const Pose& at, const Pose& other) {
         const Pose world_from_world = moved(at, correction) * inverse(at);
         return world_from_world * other;
     }
 
-    /// Normal equations. add() adds the term weight * |x_b - carried x_a - off|^2.
+    /// Normal equations for the corrections x of the key poses. add() adds the squared
+    /// error weight * |x_b - (x_a carried to b) - off|^2.
     struct Equations {
         std::vector<Eigen::Triplet<double>> h;
         Eigen::VectorXd g;
@@ -263,14 +275,13 @@ private:
         return Eigen::SimplicialLDLT<Eigen::SparseMatrix<double>>(h).solve(equations.g);
     }
 
-    /// Returns the correction of a key pose, transferred to another pose.
+    /// Returns the correction of a pose that moves rigidly with a corrected key pose.
     Vector6 carried_to(std::size_t k, std::size_t key, const Eigen::VectorXd& x) const {
         return carried_by(track_.pose[k].translation - pose(key).translation) *
                x.segment<6>(6 * Eigen::Index(key));
     }
 
-    /// Returns the remaining error of a loop closure, in metres, under the corrections of
-    /// all key poses.
+    /// Returns by how many metres the corrected key poses contradict a loop closure.
     double contradiction_m(const SeenAgain& place, const Eigen::VectorXd& x) const {
         const Vector6 moves =
             x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);

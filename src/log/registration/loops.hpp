@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Closes loops. Scans of a later pass over a road are registered to the map of the
-// earlier pass. The error is then distributed over the path between the two passes.
+// Closes loops. Registers scans of a later pass over a road to the map of the earlier
+// pass. Distributes the error over the path between the two passes.
 #pragma once
 
 #include <functional>
@@ -11,8 +11,9 @@
 namespace relidar {
 
 struct LoopOptions {
-    RegisterRound first, last;  ///< cells and kernel of a scan's alignment steps, from coarse to fine
-    /// called repeatedly; if it returns false, the search stops
+    /// cell sizes and robust-kernel scales for aligning a scan, from coarse to fine
+    RegisterRound first, last;
+    /// called repeatedly; the search for loops stops if it returns false
     std::function<bool(double done)> proceed;
 };
 
@@ -24,9 +25,9 @@ struct ClosedLoops {
 
 /// Closes the loops of a track. Searches for poses near a place that the track passed at
 /// least 80 m of path earlier. The allowed distance grows with the path length. A loop
-/// closure is accepted if the share of the scan's points on planes of the earlier pass is
-/// as high as in odometry. Loop closures that contradict the others get a lower weight
-/// (Geman and McClure 1985). The corrections x of the poses minimise
+/// closure is accepted if enough points of the scan lie on planes of the earlier pass.
+/// Loop closures that contradict the others get a lower weight (Geman and McClure 1985).
+/// The corrections x of the poses minimise
 ///   sum over the track of |x_k+1 - x_k|^2 / s_k^2
 ///   + sum over loop closures of rho(|x_later - x_earlier - measured correction|)
 /// where each x is a translation and a rotation that also moves all later poses.

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns each scan with a map of earlier scans. The start pose is predicted from the
-// given poses and from the velocity of the previous scan. Gauss-Newton steps then move
-// the scan as a rigid body onto planes, first in cells of 2 m, then in finer ones. Each
-// point is placed at its firing time: the earlier pose is fixed and the later pose moves.
-// If there are several predictions, the result with the most points on planes is used.
+// Aligns each scan with a map of the earlier scans. Predicts the start pose from the
+// given poses and from the velocity of the previous scan. Then Gauss-Newton steps move
+// the scan as a rigid body onto planes, first in cells of 2 m, then in smaller cells.
+// Each point is placed at its firing time between two poses. The earlier pose is fixed,
+// and the later pose moves. If there are several predictions, the result with the most
+// points on planes is used.
 #include "log/registration/odometry.hpp"
 
 #include <algorithm>
@@ -22,37 +23,41 @@ namespace relidar {
 namespace {
 
 constexpr int kMostSteps = 8;
-constexpr double kConverged_m = 1e-3;  // the iteration stops if a step is shorter than this
-// Stiffness towards the prediction, as a share of the mean stiffness. It determines
-// directions that no point constrains, for example along a bare road.
+constexpr double kConverged_m = 1e-3;  // stops the iteration if a step is shorter than this
+// Weight of the prior that pulls a pose to its prediction, relative to the mean weight of
+// the points. The prior matters only in directions that no point constrains, for example
+// along a bare road.
 constexpr double kPrior = 3e-4;
-// Minimum share of a scan's points that lie on planes of the map. Streets have 0.5 to
-// 0.8.
+// Minimum share of a scan's points that lie on planes of the map. In streets, the share
+// is 0.5 to 0.8.
 constexpr double kFewestShare = 0.1;
-// Parts of the map that were last seen this far back are removed, because odometry must
-// not close loops.
+// Removes parts of the map that were last observed this path length ago, because odometry
+// must not close loops.
 constexpr double kMemory_m = 80.0;
-// Path length between removals. Checking all cells takes as long as adding a scan.
+// Path length between two removals of old parts of the map. Checking all cells takes as
+// long as adding a scan.
 constexpr double kForgotten_m = 5.0;
-constexpr double kSame_m = 0.05;       // predictions closer than this lead to the same result
-constexpr int kLostInARow = 5;         // number of lost scans in a row after which the map is cleared
-constexpr std::size_t kStretch = 200;  // number of poses
-// Number of poses that two consecutive sections share, enough for a map.
+// two predictions closer than this lead to the same result, so only one is tried
+constexpr double kSame_m = 0.05;
+constexpr int kLostInARow = 5;  // clears the map after this number of consecutive scans without a match
+constexpr std::size_t kStretch = 200;  // number of poses in a section of the log
+// Number of poses that two consecutive sections share. They are enough to build a map.
 constexpr std::size_t kOverlap = 20;
-constexpr int kTrialScans = 4;  // number of scans used to choose the first motion
-// Motion between two scans; the maximum is 40 m/s at 10 Hz.
+// number of scans that are used to estimate the motion at the start of a section
+constexpr int kTrialScans = 4;
+// Tested motions between two scans. The maximum corresponds to 40 m/s at 10 Hz.
 constexpr double kTrialStep_m = 0.5, kFastest_m = 4.0, kBackwards_m = 1.0;
 
-/// Returns the motion from a to b, scaled by s.
+/// Returns the relative motion from pose a to pose b, scaled by the factor s.
 Pose scaled_motion(const Pose& a, const Pose& b, double s) { return interpolate(Pose{}, inverse(a) * b, s); }
 
-/// Section of a log whose poses are estimated one after the other.
+/// Section of a log. The poses of a section are estimated one after the other.
 struct Stretch {
     std::size_t begin, end;
 };
 
-/// Divides a log into sections. The last section can be up to twice as long as the
-/// others.
+/// Divides a log into overlapping sections. The last section can be up to twice as long
+/// as the others.
 std::vector<Stretch> stretches_of(std::size_t n_poses) {
     std::vector<Stretch> stretches{{0, n_poses}};
     for (std::size_t begin = kStretch; begin + kStretch <= n_poses; begin += kStretch) {
@@ -75,7 +80,8 @@ public:
         if (begin + 1 < track_.pose.size()) track_.pose[begin + 1] = predictions(begin + 1).front();
     }
 
-    /// Estimates one pose. Must be called for the poses in their order.
+    /// Estimates one pose and adds its scan to the map. Call this for the poses in their
+    /// order.
     void follow(std::size_t pose, const std::vector<ThinPoint>& scan) {
         const std::vector<Pose> starts =
             pose == begin_ ? std::vector<Pose>{track_.pose[pose]} : predictions(pose);
@@ -97,7 +103,8 @@ public:
     }
 
     const PoseTrack& track() const { return track_; }
-    double share() const { return share_; }  ///< share of points on planes, summed over the scans
+    /// share of points on planes of the map, summed over all scans so far
+    double share() const { return share_; }
 
 private:
     struct Candidate {
@@ -122,8 +129,8 @@ private:
         maps_.forget(forgotten_m_);
     }
 
-    /// Returns the motion from pose k - 1 to k, extrapolated from the motion between the
-    /// two previous poses.
+    /// Returns the motion from pose k - 1 to k if the velocity does not change. Uses the
+    /// motion between the two previous poses.
     Pose kept_motion(std::size_t k) const {
         if (k < begin_ + 2) return first_motion_.value_or(Pose{});
         const std::vector<double>& t = track_.time_s;
@@ -133,7 +140,7 @@ private:
 
     Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
 
-    /// Returns the possible predictions of pose k, the most likely one first.
+    /// Returns the possible predictions of pose k. The most likely prediction is first.
     std::vector<Pose> predictions(std::size_t k) const {
         const Pose kept = track_.pose[k - 1] * kept_motion(k);
         if (!options_.given_motion) return {kept};
@@ -142,16 +149,16 @@ private:
         return {given, kept};
     }
 
-    /// Sets a pose, and moves the next pose along with it.
+    /// Sets pose k, and predicts pose k + 1 from it.
     void set(std::size_t k, const Pose& pose) {
         track_.pose[k] = pose;
         if (k + 1 < track_.pose.size())
             track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
     }
 
-    /// Aligns a scan with the maps.
-    /// @return the final pose, and the share of the scan's points that lie on planes
-    /// there
+    /// Aligns a scan with the maps, from coarse to fine.
+    /// @return the aligned pose, and the share of the scan's points that lie on planes of
+    /// the map
     Candidate placed(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan) {
         set(k, start);
         if (maps_.empty() || scan.empty()) return {start, 0.0};
@@ -164,7 +171,7 @@ private:
         return {track_.pose[k], share};
     }
 
-    /// Makes one Gauss-Newton step.
+    /// Performs one Gauss-Newton step that moves pose k.
     /// @return length of the step
     double step(std::size_t k, const Pose& start, const std::vector<ThinPoint>& scan, int level,
                 double scale_m, double& share) {
@@ -187,9 +194,9 @@ private:
     }
 };
 
-/// Returns the motion of the sensor between the first two poses of a section if no poses
-/// are given. Tries several forward speeds and uses the one for which the first scans
-/// agree best.
+/// Returns the motion of the vehicle between the first two poses of a section. Used if no
+/// poses are given. Tries several forward speeds and returns the speed for which the
+/// first scans match best.
 Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                        const OdometryOptions& options, const Stretch& stretch) {
     Pose best;
@@ -209,7 +216,7 @@ Pose find_first_motion(const PoseTrack& given, const std::vector<std::vector<Thi
 
 /// Estimates the poses of a section.
 /// @param proceed called before each scan
-/// @return poses of the section, the first one as given; empty if proceed() returned
+/// @return poses of the section; the first pose is unchanged; empty if proceed() returned
 /// false
 std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
                            const OdometryOptions& options, const Stretch& stretch,
@@ -226,8 +233,8 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
     return {first + std::ptrdiff_t(stretch.begin), first + std::ptrdiff_t(stretch.end)};
 }
 
-/// Joins the sections. Each section is moved so that its pose at the last shared scan
-/// equals the pose in the previous section.
+/// Joins the sections to one track. Moves each section so that its pose at the last
+/// shared scan equals the pose in the previous section.
 std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vector<Pose>& poses,
                           const std::vector<std::vector<ThinPoint>>& scans) {
     auto own = poses.begin();  // first pose of the current section in `poses`

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates poses scan by scan, each against a map of the earlier scans. It is used if
-// the given poses drift or jump, or if there are none. A long log is divided into
-// overlapping sections that threads and processes handle in parallel. The last scan that
-// two sections share connects them.
+// Estimates poses scan by scan, each relative to a map of the earlier scans. Used if the
+// given poses drift or jump, or if there are no poses. A long log is divided into
+// overlapping sections, which threads and processes handle in parallel. Two sections are
+// connected at the last scan that they share.
 #pragma once
 
 #include <functional>
@@ -16,17 +16,18 @@
 namespace relidar {
 
 struct OdometryOptions {
-    RegisterRound first, last;  ///< cells and kernels of a scan's alignment steps, from coarse to fine
-    /// True if the given poses predict the motion from scan to scan. Otherwise the
+    /// cell sizes and robust-kernel scales for aligning a scan, from coarse to fine
+    RegisterRound first, last;
+    /// True if the given poses predict the motion from scan to scan. If false, the
     /// velocity is assumed to be constant.
     bool given_motion = true;
-    /// Called repeatedly from the calling thread. If it returns false, the estimation
-    /// stops.
+    /// Called repeatedly from the calling thread. The estimation stops if it returns
+    /// false.
     std::function<bool(double done)> proceed;
     ProcessGroup group = {};
 };
 
-/// Estimates the poses of a log. A scan that cannot be aligned gets its predicted pose.
+/// Estimates the poses of a log. If a scan cannot be aligned, its pose is predicted.
 /// @param scans [poses] points of each scan; empty if a pose has no scan
 /// @return poses that are identical in all processes and start at the first given pose;
 /// the given poses if proceed() returned false

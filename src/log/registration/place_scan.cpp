@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns one scan with a fixed scene. Each point is compared with the rendered surface
-// along its own ray, so that no search for corresponding points is needed.
+// Aligns one scan with a fixed scene. Compares each point with the rendered surface along
+// the same ray, so no search for corresponding points is needed.
 #include <relidar/log/registration.hpp>
 
 #include "base/parallel.hpp"
@@ -10,12 +10,16 @@
 namespace relidar {
 namespace {
 
-// cell size for thinning: keeps nearly all returns, because a single pose is fitted
+// Keeps one point per cell of this size. This keeps nearly all returns, because only a
+// single pose is fitted.
 constexpr double kThin_m = 0.1;
-constexpr double kScale_m = 0.05;  // kernel scale: after registration, the scans are closer than this
-// stiffness towards the start pose, as a share of the mean stiffness
+// scale of the robust kernel; after registration, the scan is closer to the scene than
+// this
+constexpr double kScale_m = 0.05;
+// Weight of the prior that pulls the pose to its start value, relative to the mean weight
+// of the points.
 constexpr double kPlacePrior = 1e-4;
-constexpr double kPlaceStep_m = 2e-4;  // the iteration stops if a step is shorter than this
+constexpr double kPlaceStep_m = 2e-4;  // stops the iteration if a step is shorter than this
 constexpr int kMostPlaceSteps = 8;
 
 /// Selected rays of one frame, and their returns.

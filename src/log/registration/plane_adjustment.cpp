@@ -12,16 +12,19 @@ namespace relidar {
 namespace {
 
 constexpr int kChunks = 64;  // number of partial sums, independent of the number of threads
-constexpr int kShrinking = 8, kLastRounds = 2;  // number of rounds
-constexpr double kShift = 0.37;                 // shift of the grid from round to round, in cells
-// Stiffness towards zero correction, as a share of the mean stiffness of the poses. It
-// determines only the directions that no point constrains.
+// number of rounds with shrinking cells, and number of rounds with the smallest cells
+constexpr int kShrinking = 8, kLastRounds = 2;
+constexpr double kShift = 0.37;  // The grid of cells is shifted by this many cells from round to round.
+// Weight of the prior that pulls corrections to zero, relative to the mean weight of the
+// points. The prior matters only in directions that no point constrains.
 constexpr double kAdjustmentPrior = 1e-4;
 constexpr std::size_t kFewestPlaced = 30;
-// minimum share of points on planes: streets have 0.3 to 0.7, random ranges 0.003
+// Minimum share of a scan's points that lie on planes. Streets have 0.3 to 0.7, random
+// ranges have 0.003.
 constexpr double kFewestOnPlanes = 0.05;
 
-/// Calls task(begin, end, chunk) for kChunks parts of [0, n).
+/// Splits [0, n) into kChunks parts, and calls task(begin, end, chunk) for the parts in
+/// parallel.
 template <class Task>
 void in_chunks(std::size_t n, const Task& task) {
     const std::size_t size = n / kChunks + 1;
@@ -53,7 +56,7 @@ Eigen::VectorXd corrections(const PoseTrack& from, const PoseTrack& to) {
     return result;
 }
 
-/// Fits planes to all cells that contain points of two or more sweeps.
+/// Fits a plane in each cell that contains points of at least two sweeps.
 std::vector<std::optional<Plane>> fit_planes(const PlaneCells& cells, const std::vector<ThinPoint>& points,
                                              const std::vector<PlacedPoint>& placed,
                                              const RegisterRound& round) {
@@ -137,7 +140,8 @@ void PlaneAdjustment::add_prior(PoseEquations& equations) const {
 
 void PlaneAdjustment::remove_common_motion() {
     const auto n = double(std::count(gauge_.begin(), gauge_.end(), true));
-    // repeated, because the mean of rotation vectors is only approximately a rotation
+    // Repeats the step, because the mean of rotation vectors is only approximately a
+    // rotation.
     for (int i = 0; i < 3; ++i) {
         glm::dvec3 centre(0.0), v(0.0), w(0.0);
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
@@ -206,8 +210,8 @@ double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& 
     };
     const glm::dvec3 between =
         glm::mix(correction(before), correction(after), share_of_time(before, pose, after));
-    // If the given poses jump, one of the neighbours has the same jump, so the smallest
-    // difference counts.
+    // If the given poses jump, one of the neighbours has the same jump. Therefore the
+    // smallest difference counts.
     double least = glm::distance(correction(pose), between);
     for (const std::size_t neighbour : {before, after})
         least = std::min(least, glm::distance(correction(pose), correction(neighbour)));

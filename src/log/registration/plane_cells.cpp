@@ -15,19 +15,22 @@ namespace {
 
 constexpr std::size_t kFewestPoints = 8;
 constexpr int kFits = 4;
-// Minimum standard deviation along the narrower axis, as a share of the cell's edge. A
-// plane that fills the cell has 0.29.
+// Minimum standard deviation of the points along the narrower axis of a plane, relative
+// to the edge of the cell. Points that fill the cell have 0.29.
 constexpr double kSpread = 0.12;
-// Minimum of the same deviation, as a share of the kernel scale. One ring seen from many
-// wrong poses forms a ribbon of this width, which is not a surface.
+// Minimum standard deviation of the points along the narrower axis of a plane, relative
+// to the scale of the robust kernel. A single ring that is observed from many wrong poses
+// forms a ribbon of this width, which is not a surface.
 constexpr double kSpreadScale = 0.8;
-constexpr double kInliers = 0.7;  // minimum share of the points that lie within the kernel scale
+// minimum share of the points that are closer to the plane than the scale of the robust
+// kernel
+constexpr double kInliers = 0.7;
 
 glm::dvec3 vector(const Eigen::Matrix3d& axes, int column) {
     return {axes(0, column), axes(1, column), axes(2, column)};
 }
 
-/// Fits a plane once with the given weights.
+/// Fits a plane to weighted points.
 /// @return eigenvalues of the weighted covariance, ascending
 glm::dvec3 fit_once(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
                     const std::vector<double>& weight, Plane& plane) {

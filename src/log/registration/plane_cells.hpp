@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fits planes to the points of all scans at their current poses, one plane per cell of a
-// grid.
+// Fits planes to the points of all scans at their current poses. Each cell of a grid has
+// one plane.
 #pragma once
 
 #include <cmath>
@@ -14,31 +14,32 @@
 
 namespace relidar {
 
-/// Returns the cells and the kernel of an intermediate round. Interpolates geometrically:
-/// t = 0 gives `first`, t = 1 gives `last`.
+/// Returns the cell size and the robust-kernel scale of an intermediate round.
+/// Interpolates geometrically: t = 0 gives `first`, t = 1 gives `last`.
 inline RegisterRound between(const RegisterRound& first, const RegisterRound& last, double t) {
     return {first.cell_m * std::pow(last.cell_m / first.cell_m, t),
             first.scale_m * std::pow(last.scale_m / first.scale_m, t)};
 }
 
-/// Plane n . (p - point) = 0 with two directions u and v within it.
+/// Plane n . (p - point) = 0, with two directions u and v in the plane.
 struct Plane {
     glm::dvec3 point_m{0.0};  ///< weighted mean of the points on the plane
     glm::dvec3 normal{0.0}, u{0.0}, v{0.0};
 };
 
-/// Returns the robust weight rho'(r) / 2r for rho(r) = r^2 / (1 + r^2 / s^2) (Geman and
-/// McClure 1985).
+/// Returns the weight of a residual r in a robust fit: rho'(r) / 2r for rho(r) = r^2 / (1
+/// + r^2 / s^2) (Geman and McClure 1985).
 double weight_of(double residual_m, double scale_m);
 
 /// Fits a plane by iteratively reweighted least squares. Returns nothing if the points do
-/// not spread over a surface of the cell, or if too many points lie off the plane.
+/// not spread over a surface in the cell, or if too many points are far from the plane.
 std::optional<Plane> fit_plane(const std::vector<PlacedPoint>& points, std::span<const std::uint32_t> members,
                                double cell_m, double scale_m);
 
-/// Points sorted into the cells of a grid.
+/// Sorts points into the cells of a grid.
 class PlaneCells {
 public:
+    /// Sorts the points by cell.
     /// @param shift offset of the grid in cells; a different shift cuts surfaces at
     /// different places
     PlaneCells(const std::vector<PlacedPoint>& points, double cell_m, double shift);
@@ -48,8 +49,8 @@ public:
     std::span<const std::uint32_t> members(std::size_t cell) const {
         return {order_.data() + first_[cell], first_[cell + 1] - first_[cell]};
     }
-    /// Returns the cell that contains a point, or nothing if the grid has no point in
-    /// that cell.
+    /// Returns the cell that contains a point. Returns nothing if the grid has no points
+    /// in that cell.
     std::optional<std::size_t> find(const glm::dvec3& point_m) const;
 
 private:

@@ -16,23 +16,26 @@
 namespace relidar {
 namespace {
 
-// 20 to 30 iterations are usual, independent of the length of the log
+// Maximum number of iterations. The solver usually needs 20 to 30, independent of the
+// length of the log.
 constexpr int kMostIterations = 100;
-// Maximum number of partial sums over planes, and minimum number of planes in each. Both
-// are independent of the number of threads.
+// Maximum number of partial sums, and minimum number of planes in each sum. They do not
+// depend on the number of threads, so that the result does not either.
 constexpr std::size_t kParts = 64, kPlanesOfPart = 256;
-// relative residual norm at which the solver stops; the next round corrects the remainder
+// The solver stops at this relative norm of the residual. The next round corrects the
+// remaining error.
 constexpr double kTolerance = 1e-4;
 
 Eigen::Vector3d to_eigen(const glm::dvec3& v) { return {v.x, v.y, v.z}; }
 
-/// Returns the two poses on which a point depends, and their weights.
+/// Returns the two poses between which a point was measured, with their interpolation
+/// weights.
 std::array<std::pair<std::size_t, double>, 2> shares(const ThinPoint& point) {
     return {{{point.left, 1.0 - double(point.s)}, {point.left + 1, double(point.s)}}};
 }
 
-/// Returns the derivatives of a point's residual with respect to the offset and the tilts
-/// of its plane.
+/// Returns the derivatives of a point's residual with respect to the three unknowns of
+/// its plane: the offset and two tilts.
 Eigen::Vector3d row_of_plane(const PlacedPoint& point, const Plane& plane) {
     const glm::dvec3 d = point.point_m - plane.point_m;
     return {1.0, glm::dot(plane.u, d), glm::dot(plane.v, d)};
@@ -66,7 +69,8 @@ Twist RigidEquations::solve(double prior, const Twist& correction) const {
     Vector6 gradient = gradient_;
     const double pulls[] = {prior * stiffness_.diagonal().head<3>().mean(),
                             prior * stiffness_.diagonal().tail<3>().mean()};
-    for (int i = 0; i < 6; ++i) {  // separate for metres and radians, because their stiffnesses differ
+    // one prior for metres and one for radians, because their magnitudes differ
+    for (int i = 0; i < 6; ++i) {
         stiffness(i, i) += pulls[i / 3];
         gradient[i] += pulls[i / 3] * correction[std::size_t(i)];
     }
@@ -106,14 +110,14 @@ void PoseEquations::add_point(const ThinPoint& point, const Row& row) {
 void PoseEquations::add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                              std::span<const std::uint32_t> members, const Plane& plane, double scale_m) {
     const std::size_t begin = couplings_.size();
-    // Searches from the end, because members are ascending and their poses almost are.
+    // Searches from the end, because points are sorted by pose, with few exceptions.
     const auto coupling = [&](std::size_t pose) -> Coupling& {
         for (std::size_t k = couplings_.size(); k-- > begin;)
             if (couplings_[k].pose == pose) return couplings_[k];
         return couplings_.emplace_back(
             Coupling{static_cast<std::uint32_t>(pose), Eigen::Matrix<float, 6, 3>::Zero()});
     };
-    // Stiffness of the plane's unknowns with the current weights of its points. With the
+    // Matrix B of the plane's unknowns, with the current weights of the points. With the
     // weights of the plane fit, H would not be positive definite.
     Eigen::Matrix3d stiffness = Eigen::Matrix3d::Zero();
     Eigen::Vector3d pull = Eigen::Vector3d::Zero();
@@ -203,8 +207,8 @@ Vector6 PoseEquations::pull_of(double prior) const {
     return prior * mean;
 }
 
-/// Coarse equations for rigid motions of groups of poses. The unknowns are twists about
-/// the first pose of each group, which move the other poses of the group.
+/// Coarse equations in which groups of poses move rigidly. The unknowns are twists about
+/// the first pose of each group. A twist also moves the other poses of the group.
 class GroupMotions {
 public:
     GroupMotions(const PoseEquations& equations, const PoseTrack& track, const Vector6& pull)
@@ -225,7 +229,7 @@ public:
         factorise();
     }
 
-    /// Adds the motions of the groups that reduce a residual.
+    /// Solves for the group motions that reduce a residual, and adds these motions to z.
     void add_solution(const Eigen::VectorXd& residual, Eigen::VectorXd& z) const {
         if (solver_.info() != Eigen::Success) return;
         Eigen::VectorXd sums = Eigen::VectorXd::Zero(6 * Eigen::Index(n_groups()));
@@ -241,7 +245,8 @@ private:
     static constexpr std::size_t kGroup = 8;
 
     const std::size_t n_;
-    std::vector<Matrix6> carry_;  // [poses] matrix from the twist of the group to the twist of the pose
+    // [poses] matrix that converts the twist of a group to the twist of one of its poses
+    std::vector<Matrix6> carry_;
     std::map<std::pair<std::size_t, std::size_t>, Matrix6> blocks_;  // key: row, column
     Eigen::SimplicialLLT<Eigen::SparseMatrix<double>> solver_;
 

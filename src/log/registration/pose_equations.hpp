@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the Gauss-Newton equations of all poses of a track, with the planes eliminated.
-// A point at fraction s between poses l and l + 1 moves by
+// Builds the Gauss-Newton equations for all poses of a track. The unknowns of the planes
+// are eliminated. A point at fraction s between poses l and l + 1 moves by
 //   dp = sum over k of a_k (v_k + w_k x (p - o)),  a = (1 - s, s),  o: position of the vehicle.
 // Its residual n . (p - point) - b . (offset, tilts) has the row a_k j with j = (n, (p -
-// o) x n). The Schur complement of the three unknowns of a plane with couplings C,
-// stiffness B and gradient h is
+// o) x n). Let C be the couplings of a plane's three unknowns, B their matrix and h their
+// gradient. The Schur complement is
 //   H = sum w J J^T - C B^-1 C^T,  g = sum w r J - C B^-1 h.
 // H is positive definite if B uses the same weights w.
 #pragma once
@@ -23,7 +23,8 @@ namespace relidar {
 using Vector6 = Eigen::Matrix<double, 6, 1>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 
-/// Residual of a point, its weight, and its derivatives with respect to a pose.
+/// Residual of a point, its weight, and the derivatives of the residual with respect to a
+/// pose.
 struct Row {
     double residual_m, weight;
     Vector6 j;
@@ -31,18 +32,20 @@ struct Row {
 };
 Row row_of(const PlacedPoint& point, const Plane& plane, double scale_m);
 
-/// Gauss-Newton equations of one pose with everything else fixed. Counts the points that
-/// lie on their planes.
+/// Gauss-Newton equations for one pose; all other poses and the planes are fixed. Counts
+/// the points that lie on planes.
 class RigidEquations {
 public:
-    /// @param share share of the pose's motion with which the point moves
+    /// Adds the residual of a point.
+    /// @param share fraction of the pose's motion with which the point moves
     void add(const Row& row, double share = 1.0);
     RigidEquations& operator+=(const RigidEquations& other);
     bool empty() const { return !(stiffness_.trace() > 0.0); }
     std::size_t n_on_planes() const { return n_on_planes_; }
-    /// Solves for the step of the pose.
-    /// @param prior stiffness towards zero correction, as a share of the mean stiffness
-    /// of translations and of rotations; determines directions that no point constrains
+    /// Solves the equations for the step of the pose.
+    /// @param prior weight of the prior that pulls the correction to zero, relative to
+    /// the mean weight of translations and of rotations; matters only in directions that
+    /// no point constrains
     /// @param correction current correction of the pose
     Twist solve(double prior, const Twist& correction = {}) const;
 
@@ -52,28 +55,29 @@ private:
     std::size_t n_on_planes_ = 0;
 };
 
-/// Returns how far a step moves points at a distance of about ten metres.
+/// Returns how far a step moves points that are about ten metres away, in metres.
 double length_m(const Twist& step);
 
-/// Returns the matrix that converts a twist about one point to a twist about another
-/// point at offset d on the same rigid body: (v + w x d, w).
+/// Returns the matrix that converts a twist (v, w) about one point to the twist (v + w x
+/// d, w) about another point. Both points are on the same rigid body, and d is the offset
+/// between them.
 Matrix6 carried_by(const glm::dvec3& d);
 
-/// Normal equations summed over some cells. If the sums are added in the order of the
-/// cells, the result is the same for any number of threads.
+/// Normal equations for all poses, summed over the cells of a grid. If partial sums are
+/// added in the order of the cells, the result is the same for any number of threads.
 class PoseEquations {
 public:
     explicit PoseEquations(std::size_t n_poses);
 
     void add_point(const ThinPoint& point, const Row& row);
-    /// Adds the points of a cell and the plane of the cell.
+    /// Adds the residuals of all points in a cell, and eliminates the plane of the cell.
     void add_cell(const std::vector<ThinPoint>& points, const std::vector<PlacedPoint>& placed,
                   std::span<const std::uint32_t> members, const Plane& plane, double scale_m);
     void add(PoseEquations&& other);
     /// Adds a prior that pulls the correction of one pose to zero.
     void add_pull(std::size_t pose, const Vector6& stiffness, const Vector6& correction);
     /// Adds a prior that pulls the corrections of `pose` and `pose + 1` to each other.
-    /// @param difference  correction of `pose + 1` minus that of `pose`
+    /// @param difference  correction of `pose + 1` minus correction of `pose`
     void add_link(std::size_t pose, const Vector6& stiffness, const Vector6& difference);
 
     /// Solves for the step of all poses, [n_poses,6], by conjugate gradients. The
@@ -89,7 +93,8 @@ public:
     double residual_m() const { return weight_ > 0.0 ? std::sqrt(cost_ / weight_) : 0.0; }
 
 private:
-    /// C L^-T of one plane and one pose, where B = L L^T.
+    /// Matrix C L^-T, which couples one plane with one pose. L is the Cholesky factor of
+    /// B = L L^T.
     struct Coupling {
         std::uint32_t pose;
         Eigen::Matrix<float, 6, 3> c;
@@ -102,7 +107,7 @@ private:
     double cost_ = 0.0, weight_ = 0.0;
 
     Eigen::VectorXd times(const Eigen::VectorXd& x) const;
-    /// Returns the diagonal terms that pull the correction to zero, [6].
+    /// Returns the [6] diagonal terms of the prior that pulls the corrections to zero.
     Vector6 pull_of(double prior) const;
     friend class GroupMotions;
 };

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers moving boxes: a joint adjustment of each track in the frame of its box, and
-// interpolated poses for the frames without points.
+// Registers moving boxes. Optimises the poses of each track together, in the frame of its
+// box. Interpolates the poses of frames without points.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -15,21 +15,24 @@
 namespace relidar {
 namespace {
 
-// minimum length of a box; shorter actors are people and cyclists, whose shape changes
+// Minimum length of a box. Shorter objects are people and cyclists, which change their
+// shape.
 constexpr double kSmallest_m = 2.5;
-constexpr double kAboveGround_m = 0.25;  // lower points of a box are returns of the ground
+// ignores points of a box below this height, because they are on the ground
+constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
 constexpr RegisterRound kFirstActorRound{0.8, 0.2}, kLastActorRound{0.4, 0.05};
-constexpr double kGain = 0.02;  // minimum increase of the share of points on planes
-// maximum corrections; larger ones are errors
+constexpr double kGain = 0.02;  // the share of points on planes must increase at least by this amount
+// Largest allowed corrections. Larger corrections are errors.
 constexpr double kLargestCorrection_m = 0.6, kLargestCorrection_rad = 0.1;
-constexpr double kStanding_m = 3.0;  // maximum motion of a box that may be standing
-constexpr int kNeighbours = 3;       // number of poses on each side from which a pose is interpolated
+constexpr double kStanding_m = 3.0;  // a box that moves farther than this is not standing
+constexpr int kNeighbours = 3;       // number of poses on each side that are used to interpolate a pose
 constexpr double kLongestGap_s = 1.0;
 
-/// Returns the prior of corrections, in units of the weight of one point. The error of a
-/// point is 0.05 m, and errors of neighbouring points are correlated. Labels have errors
-/// of 0.15 m and 2 degrees, which change by 0.05 m and 1 degree within 0.1 s.
+/// Returns the prior for the corrections of poses. The unit of the weights is the weight
+/// of one point. A point has an error of 0.05 m, and errors of neighbouring points are
+/// correlated. Labels have errors of 0.15 m and 2 degrees, which change by 0.05 m and 1
+/// degree within 0.1 s.
 CorrectionPrior correction_prior() {
     const double pull_m = std::pow(0.05 / 0.15, 2), pull_rad = std::pow(0.05 / 0.035, 2);
     const double link_m = std::pow(0.05 / 0.05, 2), link_rad = std::pow(0.05 / 0.017, 2);
@@ -39,13 +42,13 @@ CorrectionPrior correction_prior() {
     return prior;
 }
 
-/// Points of a track, in the frame of its labelled box.
+/// Points of an object, in the frame of its labelled box.
 struct ActorPoints {
-    std::vector<ThinPoint> points;       ///< `pose` of each point is an index into the track
+    std::vector<ThinPoint> points;       ///< points; `pose` is the index of the nearest pose in the track
     std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
 };
 
-/// Collects the returns of training frames that lie in the box.
+/// Collects the returns of training frames that lie inside a labelled box.
 ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
                            const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
@@ -79,9 +82,9 @@ ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& tra
     return actor;
 }
 
-/// Returns the pose at `time_s` on a parabola through the nearest poses that have points,
-/// up to three on each side. Returns nothing if one side has no such pose within a
-/// second.
+/// Interpolates one pose of a track. Fits a parabola through the nearest poses that have
+/// points, up to three on each side. Returns nothing if one side has no such pose within
+/// a second.
 std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<bool>& has_points,
                                      std::size_t pose) {
     const double time_s = track.time_s[pose];
@@ -110,7 +113,7 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
     return moved(reference, twist);
 }
 
-/// Returns the share of points on planes that several poses have in common.
+/// Returns the share of points on planes that are shared by several poses.
 double share_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
     return adjustment.share_on_planes(adjustment.planes(kLastActorRound), points, kLastActorRound.scale_m);
 }
@@ -122,12 +125,12 @@ PlaneAdjustment adjustment_of(const PoseTrack& track, std::vector<ThinPoint> poi
     return adjustment;
 }
 
-/// Returns a track of identity poses, the initial value of the corrections.
+/// Returns a track of identity poses, which are the initial corrections.
 PoseTrack identity_track(const PoseTrack& track) {
     return {track.time_s, std::vector<Pose>(track.pose.size())};
 }
 
-/// Returns true if a standing box fits the points at least as well as the registered
+/// Returns true if a box that does not move fits the points as well as the registered
 /// track.
 bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vector<bool>& has_points,
                  double registered_share) {
@@ -147,7 +150,8 @@ bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vecto
     return share_on_planes(adjustment, still) >= registered_share - kGain;
 }
 
-/// Moves the poses of a track by corrections in the frame of the box.
+/// Applies corrections, which are in the frame of the box, to the poses of a track.
+/// Interpolates the poses without points.
 void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std::vector<bool>& has_points) {
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         track.pose[k] = track.pose[k] * inverse(corrections.pose[k]);
@@ -160,15 +164,15 @@ void apply_corrections(PoseTrack& track, const PoseTrack& corrections, const std
                 track.pose[k] = *pose;
 }
 
-/// Returns the median of the absolute values, or 0 if there are none.
+/// Returns the median of the values, or 0 if there are none.
 double median_of(std::vector<double> values) {
     if (values.empty()) return 0.0;
     std::ranges::nth_element(values, values.begin() + std::ptrdiff_t(values.size() / 2));
     return values[values.size() / 2];
 }
 
-/// Registers the track of one box. Does not change it if its points do not improve the
-/// poses.
+/// Registers the track of one box. Keeps the track unchanged if its points do not improve
+/// the poses.
 void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& result,
                     std::vector<double>& moved_m) {
     std::vector<bool> has_points(actor.n_of_pose.size());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Registers the poses of the sensor. All training scans are registered together. Each
-// held-out scan is then aligned with the resulting planes.
+// Registers the poses of the sensor. Optimises the poses of all training scans together.
+// Then aligns each held-out scan with the resulting planes.
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
@@ -18,18 +18,19 @@
 namespace relidar {
 namespace {
 
-// Cell size for thinning: 0.5 m keeps 12 thousand points of a 64-beam scan, 0.1 m nearly
-// all.
+// Limits for the size of the cells in which one point is kept. 0.5 m keeps 12 thousand
+// points of a 64-beam scan, 0.1 m nearly all.
 constexpr double kThinned_m = 0.5, kThinnest_m = 0.1;
-// Expected number of scans per cell. If there are fewer scans, more points of each are
-// kept, because a plane needs eight points.
+// Number of scans that usually observe a cell. If the log has fewer scans, more points of
+// each scan are kept, because a plane needs eight points.
 constexpr double kScansOnACell = 24.0;
-constexpr RegisterRound kLast{0.5, 0.05};  // cell size and kernel scale of the last rounds
-// Cells and kernel of the last odometry step. A map of running sums is coarser.
+constexpr RegisterRound kLast{0.5, 0.05};  // cell size and robust-kernel scale of the last rounds
+// Cell size and robust-kernel scale of the last odometry step. The scale is larger than
+// in the last rounds, because the map of running sums is coarser.
 constexpr RegisterRound kLastFollowed{0.5, 0.1};
-constexpr int kLevels = 5, kStepsALevel = 3;  // numbers for held-out scans
+constexpr int kLevels = 5, kStepsALevel = 3;  // number of levels and steps per level for held-out scans
 
-/// Returns the edge of the cells in which one point is kept.
+/// Returns the edge of the cells in which one point of a scan is kept.
 double thinning_m(std::size_t n_scans) {
     return std::clamp(kThinned_m * std::sqrt(double(n_scans) / kScansOnACell), kThinnest_m, kThinned_m);
 }
@@ -40,8 +41,8 @@ std::vector<ThinPoint> joined(const std::vector<std::vector<ThinPoint>>& scans) 
     return points;
 }
 
-/// Aligns the held-out scans from coarse to fine with planes that do not contain their
-/// points.
+/// Aligns the held-out scans, from coarse to fine, with planes that were fitted without
+/// these scans.
 /// @param scans [sweeps] points of the held-out scans; empty for others
 /// @return indices of the scans that could not be aligned
 std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::vector<bool>& is_test,
@@ -69,7 +70,7 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
     return lost;
 }
 
-/// Returns [sweeps] true for sweeps that contain one of the given frames.
+/// Returns [sweeps] true if a sweep contains one of the given frames.
 std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions, std::size_t n_frames) {
     std::vector<bool> among(n_frames, false), is(sweeps.frames.size(), false);
     for (const int position : positions) among[std::size_t(position)] = true;
@@ -79,7 +80,7 @@ std::vector<bool> marked(const Sweeps& sweeps, const std::vector<int>& positions
     return is;
 }
 
-/// Returns [sweeps] true for the middle one of the marked sweeps only.
+/// Returns [sweeps] true only for the middle one of the marked sweeps.
 std::vector<bool> middle_of(const std::vector<bool>& some) {
     std::vector<bool> is(some.size(), false);
     auto to_go = std::ranges::count(some, true) / 2;
@@ -88,7 +89,7 @@ std::vector<bool> middle_of(const std::vector<bool>& some) {
     return is;
 }
 
-/// Returns the median share of points on planes.
+/// Returns the median over sweeps of the share of points on planes.
 /// @param among [sweeps] sweeps that are included
 double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                     const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {

@@ -17,7 +17,7 @@ bool is_mover(const RegisterOptions& options, const WorldReturn& w) {
     });
 }
 
-/// Returns the LiDAR with the most returns.
+/// Returns the index of the LiDAR with the most returns.
 int leading_lidar(const Sequence& sequence) {
     std::vector<std::size_t> returns(sequence.lidars.size(), 0);
     if (returns.size() > 1)

@@ -9,13 +9,14 @@ namespace relidar {
 namespace {
 
 constexpr double kFewestOfVoxel = 6;
-// Minimum standard deviation along the narrower axis, as a share of the cell's edge. A
-// plane that fills the cell has 0.29.
+// Minimum standard deviation of the points along the narrower axis of a plane, relative
+// to the edge of the cell. Points that fill the cell have 0.29.
 constexpr double kVoxelSpread = 0.12;
-// maximum standard deviation along the normal, as a share of the cell's edge
+// maximum standard deviation of the points along the normal, relative to the edge of the
+// cell
 constexpr double kThickness = 0.1;
-/// Returns one of 64 mutexes for a cell. A few mutexes suffice, because threads rarely
-/// fit planes simultaneously.
+/// Returns the mutex of a cell. All cells share 64 mutexes, because threads rarely fit
+/// planes simultaneously.
 std::mutex& mutex_of(const void* cell) {
     static std::array<std::mutex, 64> mutexes;
     return mutexes[reinterpret_cast<std::uintptr_t>(cell) / 64 % mutexes.size()];

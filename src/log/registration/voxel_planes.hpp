@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Map of planes that grows scan by scan. Each cell of a grid stores sums from which the
-// plane of its points is computed. Adding and looking up a point take constant time.
+// plane of its points is computed. Adding a point and looking up a plane take constant
+// time.
 #pragma once
 
 #include <atomic>
@@ -18,13 +19,13 @@ public:
 
     bool empty() const { return cells_.empty(); }
     /// Adds a point to its cell.
-    /// @param travelled_m path length of the sensor when the point was seen
+    /// @param travelled_m path length of the sensor when the point was measured
     void add(const glm::dvec3& point_m, double travelled_m);
     /// Returns the plane of the cell that contains a point. Returns null if the points of
-    /// the cell do not spread over a surface, or are too thick for a plane. Several
-    /// threads can call this simultaneously.
+    /// the cell do not spread over a surface, or if they are too thick for a plane.
+    /// Several threads can call this function simultaneously.
     const Plane* at(const glm::dvec3& point_m) const;
-    /// Removes cells that were last seen before the sensor's path length reached
+    /// Removes cells that got their last point before the sensor's path length reached
     /// `travelled_m`.
     void forget(double travelled_m);
 
@@ -32,12 +33,12 @@ private:
     struct Cell {
         PlaneSums sums;  ///< sums relative to the centre of the cell
         double travelled_m = 0.0;
-        /// number of points in `plane`; stored after `plane` is written
+        /// number of points when `plane` was fitted; stored after `plane` is written
         mutable std::atomic<double> n_fitted = 0.0;
         mutable std::optional<Plane> plane;
 
         bool is_outgrown() const {
-            // growth of the number of points after which the plane is fitted again
+            // Fits the plane again after the number of points has grown by this factor.
             constexpr double kRefit = 1.1;
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);
         }

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws a random intensity for each ray from a leaf of the decision tree. The tree
-// compares intensities that were drawn before, for neighbours in the same row and in the
-// rows above. The image is therefore drawn as a wavefront of tiles. The result is the
-// same as drawing ray by ray, row by row.
+// Draws a random intensity for each ray from a leaf of a decision tree. The tree compares
+// intensities that were drawn before, for neighbours in the same row and in the rows
+// above. Therefore the image is divided into tiles, and tiles that do not depend on each
+// other are drawn in parallel. The result is the same as drawing ray by ray, row by row.
 #include <relidar/log/scatter.hpp>
 
 #include <algorithm>
@@ -15,10 +15,10 @@
 namespace relidar {
 namespace {
 
-constexpr int kTileColumns = 64;  // number of columns of a tile, which has one row
-/// A tile depends on the tile to its left. It also depends on up to kAhead columns to its
-/// right in the rows above: tile t of row r needs tile t + 1 of row r - 1. Tiles with the
-/// same 2 r + t are therefore independent.
+constexpr int kTileColumns = 64;  // number of columns of a tile; a tile has one row
+/// A tile depends on the tile to its left. It also depends on up to kAhead columns to the
+/// right in the rows above. So tile t of row r needs tile t + 1 of row r - 1. Tiles with
+/// the same 2 r + t are independent.
 static_assert(scatter_detail::kAhead <= kTileColumns);
 
 const IntensityScatter::Node& leaf_of(const IntensityScatter& scatter, const scatter_detail::Context& context,

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Grows the intensity tree from all returns, layer by layer. A node is split at the
-// feature and the value that reduce the entropy of the classes most. The classes c are 24
-// quantiles of all intensities:
+// Fits a decision tree for intensities to all returns, one layer of nodes after the
+// other. Splits a node at the feature and the value that reduce the entropy of the
+// classes most. The classes c are 24 quantiles of all intensities:
 //   gain = sum n_c ln(n_c / n) of both children - the same sum of the node
-// A node is not split if the gain could be due to chance.
+// Does not split a node if the gain could be due to chance.
 #include <algorithm>
 #include <cmath>
 #include <functional>
@@ -29,13 +29,13 @@ using scatter_detail::kFeatures;
 
 constexpr std::size_t kMostReturns = 2000000, kFewestReturns = 1000;
 constexpr std::size_t kFewestOfLeaf = 50;
-// Minimum gain. Twice the gain is chi-square distributed with 23 degrees of freedom. The
-// best of all cuts exceeds this limit by chance in 1 of 100 cases.
+// Minimum gain for a split. Twice the gain is chi-square distributed with 23 degrees of
+// freedom. By chance, the best of all splits exceeds this limit in 1 of 100 cases.
 constexpr double kLeastGain = 20.0;
 constexpr std::size_t kClasses = 24, kBins = 64;
 constexpr std::size_t kQuantileReturns = 100000;  // number of returns from which quantiles are computed
 
-/// Features, class and intensity of a return of a ray.
+/// Features, class and intensity of one return. Features are stored as bin numbers.
 struct Return {
     std::array<std::uint8_t, kFeatures> bins;
     std::uint8_t of_class;
@@ -43,13 +43,14 @@ struct Return {
 };
 
 /// All returns of the scans. The returns of a node are contiguous, so that counting reads
-/// the memory sequentially.
+/// memory sequentially.
 struct Returns {
     std::vector<Return> all;
     std::array<std::vector<float>, kFeatures> cuts = {};  ///< upper ends of all bins except the last
 };
 
-/// Returns the values that divide a list into n parts of equal size, without duplicates.
+/// Returns the values that divide a list into n parts of equal size. Removes duplicate
+/// values.
 std::vector<float> quantiles(std::vector<float> values, std::size_t n) {
     parallel_sort(values, std::less<>());
     std::vector<float> cuts;
@@ -71,8 +72,8 @@ bool is_return(const MeasuredIntensities& image, std::size_t ray) {
     return image.measured[ray] != kNoIntensity && image.rendered.range_m[ray] > 0.0f;
 }
 
-/// Returns the returns on rendered surfaces. If there are more than `most`, selects about
-/// `most` of them at random.
+/// Returns the indices of returns on rendered surfaces. If there are more than `most`,
+/// selects about `most` returns at random.
 std::vector<ReturnPlace> returns_of(std::span<const MeasuredIntensities> images, std::size_t most) {
     std::size_t n = 0;
     for (const MeasuredIntensities& image : images)
@@ -150,17 +151,20 @@ struct Counts {
     }
 };
 
-/// Split of a node: a feature, and the bin up to which returns belong to the first child.
+/// Split of a node. The first child gets the returns whose feature is in this bin or in a
+/// lower bin.
 struct Cut {
     double gain = kLeastGain;
     int feature = -1;
     std::size_t bin = 0;
 };
 
-constexpr std::size_t kTogether = 4;  // number of features whose counts fit into the first-level cache
+// number of features that are counted together, so that the counts fit into the
+// first-level cache
+constexpr std::size_t kTogether = 4;
 using Bins = std::array<Counts, kBins>;
 
-/// Returns the best cut of one feature from the counts in its bins.
+/// Returns the best split by one feature, computed from the counts in its bins.
 Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, const Terms& terms) {
     Cut best;
     Counts all, low;
@@ -170,7 +174,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     std::uint32_t n_low = 0;
     for (std::size_t b = 0; b < n_cuts; ++b) {
         const std::uint32_t of_bin = counts[b].n();
-        if (of_bin == 0) continue;  // same gain as the previous cut
+        if (of_bin == 0) continue;  // an empty bin gives the same gain as the previous split
         low.add(counts[b]);
         n_low += of_bin;
         if (n_low < kFewestOfLeaf || n - n_low < kFewestOfLeaf) continue;
@@ -180,7 +184,7 @@ Cut find_cut_of(const Bins& counts, std::size_t feature, std::size_t n_cuts, con
     return best;
 }
 
-/// Returns the best cut among a few features, beginning with `first`.
+/// Returns the best split among a few consecutive features, beginning with `first`.
 Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, std::size_t first,
                      const Terms& terms) {
     const std::size_t n = std::min(kTogether, kFeatures - first);
@@ -195,7 +199,8 @@ Cut find_cut_of_some(const Returns& returns, std::span<const Return> of_node, st
     return best;
 }
 
-/// Returns the best cut of a node. Of equal cuts, the first feature is used.
+/// Returns the best split of a node. If splits are equally good, returns the split by the
+/// first feature.
 /// @param each runs a task for 0, 1, ..., n - 1
 template <class Each>
 Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Terms& terms, const Each& each) {
@@ -210,8 +215,8 @@ Cut find_cut(const Returns& returns, std::span<const Return> of_node, const Term
     return best;
 }
 
-/// Finds the cuts of several nodes in parallel. For a large node, the features are also
-/// processed in parallel.
+/// Finds the best splits of several nodes in parallel. In a large node, the features are
+/// processed in parallel too.
 std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
                            std::span<const IntensityScatter::Node> nodes) {
     constexpr std::size_t kLarge = 65536;
@@ -229,8 +234,8 @@ std::vector<Cut> find_cuts(const Returns& returns, const Terms& terms,
     return cuts;
 }
 
-/// Splits the nodes from index `first` on if the gain suffices, and reorders their
-/// returns.
+/// Splits all nodes from index `first` on whose gain is large enough. Reorders their
+/// returns, so that the returns of each child are contiguous.
 void part_layer(Returns& returns, const Terms& terms, std::vector<IntensityScatter::Node>& nodes,
                 std::size_t first) {
     const std::vector<Cut> cuts = find_cuts(returns, terms, std::span(nodes).subspan(first));
@@ -268,7 +273,7 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
     }
 }
 
-/// Returns the greatest common divisor of two numbers, where remainders below `error`
+/// Returns the greatest common divisor of two real numbers. Remainders below `error`
 /// count as zero.
 double common_divisor(double a, double b, double error) {
     while (b > error) {
@@ -292,7 +297,7 @@ double find_step(std::vector<float> values) {
     for (const float value : values) {
         step = step > 0.0 ? common_divisor(double(value), step, kError * largest) : double(value);
         if (value > 0.0f && step < kFinest * largest) return 0.0;
-        // refines the step with the largest value so far
+        // Computes the step again from the largest value so far, which is more accurate.
         if (step > 0.0) step = double(value) / std::round(double(value) / step);
     }
     const auto is_multiple = [&](float v) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measurement model of a beam, in both directions:
+// Converts between the true and the measured range and intensity of a beam:
 //   range_measured = range + range_offset
 //   intensity_measured = clamp(gain * fall * intensity + offset, 0, 1)
 #include <relidar/log/sensor.hpp>

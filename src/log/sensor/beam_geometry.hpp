@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Precomputes the sines and cosines that all rays of a beam share.
+// Computes rays of a beam faster by storing the sines and cosines that all rays of the
+// beam share.
 #pragma once
 
 #include <algorithm>
@@ -10,8 +11,8 @@
 
 namespace relidar {
 
-/// Computes the rays of one beam for many azimuths of the head. beam_ray() and
-/// head_azimuth() use it.
+/// Computes the rays of one beam for many azimuths of the LiDAR's head. Used by
+/// beam_ray() and head_azimuth().
 class BeamGeometry {
 public:
     explicit BeamGeometry(const Beam& beam)
@@ -42,7 +43,7 @@ public:
 private:
     Beam beam_;
     double cos_elevation_, sin_elevation_;
-    double left_of_axis_m_;  ///< distance of the beam from the axis of rotation
+    double left_of_axis_m_;  ///< horizontal distance between the beam and the axis of rotation
 };
 
 inline std::vector<BeamGeometry> geometries_of(const std::vector<Beam>& beams) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Returns the ray-drop probability of the sensor by beam and azimuth.
+// Looks up the ray-drop probability of the sensor by beam and azimuth.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -10,7 +10,8 @@
 namespace relidar {
 
 std::size_t DropTable::index(std::uint16_t channel, const glm::vec3& direction) const {
-    // The bin is 0 at azimuth +180 degrees and increases as the azimuth decreases.
+    // Bin 0 begins at the azimuth +180 degrees. The bin number increases as the azimuth
+    // decreases.
     const double turn = (1.0 - std::atan2(double(direction.y), double(direction.x)) / kPi) / 2.0;
     const int bin = std::clamp(static_cast<int>(turn * bins), 0, bins - 1);
     return std::size_t(channel) * std::size_t(bins) + std::size_t(bin);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Built-in sensors by name. The beams have three sources: tables in
+// Provides the built-in sensors by name. The beams have three sources: tables in
 // src/log/sensor/tables, published calibrations of one unit of a model, or even spacing
 // over the field of view in the data sheet. Columns, ranges and beam divergence are
 // data-sheet values at 10 Hz. A divergence of 0 means that no source states it.
@@ -22,14 +22,14 @@
 
 namespace relidar {
 
-// Defined in a file that cmake/Assets.cmake generates.
+// This function is defined in a file that cmake/Assets.cmake generates.
 std::span<const std::pair<std::string_view, std::string_view>> sensor_table_texts();
 
 namespace {
 
 constexpr double kDegree = kPi / 180.0;
 
-/// Data-sheet values of a spinning sensor whose beams are in a table.
+/// Data-sheet values of a spinning sensor. Its beams are stored in a table.
 struct Tabled {
     const char* name;
     int columns;
@@ -77,8 +77,9 @@ SensorModel model(SpinningSensor sensor, const std::string& about) {
     return {sensor.name, about, sensor.range_limits(), std::move(sensor)};
 }
 
-/// Returns the HDL-64E as in its data sheet: 32 beams at steps of 1/3 degree from +2
-/// degrees, then 32 beams at steps of 1/2 degree down to -24.33 degrees.
+/// Returns the HDL-64E as described in its data sheet. It has 32 beams at steps of 1/3
+/// degree from +2 degrees down. Another 32 beams follow at steps of 1/2 degree down to
+/// -24.33 degrees.
 SensorModel hdl64e(int columns, double rate_hz) {
     SpinningSensor sensor = spinning("HDL-64E", columns ? columns : 2083, rate_hz);
     add_beams(sensor, 32, 2.0, 2.0 - 31.0 / 3.0);
@@ -88,8 +89,8 @@ SensorModel hdl64e(int columns, double rate_hz) {
     return model(std::move(sensor), "evenly spaced beams of the data sheet");
 }
 
-/// Returns one of Waymo's four short-range LiDARs. Their calibration contains only the
-/// limits of the elevation.
+/// Returns one of Waymo's four short-range LiDARs. Its published calibration contains
+/// only the highest and the lowest elevation, so the beams are evenly spaced.
 SensorModel waymo_side(int columns, double rate_hz) {
     SpinningSensor sensor = spinning("waymo-side", columns ? columns : 600, rate_hz);
     constexpr double step_deg = 120.0 / 200.0;
@@ -99,7 +100,7 @@ SensorModel waymo_side(int columns, double rate_hz) {
                  "short-range LiDARs of the Waymo Open Dataset: 200 even beams from +30 to -90 degrees");
 }
 
-/// Returns a spinning sensor with the rays of the KITTI-360 grid.
+/// Returns a spinning sensor whose rays pass through the cells of the KITTI-360 grid.
 SensorModel kitti360(int columns, double rate_hz) {
     const RangeGrid grid = kitti360_grid();
     SpinningSensor sensor = spinning(grid.name, columns ? columns : grid.columns, rate_hz);
@@ -111,8 +112,8 @@ SensorModel kitti360(int columns, double rate_hz) {
     return model(std::move(sensor), "the image of published results on KITTI-360, 66 x 1030");
 }
 
-/// Returns the text of a sensor's beam table. The first line begins with # and names the
-/// source of the values.
+/// Returns the text of a sensor's beam table. The first line begins with # and describes
+/// the source of the values.
 std::string table_of(const std::string& name) {
     const auto tables = sensor_table_texts();
     const auto table = std::find_if(tables.begin(), tables.end(),
@@ -121,7 +122,8 @@ std::string table_of(const std::string& name) {
     return std::string(table->second);
 }
 
-/// Returns the first line of a table, which describes its source.
+/// Returns the first line of a beam table without the #. This line describes the source
+/// of the table.
 std::string about(const std::string& table) { return table.substr(2, table.find('\n') - 2); }
 
 SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
@@ -135,7 +137,7 @@ SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
 }
 
 /// Returns Hesai's AT128. Its mirrors scan 120 degrees from left to right in 0.1 s. Each
-/// beam has an azimuth offset to the mirror.
+/// beam has an azimuth offset relative to the mirror.
 SensorModel at128() {
     constexpr int kColumns = 1200;
     constexpr double period_s = 0.1, step_deg = 0.1;
@@ -158,7 +160,7 @@ SensorModel at128() {
     return {"AT128", about(table), {0.5, 200.0}, std::move(rays)};
 }
 
-/// Returns a scanning window with the specification of Hesai's AT128: 128 rows, 120 x
+/// Returns a scanning window with the data-sheet values of Hesai's AT128: 128 rows, 120 x
 /// 25.4 degrees, 0.1 degrees per column, 10 Hz.
 SensorModel window_128() {
     return {"window-128",
@@ -173,9 +175,9 @@ SensorModel window_128() {
                            .bottom_rad = -12.5 * kDegree}};
 }
 
-/// Returns a rosette with the specification of Livox' Mid-40: a cone of 38.4 degrees and
-/// 100 000 rays per second. The rotation rates of the prisms were measured on that
-/// sensor.
+/// Returns a rosette sensor with the data-sheet values of Livox' Mid-40: a cone of 38.4
+/// degrees and 100 000 rays per second. The rotation rates of the prisms were measured on
+/// that sensor.
 SensorModel rosette() {
     return {"rosette",
             "non-repetitive, as the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays a second",

@@ -13,7 +13,7 @@
 
 namespace relidar {
 
-// These functions are defined in src/log/sensor/kinds.
+// Defined in src/log/sensor/kinds.
 PatternKind window_kind();
 PatternKind rosette_kind();
 

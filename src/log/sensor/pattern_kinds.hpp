@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Table of the kinds of sensor patterns, with one row per kind. Sensor files, rigs, logs
-// and runs store a sensor as a JSON object with one member, {"<kind>": {...}}. The row of
-// a kind has the functions that read and write this member.
+// Table of the kinds of sensors, with one row per kind. Sensor files, rigs, logs and runs
+// store a sensor as a JSON object with one member, {"<kind>": {...}}. The row of a kind
+// contains the functions that read and write this member.
 #pragma once
 
 #include <string>
@@ -15,23 +15,24 @@
 
 namespace relidar {
 
-/// One kind of pattern. The functions take patterns of this kind only.
+/// One kind of sensor pattern. The functions must be called only with patterns of this
+/// kind.
 struct PatternKind {
-    const char* name;     ///< key of its JSON object
-    const char* members;  ///< members of the JSON object, for the help of the command line
+    const char* name;     ///< key of the JSON object that describes the sensor
+    const char* members;  ///< names of the members of the JSON object, for the command-line help
     bool (*holds)(const SensorPattern& pattern);
-    /// Reads the JSON object.
+    /// Creates a sensor from the JSON object.
     /// @param name  name of the sensor if the object has none
     /// @throws DataError naming the member that is wrong
     SensorModel (*parse)(const JsonField& field, const std::string& name);
-    /// Returns the members of the object without name and range limits. Reading them
-    /// restores the same values bit by bit.
+    /// Returns the JSON object without the name and the range limits. Reading the object
+    /// again gives bitwise the same values.
     nlohmann::ordered_json (*write)(const SensorPattern& pattern);
     RayTable (*make_rays)(const SensorPattern& pattern, double time_s);
     PatternSummary (*describe)(const SensorPattern& pattern);
 };
 
-/// Creates the row of a kind from the static functions of a struct.
+/// Creates the table row of a kind from the static functions of a struct.
 /// @tparam Functions  struct with the static functions parse, write, make_rays and
 /// describe
 template <class Functions>
@@ -46,40 +47,45 @@ PatternKind pattern_kind(const char* name, const char* members) {
             [](const SensorPattern& p) { return Functions::describe(std::get<Pattern>(p)); }};
 }
 
-/// Returns the rows of all kinds.
+/// Returns the table of all kinds of sensors.
 const std::vector<PatternKind>& pattern_kinds();
-/// Rows of two kinds whose members are stored without the name of the kind in some files.
+/// Return the rows of two kinds. In some files, their members are stored without the name
+/// of the kind.
 PatternKind spinning_kind();
 PatternKind rays_kind();
-/// Returns the row of the kind that an object names, or null if the object names no kind.
+/// Returns the kind of sensor that a JSON object names as its member. Returns null if the
+/// object names no kind.
 const PatternKind* find_pattern_kind(const JsonField& field);
 
 namespace pattern_detail {
 
-/// Reads an angle from the member NAME_rad in radians or NAME_deg in degrees.
+/// Reads an angle from the JSON member NAME_rad in radians or NAME_deg in degrees.
 /// @return radians
 /// @throws DataError if both members are missing, or the angle is outside +-most_deg
 double read_angle(const JsonField& field, const std::string& name, double most_deg);
-/// Reads an angle like read_angle(), but returns `missing_rad` if the angle is missing.
+/// Reads an angle from the member NAME_rad or NAME_deg. Returns `missing_rad` if both are
+/// missing.
 double angle_or(const JsonField& field, const std::string& name, double missing_rad, double most_deg);
-/// Returns the number in a member, or `missing` if the object does not have the member.
+/// Returns the number in a JSON member. Returns `missing` if the object does not have the
+/// member.
 double number_or(const JsonField& field, const char* key, double missing, double low, double high);
 /// Reads a beam divergence from the member divergence_rad or divergence_mrad. Returns 0
 /// if both are missing.
 double read_divergence(const JsonField& field);
 
-/// Members that all kinds have: {name, period_s, divergence_rad or divergence_mrad,
-/// min_range_m, max_range_m}. The maximum range is infinite if the member is missing.
+/// JSON members that all kinds of sensors can have: {name, period_s, divergence_rad or
+/// divergence_mrad, min_range_m, max_range_m}. The maximum range is infinite if its
+/// member is missing.
 struct CommonMembers {
     std::string name;
     RangeLimits limits;
     double period_s, divergence_rad;
 };
-/// Reads the members that all kinds have.
+/// Reads the members that all kinds of sensors can have.
 /// @param least_period_s  smallest allowed period
 CommonMembers read_common(const JsonField& field, const std::string& name, double least_period_s = 1e-6);
-/// Checks that an object has only the members of read_common() and `members`. The name of
-/// an angle allows both NAME_rad and NAME_deg.
+/// Checks that a JSON object has only known members. These are the members that all kinds
+/// can have and `members`. Each name in `angles` allows NAME_rad and NAME_deg.
 /// @throws DataError for any other member
 void check_members(const JsonField& field, std::vector<std::string> members,
                    const std::vector<std::string>& angles);

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Generates the ray tables of spinning LiDARs and range grids. A clockwise head reaches
-// azimuth theta at time -theta / (2 pi) * period. Column j of the image contains, for
-// each beam, the firing whose ray is nearest to the azimuth of column j, so that each
-// column has one azimuth. For a beam with an azimuth offset, firings are therefore
-// shifted by an integer number of columns.
+// the azimuth theta at the time -theta / (2 pi) * period. Each column of the image has
+// one azimuth. It contains, for each beam, the firing whose ray is nearest to this
+// azimuth. Therefore the firings of a beam with an azimuth offset are shifted by an
+// integer number of columns.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -64,7 +64,7 @@ void check(const SpinningSensor& sensor) {
     }
 }
 
-/// Wraps an azimuth to [-pi, pi]. Keeps both -pi and pi.
+/// Wraps an azimuth to [-pi, pi]. Does not change -pi or pi.
 double wrapped(double azimuth_rad) {
     return std::abs(azimuth_rad) <= kPi ? azimuth_rad : std::remainder(azimuth_rad, 2.0 * kPi);
 }

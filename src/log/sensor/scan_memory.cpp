@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores the arrays of scans in a memory-mapped file when memory is short. A sparse file
-// is mapped once, in an address range that is larger than any disk, and grows with each
-// array. Freed space is returned to the disk and reused for other arrays.
+// Stores the arrays of scans in a memory-mapped file if memory is short. The sparse file
+// is mapped once, in an address range that is larger than any disk. The file grows with
+// each array. Freed space is returned to the disk and reused for other arrays.
 #include <relidar/log/sensor.hpp>
 
 #include <algorithm>
@@ -30,9 +30,10 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// Size in bytes below which an array is too small for pages of the file.
+// Arrays with fewer bytes are never stored in the file, because the file is divided into
+// pages.
 constexpr std::size_t kSmall = 16 << 10;
-constexpr std::size_t kReserved = std::size_t(1) << 40;  // Bytes of reserved address space.
+constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
 std::size_t whole_pages(std::size_t bytes) {
     static const auto page = std::size_t(::sysconf(_SC_PAGESIZE));
@@ -46,7 +47,7 @@ std::size_t whole_pages(std::size_t bytes) {
         folder.string(), std::generic_category().message(error), bytes));
 }
 
-/// Unnamed memory-mapped file with an allocator.
+/// Memory-mapped file without a name, in which arrays are allocated.
 class MappedFile {
 public:
     explicit MappedFile(fs::path folder) : folder_(std::move(folder)) {
@@ -77,7 +78,7 @@ public:
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
         const std::size_t offset = room == free_.end() ? end_ : room->first;
         // Reserves the disk space now. If the disk were full later, writing a page would
-        // end the process.
+        // kill the process.
         if (const int error = ::posix_fallocate(file_, off_t(offset), off_t(size)); error != 0)
             fail_to_make_room(folder_, size, error);
         if (room == free_.end()) end_ += size;
@@ -94,7 +95,7 @@ public:
     void free(void* array, std::size_t bytes) noexcept {
         const std::size_t size = whole_pages(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
-        // Returns the pages to the disk if the file system supports it.
+        // Gives the disk space of the pages back, if the file system supports it.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));
         const std::lock_guard lock(mutex_);
         used_ -= size;
@@ -116,8 +117,8 @@ private:
     fs::path folder_;
     int file_ = -1;
     std::byte* begin_ = nullptr;
-    std::size_t end_ = 0;                      ///< end of the used part of the file, bytes
-    std::map<std::size_t, std::size_t> free_;  ///< sizes of free ranges by their offset, bytes
+    std::size_t end_ = 0;                      ///< end of the used part of the file, in bytes
+    std::map<std::size_t, std::size_t> free_;  ///< free ranges of the file: offset and size, in bytes
     std::atomic<std::uint64_t> used_ = 0;
     std::mutex mutex_;
 };
@@ -132,7 +133,7 @@ struct Memory {
     MappedFile& mapped() {
         if (MappedFile* made = file) return *made;
         const std::lock_guard lock(mutex);
-        // The file is never closed, because arrays may be freed at the very end of the
+        // Never closes the file, because arrays may be freed at the very end of the
         // process.
         if (!file) file = std::make_unique<MappedFile>(folder).release();
         return *file;
@@ -140,8 +141,7 @@ struct Memory {
 };
 
 Memory& memory() {
-    // The object is never destroyed, because arrays of static objects are freed after
-    // main().
+    // Never destroys the object, because arrays of static objects are freed after main().
     static Memory* const all = new Memory;
     return *all;
 }
@@ -149,15 +149,16 @@ Memory& memory() {
 std::uint64_t of_machine() {
     std::uint64_t bytes = std::uint64_t(::sysconf(_SC_PHYS_PAGES)) * std::uint64_t(::sysconf(_SC_PAGESIZE)),
                   limit = 0;
-    // Files of control groups, versions 2 and 1.
+    // These files contain the memory limit of the control group (cgroup), version 2 and
+    // 1.
     for (const char* file : {"/sys/fs/cgroup/memory.max", "/sys/fs/cgroup/memory/memory.limit_in_bytes"})
-        // The text "max" is not a number; it means no limit.
+        // The text "max" means no limit. It is not a number, so it is skipped.
         if (std::ifstream group(file); group >> limit) bytes = std::min(bytes, limit);
     return bytes;
 }
 
-/// Reserves bytes of memory.
-/// @return false if the limit would be exceeded
+/// Adds a number of bytes to the used memory.
+/// @return false if the limit would be exceeded; then nothing is added
 bool take(Memory& m, std::size_t bytes) {
     if (m.used.fetch_add(bytes) + bytes <= m.limit) return true;
     m.used -= bytes;

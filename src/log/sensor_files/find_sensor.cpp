@@ -17,17 +17,17 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr double kMaxColumns = 1'000'000, kMaxRate_hz = 10'000;
-constexpr int kTableColumns = 1800;  // steps of 0.2 degrees
+constexpr int kTableColumns = 1800;  // default number of columns: steps of 0.2 degrees
 constexpr double kTableRate_hz = 10.0;
 
-/// Name of a sensor on the command line: "name[:columns[xHz]]".
+/// Parsed name of a sensor from the command line: "name[:columns[xHz]]".
 struct SensorName {
     std::string name;
     int columns = 0;       ///< 0: not specified
     double rate_hz = 0.0;  ///< 0: not specified
 };
 
-/// Splits a text into the name and the suffix.
+/// Splits a text "name[:columns[xHz]]" into its parts.
 /// @throws UsageError for zero columns or a rate that is not positive
 SensorName parse_name(const std::string& text) {
     const std::size_t colon = text.rfind(':');
@@ -37,7 +37,8 @@ SensorName parse_name(const std::string& text) {
     const auto columns = parse_number(suffix.substr(0, x));
     const auto rate_hz =
         x < suffix.size() ? parse_number(suffix.substr(x + 1)) : std::optional<double>(kTableRate_hz);
-    if (!columns || !rate_hz) return {text};  // the colon is part of the path
+    // the text after the colon is not a number, so the colon is part of a path
+    if (!columns || !rate_hz) return {text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
         throw UsageError(
@@ -48,7 +49,8 @@ SensorName parse_name(const std::string& text) {
     return {text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
 
-/// Returns true if the header of a CSV file is that of a ray table, not of a beam table.
+/// Returns true if a CSV file contains a table of rays and not of beams. Only a table of
+/// rays has a column azimuth_deg.
 bool is_ray_csv(const std::string& text) {
     const std::string header = text.substr(0, text.find('\n'));
     return header.find("azimuth_deg") != std::string::npos;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads ray tables from files. Their columns of numbers have the names of the arrays of a
+// Reads ray tables from files. The columns have the same names as the arrays of a
 // rendered scan.
 #pragma once
 
@@ -11,29 +11,31 @@
 
 namespace relidar::sensor_files {
 
-/// Ray data of a file. An array is empty if the file does not contain it.
+/// Rays as they are stored in a file. An array is empty if the file does not contain it.
 struct RayColumns {
     int rows = 1, columns = 0;
-    std::vector<double> direction;            ///< [n,3] directions
-    std::vector<double> origin;               ///< [n,3] origins in metres; empty: 0
-    std::vector<double> time_s;               ///< [n] firing times; empty: 0
-    std::vector<double> channel;              ///< [n] beam numbers; empty: 0
-    std::vector<double> divergence_rad = {};  ///< [n] divergences, or one value for all rays; empty: 0
+    std::vector<double> direction;  ///< [n,3] directions
+    std::vector<double> origin;     ///< [n,3] origins in metres; empty: 0
+    std::vector<double> time_s;     ///< [n] firing times; empty: 0
+    std::vector<double> channel;    ///< [n] beam numbers; empty: 0
+    /// [n] beam divergences, or one value for all rays; empty: 0
+    std::vector<double> divergence_rad = {};
     RangeLimits limits = {};
-    /// If true, float directions of unit length are not normalised, so that rays that
-    /// relidar wrote are restored bit by bit.
+    /// If true, directions that are floats of unit length are not normalised again. Then
+    /// rays that relidar wrote are restored bit by bit.
     bool keeps_floats = false;
 };
 
-/// Returns a sensor with these rays.
+/// Checks the rays and returns a sensor with these rays.
 /// @param where  name of the file in error messages
 /// @throws DataError if the arrays have different lengths, values are not finite or out
 /// of range, or directions do not have unit length
 SensorModel ray_sensor(const RayColumns& columns, const std::string& name, const std::string& where);
 
-/// Returns RayColumns::divergence_rad from one of two sources.
+/// Returns the divergences in radians from the two forms that a file may use: one number
+/// per ray, or one number for all rays.
 /// @param of_rays_rad  [n] divergence of each ray, or empty
-/// @throws DataError if the file contains both sources
+/// @throws DataError if the file contains both forms
 std::vector<double> divergence_of(std::vector<double> of_rays_rad, std::optional<double> of_all_mrad,
                                   const std::string& where);
 
@@ -43,14 +45,15 @@ SensorModel parse_ray_csv(const std::string& text, const std::string& name, cons
 /// Reads a ray table from an npz file.
 /// @throws DataError if the file is invalid
 SensorModel read_ray_npz(const std::string& path, const std::string& name);
-/// Parses a sensor in JSON format: a ray table, or the metadata of an Ouster sensor.
+/// Parses a sensor in JSON format: a sensor pattern, a ray table, or the metadata of an
+/// Ouster sensor.
 /// @param columns  if above 0, replaces the number of columns in the metadata
 /// @param rate_hz  if above 0, replaces the rate in the metadata
 /// @throws DataError naming the key that is wrong
 SensorModel parse_sensor_json(const std::string& text, const std::string& name, const std::string& where,
                               int columns, double rate_hz);
 
-/// Sets the maximum range of a sensor if it has none.
+/// Sets the maximum range of a sensor that has no maximum range.
 /// @throws DataError if the maximum range is not above the minimum range
 void limit_range(SensorModel& sensor, double max_range_m, const std::string& where);
 

@@ -32,11 +32,13 @@ enum Field {
 const std::vector<std::string> kNames{"azimuth_deg", "elevation_deg", "origin_x_m", "origin_y_m",
                                       "origin_z_m",  "time_s",        "channel",    "divergence_mrad",
                                       "min_range_m", "max_range_m"};
-constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};  // must have the same value in every line
+// columns that must have the same value in every line, because they belong to the sensor
+constexpr std::array<Field, 2> kOfSensor{kMinRange, kMaxRange};
 
 using Values = std::array<double, kFieldCount>;
 
-/// Returns the values of a line. Missing range limits get the defaults of RayColumns.
+/// Returns the values of a line. Uses the defaults of RayColumns for missing range
+/// limits.
 Values parse_line(const std::string& line, const std::vector<int>& at, std::size_t n_cells,
                   const std::string& where) {
     const std::vector<std::string_view> cells = csv_cells(line);

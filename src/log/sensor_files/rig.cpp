@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensor rigs: several sensors and their mounting on the vehicle.
+// Reads sensor rigs. A rig has several sensors, each with its mounting on the vehicle.
 #include <relidar/log/sensor_files.hpp>
 
 #include <algorithm>
@@ -23,7 +23,8 @@ using Json = nlohmann::json;
 constexpr std::size_t kMostSensors = 64;
 constexpr double kFarthest_m = 1000.0;
 
-/// Returns the three numbers of a key, or zeros if the key is missing.
+/// Returns the three numbers that a JSON key contains. Returns zeros if the key is
+/// missing.
 glm::dvec3 vector_of(const Json& sensor, const char* key, double largest, const std::string& where) {
     if (!sensor.contains(key)) return glm::dvec3(0.0);
     const Json& list = sensor.at(key);
@@ -54,8 +55,8 @@ int returns_of(const Json& sensor, const std::string& where) {
     return returns.get<int>();
 }
 
-/// Returns the path of a sensor file in the rig's folder, if such a file exists.
-/// Otherwise returns the text unchanged, because it is a name or another path.
+/// Looks for a sensor file in the folder of the rig and returns its path. If there is no
+/// such file, returns the text unchanged, because it is a sensor name or another path.
 std::string beside(const std::string& sensor, const std::string& rig) {
     const fs::path path = fs::path(rig).parent_path() / sensor;
     const fs::path without_columns = path.string().substr(0, path.string().rfind(':'));
@@ -64,8 +65,8 @@ std::string beside(const std::string& sensor, const std::string& rig) {
                : sensor;
 }
 
-/// Returns the sensor of an entry. The entry contains a name, a file name, or an object
-/// that describes the sensor.
+/// Returns the sensor of one entry of a rig. The entry contains a sensor name, a file
+/// name, or an object that describes the sensor.
 SensorModel model_of(const Json& sensor, const std::string& name, const std::string& rig,
                      const std::string& where) {
     if (!sensor.contains("sensor") || !sensor.at("sensor").is_object())
@@ -88,8 +89,8 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
         throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
 }
 
-/// Rejects unknown keys. Without this check, a misspelt key for the mounting would leave
-/// the sensor at the rig's origin without an error.
+/// Throws an error for unknown keys. Without this check, a misspelt key of the mounting
+/// would leave the sensor at the rig's origin without an error.
 void check_keys(const Json& object, const std::vector<std::string>& known, const std::string& where) {
     for (const auto& [key, value] : object.items())
         if (std::find(known.begin(), known.end(), key) == known.end())
@@ -105,7 +106,7 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     try {
         json = Json::parse(read_text(path));
     } catch (const std::exception&) {
-        return {};  // find_sensor() will report the error
+        return {};  // find_sensor() reads the file again and reports the error
     }
     if (!json.is_object() || !json.contains("sensors")) return {};
     check_keys(json, {"sensors"}, path);

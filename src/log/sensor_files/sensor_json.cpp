@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads sensors in JSON format: a pattern (read_sensor_json()), a ray table, or the
-// metadata of an Ouster sensor in its old flat or its newer nested form. The x axis of
-// Ouster's LiDAR frame points backward, to the connector. The sensor frame of relidar is
-// that frame rotated by 180 degrees about z. For column m of W, beam azimuth a and origin
-// offset n:
+// Reads sensors in JSON format: a sensor pattern (read_sensor_json()), a ray table, or
+// the metadata of an Ouster sensor. Ouster's metadata has an old flat form and a newer
+// nested form. The x axis of Ouster's LiDAR frame points backward, to the connector. The
+// sensor frame of relidar is this frame rotated by 180 degrees about z. For column m of
+// W, beam azimuth a and origin offset n:
 //   head azimuth = pi - 2 pi m / W
 //   ray azimuth = head azimuth - a
 // The origin of a ray is at distance n along the head direction.
@@ -28,8 +28,8 @@ using Json = nlohmann::json;
 
 constexpr std::size_t kMostBeams = 1024;
 
-/// Returns the value of a key in the object or in one of its parts, or null if there is
-/// none.
+/// Returns the value of a key in a JSON object. Also searches the named sub-objects.
+/// Returns null if the key is missing.
 const Json* find(const Json& json, const std::string& key, std::initializer_list<const char*> parts) {
     if (json.contains(key)) return &json.at(key);
     for (const char* part : parts)
@@ -38,7 +38,7 @@ const Json* find(const Json& json, const std::string& key, std::initializer_list
     return nullptr;
 }
 
-/// Returns the numbers of a list, or an empty vector if the list is missing.
+/// Returns the numbers of a JSON list. Returns an empty vector if the list is missing.
 std::vector<double> numbers_of(const Json* json, const std::string& where) {
     return json ? JsonField(*json, where, "").nested_numbers(1) : std::vector<double>{};
 }
@@ -59,7 +59,8 @@ RangeLimits ouster_limits(const Json& json) {
     return known->limits;
 }
 
-/// Returns the columns and the rate of an Ouster mode such as "1024x10".
+/// Returns the columns and the rate of an Ouster sensor from its mode, for example
+/// "1024x10".
 std::pair<int, double> ouster_mode(const Json& json, const std::string& where) {
     const Json* mode = find(json, "lidar_mode", {"config_params"});
     const std::string text = mode && mode->is_string() ? mode->get<std::string>() : "";
@@ -124,7 +125,7 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
             fmt::format("{}: no valid JSON ({}), expected a sensor", where, excerpt(error.what())));
     }
     const JsonField root(json, where, "");
-    // The file has the members of the kind "rays" without its name.
+    // Such a file has the members of the kind "rays", but without the name of the kind.
     if (root.has("directions")) return rays_kind().parse(root, name);
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, name);

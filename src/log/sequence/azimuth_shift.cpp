@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the actual azimuth of a spinning LiDAR's head at each firing of a sweep,
-// relative to the nominal azimuth. They differ because motors are uneven, firings are
-// grouped in packets, and each sweep begins at a different azimuth.
+// Estimates how far the real azimuth of a spinning LiDAR's head differs from the nominal
+// azimuth at each firing. They differ because motors are uneven, firings are grouped in
+// packets, and each sweep begins at a different azimuth.
 #include <algorithm>
 #include <cmath>
 
@@ -10,19 +10,21 @@
 namespace relidar {
 namespace {
 
-constexpr std::size_t kFewest = 3;   // minimum number of returns that determine the azimuth of a firing
-constexpr double kExact_rad = 1e-5;  // smaller shifts are rounding errors
+// at least this many returns are needed to estimate the azimuth of a firing
+constexpr std::size_t kFewest = 3;
+constexpr double kExact_rad = 1e-5;  // shifts below this value are rounding errors
 // At least half of the rays must be this close to the median of their firing. Otherwise
-// the beams do not share one head.
+// the beams do not rotate together.
 constexpr double kAgree_columns = 0.1;
 
-/// Returns the azimuth from one direction to another, positive to the left.
+/// Returns the azimuth angle from one direction to another, positive to the left.
 double azimuth_between(const glm::vec3& from, const glm::vec3& to) {
     return std::atan2(double(from.x) * to.y - double(from.y) * to.x,
                       double(from.x) * to.x + double(from.y) * to.y);
 }
 
-/// Calls visit(ray, firing) for each ray of a scan of the sensor.
+/// Calls visit(ray, firing) for each ray of a scan. `firing` counts the firings of a
+/// sweep.
 template <class Visit>
 void visit_rays(const SpinningSensor& sensor, const Visit& visit) {
     const auto columns = std::size_t(sensor.columns);
@@ -39,8 +41,9 @@ float median_of(std::vector<float>& values) {
     return *middle;
 }
 
-/// Interpolates the shifts of unknown firings (NAN) between their neighbours.
-/// @return true if any firing is known
+/// Fills in the shifts of unknown firings (NAN) by interpolation between their
+/// neighbours.
+/// @return true if at least one firing is known
 bool fill_shift_gaps(std::vector<float>& shift_rad) {
     const auto is_known = [](float shift) { return !std::isnan(shift); };
     auto last = std::ranges::find_if(shift_rad, is_known);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads returns of a log for comparing beams. Private to sequence.
+// Reads the returns of a log, so that the beams can be compared. Private to sequence.
 #pragma once
 
 #include <optional>
@@ -11,8 +11,8 @@
 
 namespace relidar {
 
-/// Returns the beam number (Sequence::beam_number) of a ray with a return closer than
-/// max_range_m, or nothing for other rays.
+/// Returns the beam number (Sequence::beam_number) of a ray if it has a return closer
+/// than max_range_m. Returns nothing for other rays.
 inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, const Frame& frame,
                                                   std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
@@ -29,8 +29,8 @@ inline std::vector<Beam*> beams_of(Sequence& sequence) {
     return beams;
 }
 
-/// Calls read(frame) for the frames at some positions and returns the results. If the
-/// frames have more than most_rays rays in total, reads only every n-th frame.
+/// Calls read(frame) for the given frames, and returns the results. Reads only every n-th
+/// frame if the frames have more than most_rays rays in total.
 template <class Read>
 auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t most_rays,
                  const Read& read) {

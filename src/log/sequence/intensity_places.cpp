@@ -13,17 +13,21 @@
 namespace relidar {
 namespace {
 
-constexpr double kPlace_m = 0.1;    // small enough to contain one surface, large enough to be hit again
-constexpr double kSurface_m = 0.4;  // size of the cells whose planes give the normal of a place
+// Edge of the small cells (places) in which intensities are compared. A place contains
+// one surface and is still hit several times.
+constexpr double kPlace_m = 0.1;
+// edge of the larger cells in which planes are fitted, to get the normals of the places
+constexpr double kSurface_m = 0.4;
 constexpr double kMinPoints = 8.0;
-// maximum thickness of a surface relative to its narrower extent, in standard deviations
+// Maximum thickness of a surface, relative to its narrower extent. Both are standard
+// deviations.
 constexpr double kMaxThickness = 0.15;
 constexpr std::size_t kMostCompared = 6000000;
 
 struct SeenPlace {
     glm::dvec3 point_m{0.0};
     glm::vec3 direction{0.0f};
-    PlaceReturn given;  ///< `place` and `cosine` are computed later
+    PlaceReturn given;  ///< the return; `place` and `cosine` are computed later
 };
 
 std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) {
@@ -41,14 +45,14 @@ std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) 
     return result;
 }
 
-/// Returns the cells of all returns.
+/// Assigns all returns to cells of a world grid.
 /// @param seen returns of all frames
 CellNumbers cells_of(const std::vector<SeenPlace>& seen, double cell_m) {
     return number_cells(seen.size(), [&](std::size_t i) { return cell_key(seen[i].point_m, cell_m); });
 }
 
-/// Computes the normal of each cell of kSurface_m. The normal is zero if the returns do
-/// not lie on a surface.
+/// Computes the normal of the surface in each cell of edge kSurface_m. The normal is zero
+/// if the returns do not lie on a surface.
 std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const CellNumbers& cells) {
     const ItemsOfCells items(cells);
     std::vector<glm::vec3> normals(cells.n_cells, glm::vec3(0.0f));
@@ -82,7 +86,7 @@ PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>&
     }
     const CellNumbers places = cells_of(seen, kPlace_m);
     const ItemsOfCells items(places);
-    std::vector<PlaceReturn> by_place;  // without places that have a single return
+    std::vector<PlaceReturn> by_place;  // sorted by place; places with a single return are left out
     for (std::uint32_t place = 0; place < places.n_cells; ++place) {
         if (items.of(place).size() < 2) continue;
         for (const std::uint32_t i : items.of(place)) {

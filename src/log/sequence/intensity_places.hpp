@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Collects returns of several sweeps or beams from the same small places, to compare
-// their intensities. Private to sequence.
+// Collects returns that hit the same small place in several sweeps or with several beams,
+// so that their intensities can be compared. Private to sequence.
 #pragma once
 
 #include <cstdint>
@@ -10,7 +10,7 @@
 
 namespace relidar {
 
-/// One return: its place, beam, range, incidence and intensity.
+/// One return: its place, beam, range, angle of incidence and intensity.
 struct PlaceReturn {
     std::uint32_t place;
     std::uint32_t beam;
@@ -19,8 +19,8 @@ struct PlaceReturn {
     float intensity;  ///< measured intensity
 };
 
-/// Returns at places on surfaces that were hit at least twice. They are sorted by place;
-/// places are numbered from 0.
+/// Returns from places on surfaces that were hit at least twice. The returns are sorted
+/// by place. Places are numbered from 0.
 struct PlaceReturns {
     std::vector<PlaceReturn> seen;
     std::size_t n_places = 0;

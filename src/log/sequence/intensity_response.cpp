@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Estimates how intensities depend on range and incidence, and how the beams of a sensor
-// differ. Compares returns from the same places. Gauss-Newton for
-//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear,
-// with the albedos eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
-// sum c^2, where c is the derivative with respect to the place's albedo. If one part of
-// the model explains the data as well as two parts, only one is used.
+// differ. Compares returns from the same places. Minimises by Gauss-Newton the errors of
+//   intensity = gain_b * albedo_p * rho(range) * (1 - q (1 - cos)) + offset_b,   rho piecewise linear.
+// The albedos are eliminated: H = sum J J^T - sum over places of (sum J c)(sum J c)^T /
+// sum c^2. Here c is the derivative with respect to the place's albedo. The model has two
+// parts, the range and incidence terms and the beam terms. If one part explains the data
+// as well as both, only this part is used.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -23,11 +24,11 @@ namespace {
 
 constexpr std::array kKnots_m = {2.0, 4.0, 7.0, 10.0, 15.0, 20.0, 30.0, 45.0, 60.0, 80.0, 120.0};
 constexpr std::size_t kReference = 3;  // index of the knot where rho is 1
-// Strength of the prior, in returns. The prior of a beam is the mean beam; the prior of a
-// knot is a straight line.
+// Weight of the prior, as a number of returns. The prior pulls each beam to the mean
+// beam, and rho at each knot to a straight line.
 constexpr double kResponsePrior = 200.0;
 constexpr double kMinGain = 0.2, kMaxGain = 5.0, kMinFactor = 0.05, kMaxFactor = 20.0, kMaxIncidence = 0.95;
-// A part of the model is used only if it reduces the error below this share.
+// Uses a part of the model only if it reduces the error below this fraction.
 constexpr double kLeastResponseGain = 0.95;
 constexpr int kSteps = 12;
 constexpr double kDamping = 1e-3;
@@ -50,8 +51,9 @@ struct Parts {
     bool shared, beams;
 };
 
-/// Returns the knot at or before a range, and the position between it and the next knot,
-/// 0 .. 1. The position is limited to that interval outside of the knots.
+/// Returns the index of the knot at or before a range, and the fraction 0 .. 1 between
+/// this knot and the next. The fraction is clamped to 0 .. 1 for ranges outside all
+/// knots.
 std::pair<std::size_t, double> knot_at(double range_m) {
     const auto after = std::upper_bound(kKnots_m.begin(), kKnots_m.end(), range_m);
     const std::size_t left = std::size_t(
@@ -59,8 +61,8 @@ std::pair<std::size_t, double> knot_at(double range_m) {
     return {left, std::clamp((range_m - kKnots_m[left]) / (kKnots_m[left + 1] - kKnots_m[left]), 0.0, 1.0)};
 }
 
-/// Returns the begins of the chunks and the end of the last one. All returns of a place
-/// are in one chunk.
+/// Divides the returns into chunks for parallel sums. Returns the begin of each chunk and
+/// the end of the last chunk. All returns of a place are in one chunk.
 std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     std::vector<std::size_t> bounds{0};
     for (std::size_t c = 1; c < kChunks; ++c) {
@@ -72,7 +74,7 @@ std::vector<std::size_t> chunk_bounds(const std::vector<PlaceReturn>& seen) {
     return bounds;
 }
 
-/// Calls task(returns of one place, chunk) for each place. The chunks are processed in
+/// Calls task(returns of one place, chunk) for each place. Processes the chunks in
 /// parallel.
 template <class Task>
 void for_each_place(const std::vector<PlaceReturn>& seen, const Task& task) {
@@ -99,8 +101,8 @@ void fit_albedos(Model& m, const PlaceReturns& returns) {
     });
 }
 
-/// Indices of the unknowns in the linear system: rho, q, then gain and offset of each
-/// beam.
+/// Assigns an index in the linear system to each unknown: rho at the knots, q, then gain
+/// and offset of each beam.
 struct Layout {
     Parts parts;
     std::size_t n_beams;
@@ -113,12 +115,13 @@ struct Layout {
     Eigen::Index size() const { return gain(parts.beams ? n_beams : 0); }
 };
 
-/// Derivatives of one expected intensity with respect to the unknowns on which it
-/// depends, in ascending order of the unknowns.
+/// Derivatives of one expected intensity. Holds only the unknowns with a nonzero
+/// derivative, in ascending order.
 struct Row {
     std::array<std::pair<Eigen::Index, double>, 5> by;
     std::size_t n = 0;
-    double by_albedo, error;  ///< `error`: measured - expected
+    /// derivative with respect to the albedo; measured minus expected intensity
+    double by_albedo, error;
     void add(Eigen::Index unknown, double derivative) { by[n++] = {unknown, derivative}; }
 };
 
@@ -143,17 +146,19 @@ Row row_of(const Model& m, const Layout& at, const PlaceReturn& r) {
 struct System {
     Eigen::MatrixXd h;  ///< lower half only
     Eigen::VectorXd g;
-    /// mean and spread of the intensities that the mean beam would measure
+    /// mean and standard deviation of the intensities that the mean beam would measure
     double mean = 0.0, spread = 0.0;
 };
 
-/// Sums over the places of a chunk, with the lower half of the symmetric h. Aligned to
-/// cache lines, because threads write neighbouring elements.
+/// Sums over the places of a chunk. Uses only the lower half of the symmetric matrix h.
+/// The struct is aligned to cache lines, because threads write to neighbouring elements.
 struct alignas(64) Sums {
     System system;
-    std::vector<double> coupling;  // coupling of the current place with each unknown; zero between places
-    std::vector<Eigen::Index> touched;  // unknowns of the current place
-    double sum = 0.0, squares = 0.0;    // sums over the expected intensities
+    // coupling between the albedo of the current place and each unknown; zero between two
+    // places
+    std::vector<double> coupling;
+    std::vector<Eigen::Index> touched;  // unknowns that are coupled to the current place
+    double sum = 0.0, squares = 0.0;    // sum and sum of squares of the expected intensities
 
     explicit Sums(Eigen::Index n)
         : system{Eigen::MatrixXd::Zero(n, n), Eigen::VectorXd::Zero(n)}, coupling(std::size_t(n), 0.0) {}
@@ -205,7 +210,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.h(i, i) += weight, sys.g[i] += weight * error;
     };
     const double prior = kResponsePrior * (sys.mean * sys.mean + sys.spread * sys.spread);
-    // A knot with few returns continues the line of its neighbours.
+    // A prior pulls a knot with few returns to the line through its neighbours.
     for (std::size_t k = 1; at.parts.shared && k + 1 < kKnots_m.size(); ++k) {
         const double before = kKnots_m[k] - kKnots_m[k - 1], after = kKnots_m[k + 1] - kKnots_m[k];
         const Eigen::Vector3d bend = Eigen::Vector3d(after, -(before + after), before) / (before + after),
@@ -214,7 +219,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         sys.g.segment<3>(at.factor(k - 1)) -= prior * bend * bend.dot(now);
     }
     if (at.parts.shared) {
-        // The scale of the albedos is arbitrary, so one knot is fixed to 1.
+        // The scale of the albedos is arbitrary, so the value at one knot is fixed to 1.
         pull(at.factor(kReference), 1e3 * prior, 1.0 - m.shared.factor[kReference]);
         for (std::size_t k = 0; k < kKnots_m.size(); ++k)
             pull(at.factor(k), 1e-3 * prior, 1.0 - m.shared.factor[k]);
@@ -241,8 +246,9 @@ void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     }
 }
 
-/// Normalises the beams so that the mean beam, weighted by returns, has gain 1 and offset
-/// 0. A common scale and a common shift of all albedos are arbitrary.
+/// Normalises the beams. Afterwards the mean beam, weighted by the number of returns, has
+/// gain 1 and offset 0. This is possible because a common scale and a common shift of all
+/// albedos are arbitrary.
 void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
     std::vector<double> n(beams.size(), kResponsePrior);
     for (const PlaceReturn& r : returns.seen) n[r.beam] += 1.0;
@@ -256,7 +262,7 @@ void fix_mean(std::vector<Response>& beams, const PlaceReturns& returns) {
 }
 
 double error_of(const Model& m, const PlaceReturns& returns) {
-    struct alignas(64) Sum {  // one cache line each, because threads write neighbouring elements
+    struct alignas(64) Sum {  // one cache line per sum, because threads write to neighbouring elements
         double of = 0.0;
     };
     std::array<Sum, kChunks> squares;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Estimates the range offset of each beam of a log, from planes that several beams have
-// seen.
+// Estimates the range offset of each beam of a log. Compares the beams on planes that
+// several of them hit.
 #include <algorithm>
 #include <cmath>
 #include <optional>
@@ -17,23 +17,29 @@
 namespace relidar {
 namespace {
 
-// Large enough to distinguish a plane from noise, small enough for streets to be flat.
+// Edge of a cell. It is large enough to distinguish a plane from noise, and small enough
+// for streets to be flat.
 constexpr double kCell_m = 0.3;
-constexpr double kMaxRange_m = 40.0;  // cells farther away have too few returns
+// ignores returns farther away, because distant cells have too few returns
+constexpr double kMaxRange_m = 40.0;
 constexpr std::size_t kMostOffsetReturns = 6000000;
-constexpr int kMinReturns = 20;  // minimum number of returns in a cell for a plane
-// maximum standard deviation across a plane, and minimum along it
+constexpr int kMinReturns = 20;  // minimum number of returns in a cell for fitting a plane
+// Maximum standard deviation of the points across a plane, and minimum along it.
 constexpr double kMaxThickness_m = 0.05;
-// points farther from the plane of their cell belong to another object
+// Points farther from the plane of their cell belong to another object, so they are
+// ignored.
 constexpr double kMaxResidual_m = 0.15;
-// Weight of the prior of zero offset, in returns at normal incidence.
+// Weight of the prior that pulls each offset to zero, as a number of returns at normal
+// incidence.
 constexpr double kPriorReturns = 20.0;
-// The offsets are used only if they reduce the residuals below this share. Otherwise they
+// Uses the offsets only if they reduce the residuals below this fraction. Otherwise they
 // are noise.
 constexpr double kLeastGain = 0.97;
-constexpr int kRounds = 30;  // many rounds, because planes that few beams share converge slowly
+// number of iterations; many are needed, because planes that few beams share converge
+// slowly
+constexpr int kRounds = 30;
 
-/// One return in the world, without a correction of its beam.
+/// One return in the world frame. The range offset of its beam is not corrected.
 struct Observation {
     glm::vec3 point_m;  ///< relative to the world's origin, which is in the middle of the log
     glm::vec3 direction;
@@ -51,8 +57,8 @@ std::vector<Observation> observations_of(const Sequence& sequence, const Frame& 
     return result;
 }
 
-/// Returns sorted by cell, and by frame within a cell. A return stays in its cell
-/// although the offsets move it by centimetres.
+/// Returns of a log, sorted by cell, and by frame within a cell. A return stays in its
+/// cell, although the offsets move it by centimetres.
 struct Cells {
     std::vector<Observation> seen;
     std::vector<std::size_t> first;  ///< [cells + 1] index into `seen`
@@ -101,14 +107,14 @@ std::optional<Plane> plane_of(std::span<const Observation> seen, const std::vect
     return Plane{about + fit.mean, fit.axes[0]};
 }
 
-/// Sums over one beam's returns: residuals across the planes, weighted by the cosine of
-/// incidence.
+/// Sums over the returns of one beam. `weight` sums the squared cosine of incidence.
+/// `sum` adds up the residuals across the planes, weighted by the cosine.
 struct OffsetFit {
     double weight = 0.0;
     double sum = 0.0;
 };
 
-/// Sums over the residuals of some cells.
+/// Sums of the residuals in some cells, by beam.
 struct Residuals {
     std::vector<OffsetFit> fits;  ///< [beams]
     std::size_t n = 0;
@@ -121,8 +127,8 @@ struct Residuals {
         ++n;
         squares += residual * residual;
         fits[o.beam].weight += facing * facing;
-        // The sum contains the full offset, so that the prior applies to the offset and
-        // not to the step.
+        // Adds the full offset and not only the step, so that the prior pulls the offset
+        // to zero.
         fits[o.beam].sum += facing * (residual + offset_m[o.beam] * facing);
     }
     Residuals& operator+=(const Residuals& other) {
@@ -136,8 +142,8 @@ struct Residuals {
     }
 };
 
-/// Computes the residuals across the planes with the current offsets. Blocks of cells are
-/// processed in parallel; their sums are added in order.
+/// Computes the distances of all returns from the planes, with the current offsets.
+/// Processes blocks of cells in parallel, and adds their sums in order.
 Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) {
     constexpr std::size_t kBlock = 2048;
     Residuals all{.fits = std::vector<OffsetFit>(offset_m.size(), {.weight = kPriorReturns, .sum = 0.0})};
@@ -154,8 +160,8 @@ Residuals residuals_of(const Cells& cells, const std::vector<double>& offset_m) 
     return all;
 }
 
-/// Makes one step of the offsets of all beams.
-/// @return number and mean square of the residuals before the step
+/// Performs one iteration that updates the offsets of all beams.
+/// @return number and mean square of the residuals before the update
 std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<double>& offset_m) {
     const Residuals r = residuals_of(cells, offset_m);
     double mean = 0.0, weight = 0.0;
@@ -164,8 +170,8 @@ std::pair<std::size_t, double> fit_offsets(const Cells& cells, std::vector<doubl
         mean += r.fits[b].weight * offset_m[b];
         weight += r.fits[b].weight;
     }
-    // removes the mean offset, because a common offset of all ranges cannot be
-    // distinguished from a different scene
+    // Removes the mean offset. A common offset of all ranges cannot be distinguished from
+    // a different scene.
     for (double& offset : offset_m) offset -= mean / weight;
     return {r.n, r.n > 0 ? r.squares / double(r.n) : 0.0};
 }

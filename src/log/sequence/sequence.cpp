@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interpolates poses and boxes, computes rays in the world, and splits training from test
-// frames (paper Sec. 4).
+// Interpolates poses and boxes, and computes rays and returns in the world frame.
 //   pose(t): slerp / lerp between the neighbours of t; the end segments continue at constant velocity.
 #include <relidar/log/sequence.hpp>
 
@@ -52,7 +51,9 @@ BoxTrack BoxTrack::labelled_part() const {
 bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) const {
     const glm::dvec3 half = 0.5 * size_m + glm::dvec3(margin_m);
     const PoseTrack& track = world_from_box;
-    if (track.pose.size() > 1) {  // a fast test with the centre alone rejects most points without a slerp
+    // a fast test with the centre of the box rejects most points, so that no slerp is
+    // needed
+    if (track.pose.size() > 1) {
         const TrackPlace at = find_place(track.time_s, t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
@@ -163,8 +164,8 @@ PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
 }
 
 PoseTrack with_fine_turns(const PoseTrack& track) {
-    // Maximum turn between two poses. The chord of an object 10 m away is then 0.03 mm
-    // off its arc.
+    // Maximum rotation between two poses. With it, the interpolated straight line of an
+    // object 10 m away differs from the true arc by 0.03 mm.
     constexpr double kTurn_rad = 5e-3;
     PoseTrack fine;
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
@@ -191,8 +192,8 @@ PoseTrack shifted_track(PoseTrack track, const glm::dvec3& by_m) {
 
 namespace {
 
-/// Returns the mean position of the observations in a time interval, or nothing if there
-/// are none.
+/// Returns the mean position of a track in a time interval. Returns nothing if there is
+/// no pose in the interval.
 std::optional<glm::dvec3> mean_place(const PoseTrack& track, double first_s, double last_s) {
     constexpr double kSame_s = 1e-6;
     glm::dvec3 sum(0.0);
@@ -218,7 +219,8 @@ bool BoxTrack::moves() const {
     };
     const std::optional<glm::dvec3> start = place(t.front());
     for (const double time_s : t) {
-        const double first_s = std::min(time_s, last_s);  // the last window ends with the track
+        // limits the start, so that the last window ends with the track
+        const double first_s = std::min(time_s, last_s);
         const std::optional<glm::dvec3> here = place(first_s),
                                         next = place(std::min(first_s + window_s, last_s));
         if (glm::distance(*here, *start) > drift_m || (next && glm::distance(*next, *here) > step_m))
@@ -259,12 +261,14 @@ WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayT
 
 namespace {
 
-// share of a period: a start closer than this to the usual start counts as usual
+// Tolerance as a fraction of a period. A sweep whose start is within the tolerance counts
+// as a usual sweep.
 constexpr double kUsual = 0.02;
 
-/// Rotation of the head, estimated from the rays of a sweep.
+/// Rotation of a LiDAR's head, estimated from the rays of a sweep.
 struct HeadTurn {
-    /// sum of unit phasors of the head's azimuth at time 0, one per ray
+    /// Sum over the rays of exp(i azimuth), where azimuth is the head's azimuth at time
+    /// 0.
     std::complex<double> at_zero = 0.0;
     float first_s = std::numeric_limits<float>::infinity();
 
@@ -278,8 +282,9 @@ struct HeadTurn {
 }  // namespace
 
 std::optional<SweepStart> find_start(const RayTable& rays, const SpinningSensor& sensor) {
-    // Minimum length of the mean phasor. Azimuth offsets of the beams and uneven rotation
-    // reduce it only a little.
+    // Minimum length of the mean phasor. If it is shorter, the rays do not come from one
+    // rotating head. Azimuth offsets of beams and uneven rotation reduce the length only
+    // a little.
     constexpr double kTogether = 0.9;
     if (!(sensor.period_s > 0.0) || rays.size() == 0) return {};
     const double rad_per_s = (sensor.clockwise ? -2.0 : 2.0) * kPi / sensor.period_s;
@@ -309,7 +314,8 @@ std::optional<SweepStart> find_start(const RayTable& rays, const Lidar& lidar) {
     const double period_s = lidar.period_s();
     if (!(period_s > 0.0) || rays.size() == 0) return {};
     const auto [first, last] = std::ranges::minmax(rays.time_offset_s);
-    if (first == last) return {};  // true for a motion-compensated scan
+    // no start is known, because a motion-compensated scan has a single firing time
+    if (first == last) return {};
     const double first_s = double(first);
     if (std::abs(first_s + 0.5 * period_s) < kUsual * period_s) return {};
     return SweepStart{0.0, first_s};
@@ -338,8 +344,8 @@ RayTable nominal_rays(const Lidar& lidar, double time_s) {
 
 namespace {
 
-/// Returns the time after the frame's time at which a LiDAR that does not spin measures
-/// an azimuth.
+/// Returns the time, relative to the frame's time, when a LiDAR that does not spin
+/// measures an azimuth.
 double facing_offset(const SensorPattern& pattern, double azimuth, const std::optional<SweepStart>& start) {
     const auto [n_rays, period_s, by_time, sweep] = describe_pattern(pattern);
     const double middle_s = start ? start->time_s + 0.5 * period_s : 0.0;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the frames that are held out of training: every n-th frame, or the frames in a
-// list.
+// Selects the frames that are held out of training (paper Sec. 4). Selects every n-th
+// frame, the frames of a published split, or the frames in a list.
 #include <relidar/log/sequence.hpp>
 
 #include <algorithm>
@@ -18,7 +18,8 @@
 namespace relidar {
 namespace {
 
-constexpr int kPublishedEvery = 10;  // step of published splits, independent of the first frame
+// If test_every has this value, a published split of the dataset is used if there is one.
+constexpr int kPublishedEvery = 10;
 constexpr const char* kSetting = "dataset.test_frames";
 
 /// Range of frame indices [first, end).
@@ -26,7 +27,7 @@ struct IndexRange {
     int first, end;
 };
 
-/// Parses a range like "13" or "40:45".
+/// Parses a frame number or a range like "40:45".
 /// @throws UsageError if the text is not a range
 IndexRange parse_range(std::string_view text) {
     const std::size_t colon = text.find(':');
@@ -41,7 +42,8 @@ IndexRange parse_range(std::string_view text) {
     return {*first, *end};
 }
 
-/// Returns the frame indices without duplicates, in the order of the log.
+/// Returns all frame indices of the log in order. An index of several LiDARs is listed
+/// once.
 std::vector<int> sweeps_of(const Sequence& sequence) {
     std::vector<int> sweeps;
     std::set<int> seen;
@@ -50,7 +52,7 @@ std::vector<int> sweeps_of(const Sequence& sequence) {
     return sweeps;
 }
 
-/// Returns every n-th frame index, without the first one.
+/// Returns every n-th frame index. The first index is not held out.
 /// @throws UsageError if `test_every` is 1 or negative
 std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     if (test_every < 0 || test_every == 1)
@@ -62,7 +64,7 @@ std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     return held_out;
 }
 
-/// Returns the frame indices of a published split that the log contains.
+/// Returns those frame indices of a published split that exist in the log.
 std::set<int> published(const std::vector<int>& test_frames, const std::vector<int>& sweeps) {
     std::set<int> held_out;
     for (const int index : sweeps)
@@ -70,7 +72,7 @@ std::set<int> published(const std::vector<int>& test_frames, const std::vector<i
     return held_out;
 }
 
-/// Returns the frame indices in a list.
+/// Parses a list of frame indices and ranges, for example "13,26,40:45".
 /// @throws UsageError if an index is missing in the log or occurs twice
 std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
     const std::set<int> known(sweeps.begin(), sweeps.end());

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes trajectories as CSV. The inverse is read_trajectory()
-// (src/run/edit/actor_path.cpp).
+// Writes trajectories as CSV files. read_trajectory() in src/run/edit/actor_path.cpp
+// reads them back.
 #include <relidar/base/files.hpp>
 #include <relidar/log/trajectory_csv.hpp>
 
@@ -14,7 +14,8 @@ namespace relidar {
 
 namespace {
 
-/// Returns the angles of R = Rz(yaw) Ry(pitch) Rx(roll) in degrees.
+/// Returns the angles yaw, pitch and roll in degrees, with R = Rz(yaw) Ry(pitch)
+/// Rx(roll).
 glm::dvec3 yaw_pitch_roll(const glm::dquat& rotation) {
     const glm::dmat3 r = glm::mat3_cast(rotation);  // r[column][row]
     return 180.0 / kPi *

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes asset.json, which is stored with the files of the asset's run.
+// Reads and writes asset.json, which describes an asset and is stored next to the files
+// of its run.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Extracts an actor of a run as a separate run. Removes invisible surfels and completes
-// symmetric objects.
+// Extracts an actor of a run as a separate run. Removes surfels that are never visible.
+// Completes the unobserved side of vehicles by mirroring.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -15,9 +15,10 @@
 namespace relidar {
 namespace {
 
-// least length of an object without a class to be a vehicle; cyclists are shorter
+// An object without a class counts as a vehicle if it is at least this long. Cyclists are
+// shorter.
 constexpr double kShortestVehicle_m = 3.0;
-/// Spherical harmonics that are odd in y, which have a negative order.
+/// Indices of the spherical harmonics that are odd in y. These have a negative order.
 constexpr int kOddInY[] = {1, 4, 5, 9, 10, 11};
 
 bool is_vehicle(const BoxTrack& box) {
@@ -25,9 +26,9 @@ bool is_vehicle(const BoxTrack& box) {
            (box.category == kDiscoveredCategory && box.size_m.x >= kShortestVehicle_m);
 }
 
-/// Returns the name of an asset, for example "car-3". It contains only letters, digits,
-/// dots, dashes and underscores, so that it is a valid folder name on all systems. A
-/// discovered object is named by its track.
+/// Returns the name of an asset, for example "car-3". The name contains only letters,
+/// digits, dots, dashes and underscores, so that it is a valid folder name on all
+/// systems. A discovered object without a class gets the id of its track.
 std::string asset_name(const BoxTrack& box) {
     std::string name = box.category == kDiscoveredCategory ? box.id : box.category + "-" + box.id;
     for (char& c : name) {
@@ -37,8 +38,8 @@ std::string asset_name(const BoxTrack& box) {
     return name.front() == '.' ? "-" + name : name;
 }
 
-/// Returns true if a surfel can be visible: it is opaque enough to be blended, and it is
-/// inside the box of its model.
+/// Returns true if a surfel can be visible. It must be opaque enough to be blended and
+/// lie inside the box of its model.
 bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const ImageModel& image) {
     const glm::vec3 outside = glm::abs(surfels.mean[i]) - model.half_size_m;
     const bool bounded = model.half_size_m.x > 0.0f;
@@ -46,8 +47,8 @@ bool can_show(const Surfels& surfels, std::size_t i, const Model& model, const I
     return 1.0f / (1.0f + std::exp(-surfels.opacity_logit[i])) >= image.alpha_min;
 }
 
-/// Replaces the unobserved side of a symmetric object by the mirror image of its observed
-/// side.
+/// Completes a symmetric object. Replaces surfels in unobserved places by the mirror
+/// image of the observed opposite side.
 /// @return number of surfels that were added
 std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     std::vector<std::uint32_t> kept, copied;
@@ -62,7 +63,7 @@ std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
     return copied.size();
 }
 
-/// Returns the frames of a log in which an actor is present, without scans and without
+/// Returns the frames of a log in which an actor is present. Removes the scans and all
 /// other actors.
 Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     Sequence sequence = without_frames(log);
@@ -86,8 +87,8 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
 Surfels mirrored_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
-        // Quaternion (w, x, y, z): the mirrored rotation has a mirrored axis and the
-        // opposite direction of rotation.
+        // The mirrored quaternion (w, x, y, z) has a mirrored axis and the opposite
+        // direction of rotation.
         glm::vec4& q = surfels.rotation[i];
         q = {q[0], -q[1], q[2], -q[3]};
         for (int channel = 0; channel < kShChannels; ++channel)

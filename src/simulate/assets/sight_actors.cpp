@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes which parts of its actors a log has observed. Renders the scans of the log in
-// the trained scene, so that objects in front of an actor hide it.
+// Computes which parts of its actors a log has observed. Renders the scans of the log
+// with the trained scene, so that objects in front of an actor hide it.
 #include <relidar/simulate/assets.hpp>
 
 #include <algorithm>
@@ -10,7 +10,8 @@
 namespace relidar {
 namespace {
 
-constexpr const char* kStandIn = "HDL-64E";  // replaces a LiDAR whose rays are known only for each scan
+// sensor model that replaces a LiDAR whose rays differ in each scan
+constexpr const char* kStandIn = "HDL-64E";
 
 std::vector<SensorChoice> sensors_of(const Run& run) {
     std::vector<SensorChoice> sensors;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adds weather to a scan. Computes for each ray which echo the sensor reports through air
-// and water, among stray light and noise.
+// Adds weather to a scan. Computes for each ray which echo the sensor reports,
+// considering fog, rain, snow, wet ground, stray light and noise.
 #include <algorithm>
 #include <bit>
 
@@ -13,13 +13,15 @@
 namespace relidar {
 namespace {
 
-// makes the random numbers of weather independent of those of a sampled scan
+// Constant for the hash, so that the random numbers of the weather are independent of the
+// random numbers of a sampled scan.
 constexpr std::uint64_t kOfWeather = 0x77656174686572ull;
 constexpr const char* kSource = "source";
 
 using Sources = std::vector<std::int32_t>;
 
-/// Returns the channel `source` with empty values. Adds the channel if the scan has none.
+/// Returns the channel `source` without values. Adds the channel if the scan does not
+/// have it.
 ScanChannel& source_channel(RenderedScan& scan) {
     const auto has_name = [](const ScanChannel& channel) { return channel.info.name == kSource; };
     const auto found = std::ranges::find_if(scan.channels, has_name);
@@ -32,7 +34,8 @@ ScanChannel& source_channel(RenderedScan& scan) {
     return channel;
 }
 
-/// Clears the instance of a ray and its values in channels that describe surfaces.
+/// Clears the instance of a ray, and the values of the ray in all channels that describe
+/// surfaces.
 void forget_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
@@ -41,7 +44,7 @@ void forget_surface(RenderedScan& scan, std::size_t ray) {
                        channel.values);
 }
 
-/// Applies the air to the rays of a scan.
+/// Applies the weather to the rays of a scan.
 class WeatheredRays {
 public:
     WeatheredRays(RenderedScan& scan, const Air& air, const IntensityResponse& response)
@@ -85,8 +88,9 @@ private:
     float intensity_of(const Echo& echo) const {
         return std::min(static_cast<float>(echo.reflectivity * response_.at_range(echo.range_m)), 1.0f);
     }
-    /// Returns the distance that light of a ray travels through air: up to the hit
-    /// surface, even if the surface does not return, or the maximum range.
+    /// Returns how far the light of a ray travels through air. The path ends at the
+    /// surface that the ray hits, even if the sensor reports no return, or at the maximum
+    /// range.
     double free_m(std::size_t ray, const RayEchoes& surfaces) const {
         const bool is_blocked =
             surfaces.strongest.source == PointSource::surface || scan_.weight[ray] >= 0.5f;
@@ -114,15 +118,16 @@ private:
 
 }  // namespace
 
-/// Returns the air in front of a sensor.
-/// @param rays rays of the sensor, which give the beam divergence
+/// Returns a model of the air in front of a sensor.
+/// @param rays rays of the sensor, which define the beam divergence
 Air ScanRenderer::Impl::air_before(const SensorChoice& sensor, const RayTable& rays) const {
     WeatherSensor takes;
     const double step = scatter[std::size_t(sensor.lidar)].step, divergence_rad = rays.largest_divergence();
     if (config.sensor.divergence_mrad > 0.0) takes.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
     else if (divergence_rad > 0.0) takes.divergence_rad = divergence_rad;
     if (step > 0.0) takes.darkest = 0.5 * step;
-    // An intensity that is reported as 0 lies between 0 and half a step.
+    // An intensity that the sensor reports as 0 lies between 0 and half a step. This is
+    // the middle of the interval.
     takes.weakest_reflectivity = 0.5 * takes.darkest;
     takes.separation_m = config.sensor.return_separation_m;
     takes.min_range_m = limits_of(sensor).min_m, takes.max_range_m = limits_of(sensor).max_m;

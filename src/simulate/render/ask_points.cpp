@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Requests and collects the points of scans: the device renders a scan while the host
-// processes an earlier one.
+// Requests scans and collects their points. The device renders a scan while the host
+// processes an earlier scan.
 #include <algorithm>
 #include <cstdint>
 #include <span>
@@ -38,22 +38,23 @@ void copy_points(std::span<const shared::ReturnedPoint> from, const IntensitySca
 
 }  // namespace
 
-/// Returns true if the device computes the points of this sensor's scans. This decision
-/// is made only here.
+/// Returns true if the device, and not the host, computes the points of this sensor's
+/// scans.
 bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled) const {
     const SensorConfig own = config_of(sensor);
     return !sampled && weather.clear() && wanted.empty() && !sensor.grid && own.sub_rays == 1 &&
            own.returns == 1 && sensor.rays.size() > 0;
 }
 
-/// Selects the lane of the next scan that is submitted together with others. Creates the
-/// lanes at the first call.
+/// Selects the rendering resources for the next scan that is submitted together with
+/// others. Creates the resources at the first call.
 ScanStrand& ScanRenderer::Impl::next_strand() {
     if (!together) {
         while (1 + std::ssize(others) < most_strands) {
             try {
                 others.emplace_back(device).copy = scene.copy();
-            } catch (const DeviceError&) {  // device memory is exhausted: uses fewer copies of the scene
+                // device memory is exhausted, so fewer copies of the scene are used
+            } catch (const DeviceError&) {
                 others.pop_back();
                 most_strands = 1 + int(others.size());
             }
@@ -66,7 +67,7 @@ ScanStrand& ScanRenderer::Impl::next_strand() {
     return strand == 0 ? first : others[strand - 1];
 }
 
-/// Submits the requested scans that were recorded together.
+/// Submits the GPU commands of all scans that were recorded together.
 void ScanRenderer::Impl::send() {
     if (!together) return;
     together.reset();
@@ -141,10 +142,11 @@ RenderedPoints ScanRenderer::Impl::points_of(AskedPoints& scan, Points memory) {
     return result;
 }
 
-/// Waits until all requested scans are finished, and stores their points.
+/// Waits until all requested scans are finished. Stores their points until they are
+/// collected.
 void ScanRenderer::Impl::settle() {
-    // If a request failed half-way, its recorded scan is not in `asked`, so this waits
-    // for the device.
+    // If a request failed after recording had begun, its scan is not in `asked`.
+    // Therefore this also waits for the device.
     if (together) {
         send();
         scene.renderer().stream().finish();
@@ -159,7 +161,7 @@ ScanRenderer::~ScanRenderer() {
         impl_->send();
         // the device may still write to memory that this object frees
         impl_->scene.renderer().stream().finish();
-    } catch (const DeviceError&) {  // a lost device does not write any more
+    } catch (const DeviceError&) {  // a lost device no longer writes
     }
 }
 

@@ -10,8 +10,8 @@
 namespace relidar {
 namespace {
 
-/// Returns the unit normal of the surface that each ray hit, in the sensor's frame at the
-/// firing time of the ray.
+/// Returns the unit normal of the surface that each ray hit. The normal is in the
+/// sensor's frame at the firing time of the ray.
 std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoses firing(scan);
@@ -43,14 +43,15 @@ ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
     return seen_shares(scan, rays, log);
 }
 
-// Returns "surface" for all rays; add_weather() writes the cause of each return later.
+// Returns "surface" for all rays. If there is weather, add_weather() later overwrites the
+// values with the cause of each return.
 ChannelValues surfaces(const RenderedScan& scan, const SeenByLog&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
 }
 
 ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) { return scan.image.drop_prob; }
 
-/// A row for each channel of optional_channels(). Exactly one of the three functions is
+/// Describes how an optional channel is computed. Exactly one of the three functions is
 /// set.
 struct Maker {
     std::string_view name;

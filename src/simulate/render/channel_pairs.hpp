@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Visits all per-ray arrays of two scans in pairs. All code that joins, merges, bins or
-// copies scans uses these functions. Private to render.
+// Calls a function for each pair of corresponding per-ray arrays of two scans. All code
+// that joins, merges, bins or copies scans uses these functions. Private to render.
 #pragma once
 
 #include <cstddef>
@@ -14,7 +14,7 @@
 namespace relidar {
 
 /// Calls visit(info, values of `from`, values of `to`) for each basic channel that is
-/// rendered. Time and ring are not included, because they belong to the rays.
+/// rendered. Leaves out time and ring, because they belong to the rays.
 template <class Visit>
 void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {
     const BasicChannels& basic = basic_channels();
@@ -27,7 +27,8 @@ void for_each_basic_pair(const RenderedScan& from, RenderedScan& to, Visit&& vis
     visit(basic.instance, from.instance, to.instance);
 }
 
-/// Calls visit() for the basic and the optional channels of two scans.
+/// Calls visit(info, values of `from`, values of `to`) for the basic and the optional
+/// channels of two scans.
 /// @param to has the channels of `from` in the same order, see emptied()
 template <class Visit>
 void for_each_pair(const RenderedScan& from, RenderedScan& to, Visit&& visit) {

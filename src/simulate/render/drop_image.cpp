@@ -13,7 +13,8 @@
 namespace relidar {
 namespace {
 
-// clamps the probabilities of a drop and of a return, so that logits are within 9.2
+// Limits the probabilities of a drop and of a return, so that the logits are between -9.2
+// and 9.2.
 constexpr float kLeastProbability = 1e-4f;
 
 float logit(float probability) {
@@ -21,8 +22,8 @@ float logit(float probability) {
     return std::log(p / (1.0f - p));
 }
 
-/// Returns the value of one input (RELIDAR_DROP_*) at each ray, as
-/// simulate/render/drop_channels computes it.
+/// Returns a function that computes one input channel (RELIDAR_DROP_*) for a ray. The
+/// kernel simulate/render/drop_channels computes the same values on the device.
 std::function<float(std::size_t)> channel_of(const RenderedScan& scan, std::uint32_t channel,
                                              const glm::vec3& origin_m) {
     if (channel == RELIDAR_DROP_LOG_RANGE)

@@ -6,7 +6,8 @@
 
 namespace relidar {
 
-/// Returns a scan of these rays without measurements. Its channels have no values yet.
+/// Returns a scan with these rays but without measurements. Its channels have no values
+/// yet.
 /// @param taken a scan of the same sweep, whose times, poses and channel names are
 /// copied; omitted if they are unknown
 inline RenderedScan empty_scan(const RayTable& rays, const RenderedScan& taken = {}) {

@@ -13,7 +13,7 @@
 namespace relidar {
 namespace {
 
-// least weight of a sub-ray; the range of a sub-ray with intensity 0 still counts
+// Smallest weight of a sub-ray. The range of a sub-ray with intensity 0 still counts.
 constexpr float kDarkest = 1e-3f;
 
 /// Returns two unit vectors that are perpendicular to a direction and to each other.
@@ -23,15 +23,15 @@ std::pair<glm::dvec3, glm::dvec3> across(const glm::dvec3& direction) {
     return {left, glm::cross(direction, left)};
 }
 
-/// Sub-rays of a footprint that form one return.
+/// Sub-rays of a beam that together form one return.
 struct Group {
-    std::vector<std::size_t> parts;  ///< indices into the scan of sub-rays, sorted by range
-    float light = 0.0f;              ///< sum of intensities
+    std::vector<std::size_t> parts;  ///< indices of the sub-rays in their scan, sorted by range
+    float light = 0.0f;              ///< sum of the intensities
 };
 
-/// Returns true if the hits of sub-rays lie on one plane, so that 1 / range is linear in
-/// their offsets. Such a surface is one return even if its ranges differ much at a
-/// grazing angle. With fewer than five sub-rays the test is not significant.
+/// Returns true if the hits of sub-rays lie on one plane. On a plane, 1 / range is linear
+/// in the offsets of the sub-rays. A plane is one return even if its ranges differ much
+/// at a grazing angle. With fewer than five sub-rays the test is not significant.
 bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float>& range_m, std::size_t first,
                   const std::vector<glm::dvec2>& offsets, double tolerance_m) {
     if (parts.size() < 5) return false;
@@ -52,11 +52,11 @@ bool on_one_plane(const std::vector<std::size_t>& parts, const std::vector<float
     });
 }
 
-/// Joins consecutive groups that lie on the same plane.
+/// Joins consecutive groups of sub-rays that lie on the same plane.
 void join_slopes(std::vector<Group>& groups, const std::vector<float>& range_m, std::size_t first,
                  const std::vector<glm::dvec2>& offsets, double tolerance_m) {
-    // Tries the longest sequence first. If all groups belong to one surface, the first
-    // try joins all of them.
+    // Tries the longest sequence of groups first. If all groups belong to one surface,
+    // the first try joins all of them.
     for (std::size_t length = groups.size(); length >= 2; --length) {
         for (std::size_t begin = 0; begin + length <= groups.size(); ++begin) {
             Group joined;
@@ -90,7 +90,7 @@ std::vector<Group> groups_of(const RenderedScan& scan, std::size_t first,
     return groups;
 }
 
-/// Returns the mean of values over the sub-rays of a group, weighted by intensity.
+/// Returns the mean value of the sub-rays of a group, weighted by intensity.
 float mean_of(const Group& group, const std::vector<float>& values, const RenderedScan& scan) {
     double sum = 0.0;
     for (const std::size_t i : group.parts)
@@ -104,18 +104,19 @@ float sum_of(const Group& group, const std::vector<float>& values) {
     return sum;
 }
 
-/// Returns the mean of n values, starting at `first`.
+/// Returns the mean of n consecutive values, starting at index `first`.
 float mean_of_all(const std::vector<float>& values, std::size_t first, int n) {
     float sum = 0.0f;
     for (std::size_t i = first; i < first + std::size_t(n); ++i) sum += values[i];
     return sum / static_cast<float>(n);
 }
 
-/// Least intensity of a second return relative to the strongest one. Receivers separate
-/// echoes down to about a tenth of the main echo.
+/// Smallest intensity of a second return, relative to the strongest return. Receivers can
+/// separate echoes down to about a tenth of the main echo.
 constexpr double kSecondReturnShare = 0.1;
 
-/// Returns the group that is the second return, or null.
+/// Returns the group of sub-rays that forms the second return, or null if there is no
+/// second return.
 const Group* second_of(const std::vector<Group>& groups, const Group& strongest) {
     const Group* second = nullptr;
     if (&strongest != &groups.back()) {
@@ -127,7 +128,7 @@ const Group* second_of(const std::vector<Group>& groups, const Group& strongest)
     return second && double(second->light) >= kSecondReturnShare * double(strongest.light) ? second : nullptr;
 }
 
-/// Builds the joined scan ray by ray.
+/// Joins sub-rays to the returns of the beams, one beam at a time.
 class Joiner {
 public:
     Joiner(const RenderedScan& parts, const RayTable& rays, const SensorConfig& config)
@@ -159,8 +160,8 @@ public:
                                                                           : sum_of(strongest, of_parts) /
                                                                                 static_cast<float>(n));
                           }
-                          // Sub-rays are ordered from the centre outwards, so the
-                          // smallest index is the nearest to the centre.
+                          // Sub-rays are ordered from the centre outwards. Therefore the
+                          // smallest index belongs to the sub-ray nearest to the centre.
                           of_rays.push_back(of_parts[std::ranges::min(strongest.parts)]);
                       });
         if (scan_.second_returns.empty()) return;

@@ -13,17 +13,18 @@ namespace relidar {
 namespace {
 
 constexpr double kCell_m = 2.0;
-constexpr double kLayer_m = 0.25;   // height of candidates above the lowest point of a cell
-constexpr double kFlat_m = 0.1;     // largest root mean square distance to the plane
-constexpr double kSteepest = 0.25;  // largest slope, rise over run
-constexpr double kFewest = 6.0;     // least number of points for a plane
-// Points of a narrower strip do not determine the slope across the strip. The slope is
-// then 0 in that direction.
+// Points at most this high above the lowest point of a cell can be ground.
+constexpr double kLayer_m = 0.25;
+constexpr double kFlat_m = 0.1;     // maximum root mean square distance of the points from the plane
+constexpr double kSteepest = 0.25;  // maximum slope of ground, rise over run
+constexpr double kFewest = 6.0;     // minimum number of points for a plane
+// If the points form a narrower strip than this, they do not determine the slope across
+// the strip. The slope is then 0 in that direction.
 constexpr double kWidth_m = 0.2;
 
-/// Statistics of the points in a cell: the lowest height, and for points near that height
-/// the number and the sums of x, y, z and of their products. Points are relative to the
-/// sensor, along the axes of the world.
+/// Statistics of the points in a cell. Holds the lowest height. For points near that
+/// height, holds the number and the sums of x, y, z and of their products. Coordinates
+/// are relative to the sensor, along the axes of the world.
 struct Cell {
     double lowest_m = std::numeric_limits<double>::infinity();
     double n = 0.0, zz = 0.0;
@@ -44,7 +45,7 @@ using Cells = std::unordered_map<std::uint64_t, Cell>;
 
 std::uint64_t key_of(const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kCell_m); }
 
-/// Plane z = height + slope . (x, y).
+/// Plane z = height + slope . (x, y) of the ground.
 struct GroundPlane {
     double height_m = 0.0;
     glm::dvec2 slope{0.0};
@@ -62,14 +63,15 @@ GroundPlane fit_plane(const Cell& c) {
     const glm::dvec2 right = c.products / c.n - mean.z * glm::dvec2(mean);
     const glm::dvec2 slope =
         glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
-    // variance that the plane does not explain, slightly increased by the ridge term
+    // Variance of the height that the plane does not explain. The term `ridge` makes it
+    // slightly larger.
     const double squared_m2 = zz - glm::dot(slope, right);
     return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
             squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
 }
 
-/// Returns the points that rays hit on the background below the sensor, relative to the
-/// sensor. Other rays have NaN.
+/// Returns the points where rays hit the background below the sensor, relative to the
+/// sensor. The result is NaN for other rays.
 std::vector<glm::dvec3> points_below(const RenderedScan& scan) {
     const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
     std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
@@ -96,7 +98,7 @@ Cells fill_cells(const std::vector<glm::dvec3>& points) {
     return cells;
 }
 
-/// Fits a plane to the points in the cell of p and in the eight cells around it.
+/// Fits a plane to the points in the cell of p and in the eight neighbouring cells.
 GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
     Cell together;
     for (int dx = -1; dx <= 1; ++dx)

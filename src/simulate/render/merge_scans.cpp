@@ -18,8 +18,8 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
     to.insert(to.end(), from.begin(), from.end());
 }
 
-/// Adds the channels of a scan to the merged scan. Rays that were merged before get no
-/// value.
+/// Adds the channels of a scan to the merged scan. Rays that were merged before have no
+/// value in new channels.
 /// @throws UsageError if a channel has two types
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     for (const ScanChannel& channel : emptied(scan.channels)) {
@@ -40,7 +40,7 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
     }
 }
 
-/// Appends the values of a channel that belong to second returns.
+/// Appends the channel values of second returns to the merged channel.
 void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t first_ray) {
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (size(merged.second) == 0) merged.second = std::vector<T>{};
@@ -51,7 +51,7 @@ void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t firs
     std::visit(add, own.second);
 }
 
-/// Returns a scan with the poses of the rig and the firing times of another scan.
+/// Returns a scan that has the poses of the rig but the firing times of another scan.
 RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     RenderedScan rig;
     rig.image.rows = scan.image.rows;
@@ -63,12 +63,13 @@ RenderedScan rig_firing(const RenderedScan& merged, const RenderedScan& scan) {
     return rig;
 }
 
-/// Computes the pose of a sensor in the rig's frame at the firing time of a ray. Both
-/// poses are interpolated at this time. A fixed mounting pose would be slightly wrong,
-/// because interpolated positions of sensor and rig move along different chords.
+/// Computes the pose of a sensor in the rig's frame at the firing time of a ray.
+/// Interpolates the poses of sensor and rig separately at this time. A fixed mounting
+/// pose would be slightly wrong, because the interpolated positions of sensor and rig
+/// move along different straight lines.
 class RigPoses {
 public:
-    /// Prepares the poses of a sensor and its rig.
+    /// Stores the tracks of a sensor and its rig.
     /// @param scan scan of the sensor; must outlive this object
     RigPoses(const RenderedScan& merged, const RenderedScan& scan)
         : rig_(rig_firing(merged, scan)), world_from_rig_(rig_), world_from_firing_(scan) {}
@@ -88,7 +89,8 @@ private:
 void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ray) {
     const std::size_t n = scan.image.range_m.size();
     for (ScanChannel& channel : merged.channels) {
-        const ChannelInfo& info = channel.info;  // clang 14 cannot capture structured bindings
+        // clang 14 cannot capture structured bindings, so this copies the reference
+        const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
             for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
@@ -102,8 +104,8 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& p
     }
 }
 
-/// Fills missing second returns: ranges and intensities are 0, and channels have no
-/// value.
+/// Fills the second returns of rays that have none. Ranges and intensities are 0, and
+/// channels have no value.
 void fill_second_returns(RenderedScan& merged) {
     const std::size_t n = merged.image.range_m.size();
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
@@ -113,7 +115,8 @@ void fill_second_returns(RenderedScan& merged) {
                        channel.second);
 }
 
-/// Appends the rays of a scan in the frame of the rig at each firing time.
+/// Appends the rays of a scan to the merged scan. Transforms each ray into the frame of
+/// the rig at its firing time.
 /// @param first_ring ring number in the merged scan of the scan's ring 0
 void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses, std::size_t first_ring) {
     for (std::size_t i = 0; i < scan.image.origin.size(); ++i) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Computes the points of a scan on the host. src/CMakeLists.txt compiles this file
-// without fused multiply-add, so that positions are bitwise equal to those of the device.
+// without fused multiply-add, so that positions are bitwise equal to the positions that
+// the device computes.
 #include <relidar/simulate/place_points.hpp>
 
 #include <algorithm>
@@ -34,8 +35,8 @@ std::vector<Return> find_returns(const RenderedScan& scan, const std::vector<flo
     return returns;
 }
 
-/// Returns the poses of the sensor during a scan, in the frame of the points. Returns
-/// none if each point stays in the sensor's frame.
+/// Returns the poses of the sensor during a scan, in the frame of the points. Returns no
+/// poses if the points stay in the sensor's frame.
 std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
                                          const std::optional<Pose>& dataset_from_points) {
     if (!dataset_from_points || scan.time_offset_s.empty()) return {};
@@ -46,7 +47,7 @@ std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
                                double(last_s));
 }
 
-/// Returns the last pose before a time. Same as in
+/// Returns the last pose before a time, like the function in
 /// shaders/simulate/render/sensor_way.glsl.
 const shared::SensorPose& pose_before(const std::vector<shared::SensorPose>& poses, float time_offset_s) {
     std::size_t k = 0;

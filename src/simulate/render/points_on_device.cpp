@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the kernels simulate/render/mark_returns and
-// simulate/render/gather_points.
+// Runs the kernels simulate/render/mark_returns and simulate/render/gather_points, which
+// select the returned rays and compute their points.
 #include "simulate/render/points_on_device.hpp"
 
 #include <relidar/log/range_image.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the points of scans on the device and reads them back while the next scan is
-// rendered. Private to render.
+// Computes the points of scans on the device. Copies them to the host while the next scan
+// is rendered. Private to render.
 #pragma once
 
 #include <algorithm>
@@ -18,22 +18,23 @@ namespace relidar {
 
 class SensorRays;
 
-/// Number of rays from which the share of unobserved rays (RenderedScan::unseen_share) is
-/// estimated, with an error of one or two percent.
+/// Number of sampled rays that estimate the share of rays through unobserved space
+/// (RenderedScan::unseen_share). The error is one or two percent.
 inline constexpr std::size_t kAskedRays = 1024;
 
-/// Parameters of the computation of points.
+/// Options for computing the points of a scan.
 struct PointMaking {
-    /// poses of the sensor in the frame of the points; a single pose if it does not move
+    /// Poses of the sensor in the frame of the points. A single pose if the sensor does
+    /// not move.
     const PoseTrack& points_from_sensor;
     double time_s;  ///< time of the sweep
-    bool of_image;  ///< true: points use the range of the image; false: the range of the dominant surface
-    bool refined;   ///< true: uses the drop probabilities of the network
+    bool of_image;  ///< true: points use the range of the image; false: points use the median range
+    bool refined;   ///< true: uses the drop probabilities of the ray-drop network
 };
 
 class PointsOnDevice {
 public:
-    /// Memory through which the host reads the points of one scan.
+    /// Host buffers into which the points of one scan are copied.
     struct Slot {
         std::optional<Readback> points = {};
         Readback count, asked, capped;
@@ -44,7 +45,8 @@ public:
     };
 
     explicit PointsOnDevice(Device& device);
-    /// Records the computation of the points of a measured scan.
+    /// Records GPU commands that compute the points of a measured scan and copy them to
+    /// the host.
     /// @param n_capped see ForwardPass::pass_cap_count()
     /// @return slot that receives the points; it is reused when no other owner holds it
     std::shared_ptr<Slot> record(Stream& stream, const SensorRays& rays, const PointMaking& how,
@@ -52,14 +54,15 @@ public:
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        std::span<const float> asked_m;  ///< ranges of the dominant surfaces of the rays asked_ray()
+        /// surface ranges of the sampled rays, whose indices asked_ray() returns
+        std::span<const float> asked_m;
         std::uint32_t n_capped;
     };
-    /// Waits for the points of a slot.
+    /// Waits until the points of a slot are on the host.
     /// @return valid until the slot is reused
     static Gathered wait(Stream& stream, Slot& slot);
-    /// Returns the index of a sampled ray, whose surface range is read back even if the
-    /// ray does not return.
+    /// Returns the index of sampled ray k. The surface range of a sampled ray is copied
+    /// to the host even if the ray does not return.
     /// @param k index below n_asked()
     static std::size_t asked_ray(std::size_t k, std::size_t n_rays) { return k * n_rays / n_asked(n_rays); }
     static std::size_t n_asked(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders a scan: computes the rays of the sensor at their firing times, traces them, and
+// Renders a scan. Computes the rays of the sensor at their firing times, traces them, and
 // computes range, intensity and ray-drop.
 #include <relidar/simulate/render.hpp>
 
@@ -26,9 +26,9 @@ namespace relidar {
 
 namespace {
 
-constexpr double kFarthest = 1e10;  // largest coordinate in metres and largest time in seconds since 1970
+constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for times in seconds since 1970
 
-// Drop probability from the two logits of a ray (method.md, M6).
+// Computes the drop probability from the two logits of a ray (method.md, M6).
 float drop_probability(const Rendering& r, std::size_t i) {
     return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i]));
 }
@@ -46,7 +46,7 @@ TraceOptions traced_with(const Config& config) {
     return rendering_trace_options(config);
 }
 
-/// Checks the poses of a sensor or actor.
+/// Checks the track of a sensor or an actor.
 /// @param thing name of the object in the error message
 /// @throws DataError if poses or times are invalid
 void check_track(const PoseTrack& track, const std::string& thing) {
@@ -89,8 +89,8 @@ std::vector<Frame> shifted_sweeps(const Sequence& sequence) {
     return sweeps;
 }
 
-/// Returns the sub-rays of the beams' footprints, or nothing if each beam has a single
-/// ray.
+/// Returns several sub-rays for each beam, spread over its footprint. Returns nothing if
+/// each beam has a single ray.
 /// @throws UsageError for a beam without divergence
 std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& config,
                                     const std::string& sensor) {
@@ -130,16 +130,16 @@ void fill_scan(RenderedScan& scan, std::span<const shared::MeasuredRay> measured
     }
 }
 
-/// Drops beams whose joined range is outside the sensor's limits, although some of their
-/// sub-rays are inside.
+/// Drops beams whose range is outside the sensor's limits. The range of a beam can be
+/// outside although some of its sub-rays are inside.
 void drop_beyond(RenderedScan& scan, const RangeLimits& limits) {
     for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
         if (!limits.contains(scan.image.range_m[i]) || !limits.contains(scan.median_range_m[i]))
             scan.image.drop_prob[i] = 1.0f;
 }
 
-/// Replaces drop probabilities by those of a network. A probability of 1 stays, because
-/// such a ray met nothing that the sensor sees.
+/// Replaces the drop probabilities of a scan by the output of a network. Keeps a
+/// probability of 1, because such a ray hit nothing that the sensor can measure.
 void take_refined(RenderedScan& scan, std::span<const float> refined) {
     std::vector<float>& drop_prob = scan.image.drop_prob;
     for (std::size_t i = 0; i < drop_prob.size(); ++i)
@@ -186,7 +186,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) {
 }
 
 void ScanRenderer::refine_drops(const DropNetwork& network) {
-    drop_channels(network.inputs);  // throws an error for inputs that are not rendered
+    drop_channels(network.inputs);  // throws an error if the network has inputs that cannot be rendered
     impl_->settle();
     impl_->first.refiner.reset();
     for (ScanStrand& strand : impl_->others) strand.refiner.reset();
@@ -279,8 +279,8 @@ RenderedScan ScanRenderer::render(const SensorChoice& sensor, const ScanRequest&
     return take(sensor, request.time_s, drive(sensor, request), sample);
 }
 
-/// Returns the rays of a sensor on the device. The rays of the most recently used sensors
-/// stay there.
+/// Returns the rays of a sensor as arrays on the device. Keeps the rays of the most
+/// recently used sensors on the device.
 std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, const SensorChoice& sensor,
                                                         const RayTable& table) {
     constexpr std::size_t kMostSensors = 8, kMostRays = std::size_t(1) << 21;  // 0.2 GB of device memory
@@ -292,11 +292,11 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, cons
         std::rotate(known_rays.begin(), found, found + 1);
         return known_rays.front();
     }
-    // rays of a pending scan must not be replaced
+    // The rays of a pending scan must not be replaced.
     const auto is_free = [&](const std::shared_ptr<SensorRays>& rays) {
         return rays.use_count() == 1 && (rays->table().size() == 0 || rays->sensor() == name);
     };
-    // reuses the entry of a sensor whose rays differ in every scan
+    // Reuses the entry of the same sensor if the sensor has different rays in every scan.
     auto place = std::ranges::find_if(known_rays, is_free);
     if (place == known_rays.end()) place = known_rays.insert(place, std::make_shared<SensorRays>(device));
     std::rotate(known_rays.begin(), place, place + 1);
@@ -310,7 +310,7 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::rays_of(ScanStrand& strand, cons
     return rays;
 }
 
-/// Records the commands that trace the rays of a sensor and measure the returns. The
+/// Records GPU commands that trace the rays of a sensor and compute the measurements. The
 /// instances must have been moved to their poses before.
 /// @param refined true to run the ray-drop network too
 ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const SensorChoice& sensor,
@@ -332,8 +332,8 @@ ScanRenderer::Impl::Cast ScanRenderer::Impl::record(ScanStrand& strand, const Se
     return cast;
 }
 
-/// Renders the rays of a sensor and waits for the result. The drop probabilities of the
-/// network are not in the scan yet.
+/// Renders the rays of a sensor and waits for the result. The scan does not contain the
+/// drop probabilities of the network yet.
 RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable& table, double time_s,
                                       bool refined) {
     Renderer& renderer = scene.renderer();
@@ -355,8 +355,8 @@ RenderedScan ScanRenderer::Impl::cast(const SensorChoice& sensor, const RayTable
     return scan;
 }
 
-/// Joins the sub-rays of each beam to one return. Beams that hit several surfaces are
-/// rendered again with more sub-rays.
+/// Joins the sub-rays of each beam to one return. Renders beams that hit several surfaces
+/// again with more sub-rays.
 RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const RenderedScan& parts,
                                       const RayTable& whole, SensorConfig beams) {
     RenderedScan scan = join_footprints(parts, whole, beams);
@@ -375,7 +375,8 @@ RenderedScan ScanRenderer::Impl::join(const SensorChoice& sensor, const Rendered
 bool ScanRenderer::Impl::refines(const ImageOf& image) const {
     if (!first.refiner || first.refiner->network().image != image.name) return false;
     const DropNetwork& network = first.refiner->network();
-    // A network with one tap processes each ray separately, so it needs no image.
+    // A network with 1 x 1 convolutions processes each ray separately, so it needs no
+    // image.
     const int side = network.taps == 1 ? 1 : std::max(2, network.smallest_side());
     return image.rows >= side && image.columns >= side;
 }
@@ -385,40 +386,41 @@ bool ScanRenderer::Impl::refines_rays(const SensorChoice& sensor, const RayTable
            (!sensor.grid && refines({whole.rows, whole.columns, sensor.name}));
 }
 
-/// Returns the channels to compute for each ray: the requested channels and those that a
-/// network on the host reads.
+/// Returns the channels that are computed for each ray. These are the requested channels
+/// and the inputs of a network on the host.
 std::vector<ChannelInfo> ScanRenderer::Impl::rendered_channels() const {
     std::vector<ChannelInfo> channels = wanted;
     if (first.refiner && !wants(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
     return channels;
 }
 
-/// Replaces the drop probabilities of a scan by those of the run's network, computed on
-/// the host.
+/// Runs the ray-drop network on the host, and replaces the drop probabilities of a scan
+/// by its output.
 void ScanRenderer::Impl::refine(RenderedScan& scan) {
     take_refined(scan,
                  first.refiner->refine(drop_image(scan, first.refiner->network().inputs, first_origin_m)));
 }
 
-/// Returns the probability that a sensor never gets a return in a direction.
+/// Returns the probability that the sensor itself never gets a return in a direction, for
+/// example because the vehicle blocks it.
 float ScanRenderer::Impl::never_seen(const SensorChoice& sensor, std::uint16_t channel,
                                      const glm::vec3& direction) const {
     const auto own_beam = sensor.is_own ? sweep.beam_number(sensor.lidar, channel) : std::nullopt;
     return own_beam ? layout.sensor_drop.at(*own_beam, direction) : 0.0f;
 }
 
-/// Returns the range limits of a sensor. A sensor without a maximum range has the maximum
-/// range of the log.
+/// Returns the range limits of a sensor. If the sensor has no maximum range, returns the
+/// maximum range of the log.
 RangeLimits ScanRenderer::Impl::limits_of(const SensorChoice& sensor) const {
     return {sensor.limits.min_m,
             std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
 }
 
-/// Returns the effects of wet ground on the rays that hit it, or an empty list if the
-/// ground is dry. Rays whose mirror image can outshine the ground are traced again from
-/// the reflection point. They start kLift_m above the ground, because real ground is
-/// rougher than a film of water. Hits below kLowest_m are the ground itself and are
-/// ignored.
+/// Returns the effects of wet ground on the rays that hit it. Returns an empty list if
+/// the ground is dry. If a mirror image can be brighter than the ground, traces the
+/// mirrored ray from the reflection point. Such rays start kLift_m above the ground,
+/// because real ground is rougher than a film of water. Hits below kLowest_m are the
+/// ground itself and are ignored.
 std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     constexpr double kLift_m = 0.1, kLowest_m = 0.3;
     if (weather.wet_mm == 0.0) return {};
@@ -436,7 +438,8 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
         const double albedo = scan.image.intensity[i] / sweep.intensity_response.at_range(range_m);
         wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
         const double mirrors = share * std::pow(mirrored_by_water(cosine), 2);
-        // No mirrored surface at a larger range is brighter than the ground.
+        // A mirrored surface is farther away, so it cannot be brighter than the ground
+        // here.
         if (scan.second_returns.empty() && mirrors <= wet[i].through_water * albedo) continue;
         wet[i].mirrored = {range_m, 0.0, PointSource::nothing, mirrors};
         const glm::dvec3 foot_m =
@@ -460,7 +463,7 @@ std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
     return wet;
 }
 
-/// Converts expected values to measured values: samples the returns, adds weather, and
+/// Converts expected values to measured values. Samples the returns, adds weather, and
 /// rounds intensities to the steps of the sensor.
 void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
                                  std::optional<std::uint64_t> sample) {
@@ -483,11 +486,12 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
         for (float& intensity : echo.intensity) intensity = own.quantised(intensity);
 }
 
-/// Uploads the scene around the sensor and moves the instances to their poses. Hidden
-/// instances are left out.
+/// Uploads the scene around the sensor, and moves the instances to their poses. Leaves
+/// out hidden instances.
 void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sensor, double time_s,
                                std::vector<InstancePose> placed) {
-    // pending scans must finish, because loading blocks can replace the renderer
+    // Waits for pending scans, because loading blocks can replace the renderer that they
+    // use.
     if (!layout.blocks.empty()) settle();
     for (std::size_t i = 0; i < placed.size(); ++i) placed[i].present = placed[i].present && shown[i];
     const glm::vec3 sensor_m(sweep.world_from_sensor(sensor.lidar).at(time_s).translation);
@@ -495,7 +499,7 @@ void ScanRenderer::Impl::bring(const ScanStrand& strand, const SensorChoice& sen
     renderer_of(strand).move(placed, sensor_m);
 }
 
-/// Renders a scan after the path of the sensor was set.
+/// Renders a scan. The track of the sensor must have been set before.
 /// @param placed poses of the instances at the time of the scan
 RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
                                 std::optional<std::uint64_t> sample) {

@@ -9,7 +9,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kSweep_m = 10.0;  // distance that a sensor may move during a sweep
+constexpr double kSweep_m = 10.0;  // maximum distance in metres that a sensor moves during a sweep
 constexpr double kMiB = 1024.0 * 1024.0;
 
 }  // namespace
@@ -29,7 +29,7 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
 
 void ResidentScene::load(const std::vector<std::size_t>& blocks) {
     if (renderer_) past_.add(renderer_->stream().times());
-    renderer_.reset();  // frees the old renderer before the new one allocates memory
+    renderer_.reset();  // frees the memory of the old renderer before the new renderer allocates memory
     loaded_.clear();
     Scene scene = read_blocks(scene_, blocks);
     if (owns_models_) scene = own_models(std::move(scene));
@@ -40,8 +40,8 @@ void ResidentScene::load(const std::vector<std::size_t>& blocks) {
     loaded_ = blocks;
 }
 
-/// Returns the blocks that a scan needs, and those loaded blocks that also fit into
-/// memory. The most recently needed blocks have priority.
+/// Returns the blocks that a scan needs, together with loaded blocks that still fit into
+/// memory. Prefers the most recently needed blocks.
 std::vector<std::size_t> ResidentScene::with_kept(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
     for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;

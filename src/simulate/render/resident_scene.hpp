@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keeps the scene on the device. For a scene in blocks, only the blocks that rays can
-// reach are loaded.
+// Keeps the scene on the device. If the scene is divided into blocks, loads only the
+// blocks that rays can reach.
 #pragma once
 
 #include <cstdint>
@@ -17,9 +17,9 @@
 
 namespace relidar {
 
-/// Loads the blocks that a scan needs before the scan is rendered. Other blocks stay
-/// loaded while they fit into config.render.memory_mib; the least recently needed ones
-/// are removed first. A scene without blocks is loaded in the constructor.
+/// Loads the blocks of a scene that a scan needs, before the scan is rendered. Other
+/// blocks stay loaded while they fit into config.render.memory_mib. The least recently
+/// needed blocks are removed first. A scene without blocks is loaded in the constructor.
 class ResidentScene {
 public:
     ResidentScene(Device& device, const Scene& scene, const Config& config, const RendererOptions& options);
@@ -29,10 +29,12 @@ public:
     /// @param reach_m maximum range of its rays
     /// @throws DataError as read_blocks()
     void bring(const glm::vec3& sensor_m, double reach_m);
-    /// Returns the renderer of the loaded scene. Call bring() before.
+    /// Returns the renderer of the loaded scene. Call bring() before, which loads the
+    /// scene.
     Renderer& renderer() { return *renderer_; }
-    /// Creates a copy of a scene without blocks. The copy uses the stream of renderer(),
-    /// which must outlive it. Waits until the copy is finished.
+    /// Copies a scene without blocks on the device, so that several scans can be rendered
+    /// in parallel. The copy uses the stream of renderer(), which must outlive it. Waits
+    /// until the copy is finished.
     /// @throws DeviceError if memory is exhausted
     std::unique_ptr<Renderer> copy();
     /// Returns the kernel times of all renderings so far.
@@ -47,15 +49,15 @@ private:
     const RendererOptions options_;
     const double memory_bytes_;
     const bool owns_models_;
-    Scene scene_;  ///< blocks, and the parts that are always in memory; empty for a scene without blocks
+    Scene scene_;  ///< blocks, and the parts that are always in memory; empty if the scene has no blocks
     std::optional<Renderer> renderer_;
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order
-    /// [blocks] number of the last scan that needed the block; 0: no scan
+    /// [blocks] number of the last scan that needed the block, or 0 if no scan did
     std::vector<std::uint64_t> last_needed_;
     std::uint64_t scans_ = 0;
-    double bytes_per_surfel_ = 0.0;  ///< of the last load
-    /// `past_`: times of replaced renderers; `times_`: those and the times of the current
-    /// renderer
+    double bytes_per_surfel_ = 0.0;  ///< measured when blocks were loaded last
+    /// past_ has the times of replaced renderers. times_ also has the times of the
+    /// current renderer.
     KernelTimes past_, times_;
 };
 

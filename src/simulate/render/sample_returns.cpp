@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws a random sample of a scan from its expected values.
+// Turns the expected values of a scan into random measurements: draws drops, ranges and
+// intensities.
 #include <algorithm>
 #include <bit>
 #include <cmath>
@@ -13,7 +14,8 @@
 namespace relidar {
 namespace {
 
-// makes the random numbers of intensities independent of those of drops and ranges
+// Constant for the hash, so that the random numbers of intensities are independent of the
+// random numbers of drops and ranges.
 constexpr std::uint64_t kOfIntensities = 0x696E74656E736974ull;
 
 }  // namespace
@@ -63,7 +65,8 @@ void sample_returns(RenderedScan& scan, const RangeNoise& noise, const Intensity
         for (std::size_t i = 0; i < drawn.size(); ++i)
             if (returning[i] != 0) scan.image.intensity[i] = drawn[i];
     }
-    // Shifts the mean range like the median, because noise does not change the spread.
+    // Shifts the mean range by the same noise as the median, because noise does not
+    // change their difference.
     for (std::size_t i = 0; i < ranges_m.size(); ++i) scan.mean_range_m[i] += ranges_m[i] - likely_m[i];
     scan.image.range_m = ranges_m;
     scan.median_range_m = std::move(ranges_m);

@@ -9,7 +9,8 @@
 namespace relidar {
 namespace {
 
-constexpr float kSeen = 0.5f;  // least observed share of a ray's path for an observed ray
+// A ray counts as observed if the log observed at least this share of its path.
+constexpr float kSeen = 0.5f;
 
 bool looks_elsewhere(float share) { return share < kSeen; }
 
@@ -18,8 +19,8 @@ LookingRay looking_ray(const RenderedScan& scan, std::size_t i) {
             scan.median_range_m[i]};
 }
 
-/// Returns the share of a ray's path that the log observed. The path ends at the surface
-/// that the ray hits, or at the maximum range.
+/// Returns which share of a ray's path lies in space that the log observed. The path ends
+/// at the surface that the ray hits, or at the maximum range.
 float seen_share(const LookingRay& ray, const SeenByLog& log) {
     Pose world_from_firing = ray.dataset_from_firing;
     world_from_firing.translation -= log.world_offset_m;

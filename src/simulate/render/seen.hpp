@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes which share of the paths of rays the log observed. Private to render.
+// Computes which share of a simulated ray's path lies in space that the log observed.
+// Private to render.
 #pragma once
 
 #include <functional>
@@ -10,32 +11,34 @@
 
 namespace relidar {
 
-/// The space that the log observed.
+/// The space that the log observed, and the range limit of the simulated sensor.
 struct SeenByLog {
     const Coverage& coverage;   ///< observed space; empty if it is unknown
     glm::dvec3 world_offset_m;  ///< see Sequence::world_offset_m
     double max_range_m;         ///< maximum range of the simulated sensor
 };
 
-/// A ray and the range of the surface that it hits.
+/// A ray, and the range of the surface that the ray hits.
 struct LookingRay {
     Pose dataset_from_firing;
     glm::dvec3 origin_m, direction;  ///< in the sensor frame
-    float met_m;                     ///< range of the dominant surface; 0 if the ray hits nothing
+    float met_m;                     ///< range of the surface that the ray hits; 0 if the ray hits nothing
 };
-/// Returns the share of n rays for which the log observed less than half of the ray's
-/// path.
+/// Returns the share of rays that count as unobserved. The log observed less than half of
+/// the path of such a ray.
 /// @param ray_at returns the ray with an index below n
 double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>& ray_at,
                     const SeenByLog& log);
 
-/// Returns for some rays of a scan the share of each ray's path that the log observed
-/// [rays]. The path ends at the surface that the ray hits, or at the maximum range.
+/// Returns for selected rays of a scan which share of the ray's path the log observed.
+/// The path ends at the surface that the ray hits, or at the maximum range.
+/// @return [rays] 0..1
 std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
                                const SeenByLog& log);
 
-/// Sets RenderedScan::unseen_share. Uses the channel "seen" if the scan has it, otherwise
-/// a sample of kAskedRays rays. Leaves the share empty if the log has no coverage.
+/// Sets RenderedScan::unseen_share, the share of unobserved rays. Uses the channel "seen"
+/// if the scan has it. Otherwise uses a sample of kAskedRays rays. Leaves the share empty
+/// if the log has no coverage.
 void tell_unseen(RenderedScan& scan, const SeenByLog& log);
 
 }  // namespace relidar

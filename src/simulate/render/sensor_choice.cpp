@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the sensor to simulate. Also implements the grid convention of published
-// results: the dataset bins real points into an image with linear elevation and azimuth.
-// A simulation bins the simulated points of the real beams in the same way.
+// Selects the sensor to simulate. Also implements range grids as in published results.
+// Such a dataset bins real points into an image with linear elevation and azimuth. The
+// simulation bins the simulated points of the real beams in the same way.
 #include <relidar/simulate/render.hpp>
 
 #include <algorithm>
@@ -20,19 +20,22 @@ namespace relidar {
 
 namespace {
 
-constexpr float kLeastWeight = 0.05f;  ///< a simulated ray with a smaller weight has no point to bin
+/// A simulated ray with a smaller blending weight has no point that can be binned.
+constexpr float kLeastWeight = 0.05f;
 
 RangeLimits configured_limits(const Config& config, const Sequence& sequence) {
     return {config.dataset.min_range_m, with_farthest(config, sequence).dataset.max_range_m};
 }
 
-/// Returns the rays of a sensor, or none if its rays differ in every scan.
+/// Returns the rays of a sensor. Returns no rays if the sensor has different rays in
+/// every scan.
 template <class Make>
 RayTable rays_of(const std::optional<SensorPattern>& pattern, const Make& make) {
     return pattern && describe_pattern(*pattern).has_rays_by_time ? RayTable{} : make();
 }
 
-/// Returns true if the LiDARs of the log have a rolling shutter.
+/// Returns true if the LiDARs of the log have a rolling shutter, which means that rays
+/// have different firing times.
 bool rolls_like_log(const Config& config, const Sequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
@@ -72,7 +75,7 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
     return choice;
 }
 
-/// Copies all values of a ray to a cell, except drop probabilities.
+/// Copies all values of a ray to a cell of the grid, except drop probabilities.
 void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
     const glm::vec3 &origin = from.image.origin[source], &direction = from.image.direction[source];
     for_each_pair(
@@ -88,8 +91,8 @@ void copy_pixel(const RenderedScan& from, std::size_t source, RenderedScan& to, 
     to.time_offset_s[cell] = from.time_offset_s[source];
 }
 
-/// Sets the drop probability of a cell to the smallest of its rays, so that a cell is
-/// dropped only if all its rays are.
+/// Sets the drop probability of a cell to the smallest drop probability of its rays.
+/// Therefore a cell is dropped only if all its rays are dropped.
 void join_drops(const RenderedScan& from, std::size_t source, RenderedScan& to, std::size_t cell) {
     for_each_pair(
         from, to,
@@ -162,7 +165,8 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
                       of_cells.assign(n, nothing_of<T>(channel));
                   });
     result.time_offset_s.assign(n, 0.0f);
-    // drop probability of the ray that a cell currently stores; 2 = none
+    // Drop probability of the ray whose values a cell stores. 2 means that the cell
+    // stores no ray.
     std::vector<float> winner_drop(n, 2.0f);
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) {
         if (!(scan.median_range_m[i] > 0.0f) || scan.weight[i] < kLeastWeight) continue;

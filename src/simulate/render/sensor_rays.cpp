@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Host side of the kernels simulate/render/fire_rays, measure_rays and drop_channels.
+// Runs the kernels simulate/render/fire_rays, measure_rays and drop_channels.
 #include "simulate/render/sensor_rays.hpp"
 
 #include <algorithm>
@@ -18,12 +18,12 @@
 namespace relidar {
 namespace {
 
-/// Returns true if two tables have the same values. Compares in parallel, because the
+/// Returns true if two tables have the same bytes. Compares in parallel, because the
 /// tables of a scan have several megabytes.
 template <class Values>
 bool same_bytes(const Values& a, const Values& b) {
     if (a.size() != b.size()) return false;
-    constexpr std::size_t kPart = 1 << 14;  // values per parallel block
+    constexpr std::size_t kPart = 1 << 14;  // number of values in each parallel part
     std::atomic<bool> same{true};
     for_each_part(a.size(), kPart, [&](std::size_t begin, std::size_t end) {
         if (same && std::memcmp(&a[begin], &b[begin], (end - begin) * sizeof(a[0])) != 0) same = false;

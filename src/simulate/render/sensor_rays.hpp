@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keeps the rays of a sensor on the device, moves them to the sensor's poses, and
+// Keeps the rays of a sensor on the device, transforms them to the sensor's poses, and
 // computes the measurements. Private to render.
 #pragma once
 
@@ -19,46 +19,47 @@
 
 namespace relidar {
 
-/// Parameters of the measurement of rendered rays.
+/// Options for computing the measurements of rendered rays.
 struct RayMeasuring {
     const std::string& range;  ///< setting `render.range`
     const std::vector<Beam>& beams;
     const IntensityResponse& response;
     RangeLimits limits;
-    float min_weight;  ///< a ray with a smaller weight counts as having hit nothing
+    /// if the blending weight of a ray is smaller, the ray counts as having hit nothing
+    float min_weight;
 };
 
 class SensorRays {
 public:
     explicit SensorRays(Device& device);
 
-    /// Uploads the rays of a sensor if they are not on the device yet. No commands that
-    /// use the rays may be pending.
+    /// Uploads the rays of a sensor, unless they are already on the device. No pending
+    /// GPU commands may use the old rays.
     /// @param sensor name of the sensor; two sensors with the same rays can have
     /// different `never_seen`
     /// @param never_seen returns the probability that the sensor never gets a return
     /// along a ray
     void take(const RayTable& rays, const std::string& sensor,
               const std::function<float(std::size_t)>& never_seen);
-    /// Records the computation of the world-frame rays of a sweep, which batch() returns.
-    /// Each ray starts at the sensor's pose at its firing time.
+    /// Records GPU commands that compute the rays of a sweep in the world frame. batch()
+    /// returns these rays. Each ray starts at the sensor's pose at its firing time.
     /// @param world_from_sensor poses of the sensor; a single pose if it does not move
     void fire(Stream& stream, const PoseTrack& world_from_sensor, double time_s);
-    /// Returns the rays in the world frame. They have image order if the table of rays is
-    /// an image.
+    /// Returns the rays in the world frame. The rays have rows and columns if the
+    /// sensor's table has them.
     RayBatch batch() const;
-    /// Records the computation of the measurements of batch().
+    /// Records GPU commands that compute the measurements of batch().
     void measure(Stream& stream, const RenderedBatch& rendered, const RayMeasuring& how);
-    /// Records a pass of a ray-drop network over the measured rays; drop_probabilities()
-    /// returns the result.
+    /// Records GPU commands that run a ray-drop network on the measured rays.
+    /// drop_probabilities() returns the result.
     /// @param origin_m [3] position of the sensor relative to first_origin()
     /// @throws DataError for an image or channels that do not fit the network
     void refine(Stream& stream, DropPass& network, const glm::vec3& origin_m);
-    /// Reads the recorded measurements back and waits for them.
+    /// Copies the measurements to the host and waits for them.
     /// @return [rays] valid until the next call
     std::span<const shared::MeasuredRay> wait(Stream& stream);
-    /// Returns the drop probability of each ray from the network. Call wait() before.
-    /// Valid until the next wait().
+    /// Returns the drop probability of each ray that the network computed. Call wait()
+    /// before. The result is valid until the next wait().
     std::span<const float> refined(Stream& stream);
 
     /// Returns true if the device already stores the rays of this table and sensor.
@@ -67,9 +68,11 @@ public:
     const std::string& sensor() const { return sensor_; }
     const Array<shared::SensorRay>& rays() const { return rays_; }
     const Array<shared::MeasuredRay>& measured() const { return measured_; }
-    /// Returns the drop probabilities that the last call of refine() computes.
+    /// Returns the device address of the drop probabilities that the last refine()
+    /// computed.
     Address<float, shared::DropProbabilities> drop_probabilities() const { return address_of(refined_); }
-    /// Returns the poses of the sensor that the rays of a sweep need.
+    /// Returns the poses of the sensor between which the rays of a sweep are
+    /// interpolated.
     std::vector<shared::SensorPose> poses(const PoseTrack& track, double time_s) const;
 
 private:
@@ -85,23 +88,24 @@ private:
     std::optional<Readback> readback_, refined_readback_;
     Kernel<shared::DropChannelsParams> drop_channels_;
     Array<shared::RenderedSurface> no_surfaces_;  ///< a single entry of zeros
-    Array<float, shared::DropSamples> samples_;   ///< inputs of the network
-    /// output of the network since the last measure()
+    Array<float, shared::DropSamples> samples_;   ///< inputs of the ray-drop network
+    /// output of the ray-drop network; null if refine() was not called since the last
+    /// measure()
     const Array<float, shared::DropProbabilities>* refined_ = nullptr;
 };
 
-/// Returns the indices (RELIDAR_DROP_*) of the inputs of a ray-drop network.
+/// Returns the channel numbers (RELIDAR_DROP_*) of the inputs of a ray-drop network.
 /// @throws DataError for an unknown input
 std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names);
 
-/// Returns the poses of a sensor during a sweep in the format of the kernels. They start
-/// with the last pose before the first ray and end with the first pose after the last
-/// ray.
+/// Returns the poses of a sensor during a sweep in the format of the kernels. The first
+/// pose is the last pose before the first ray. The last pose is the first pose after the
+/// last ray.
 /// @param first_s time offset of the first ray
 /// @param last_s time offset of the last ray
 std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
                                                     double first_s, double last_s);
-/// Transforms the poses of a track to another frame.
+/// Transforms the poses of a track from the world frame to another frame.
 PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame);
 
 }  // namespace relidar

@@ -15,19 +15,21 @@
 namespace relidar {
 namespace {
 
-// makes the random numbers of stray light independent of those of the weather
+// Constant for the hash, so that the random numbers of stray light are independent of the
+// random numbers of the weather.
 constexpr std::uint64_t kOfBeams = 0x626C6F6F6D696E67ull;
 constexpr float kSaturated = 0.95f;
-constexpr double kSpread = 3.0;       // standard deviation of ln X
-constexpr double kNearest_deg = 0.5;  // at smaller angles the beam itself hits the reflector
+constexpr double kSpread = 3.0;  // standard deviation of ln X, where X is the random factor of a beam
+// Lower limit of the angle. At smaller angles the beam itself hits the reflector.
+constexpr double kNearest_deg = 0.5;
 constexpr double kSameRange_m = 0.5;
 constexpr double kPerRad = 180.0 / kPi;
 
-/// Counts the rays in a cell of one square degree, and those of them that hit a
+/// Counts the rays in a cell of one square degree, and how many of these rays hit a
 /// reflector.
 struct Square {
     int rays = 0, reflectors = 0;
-    glm::dvec3 direction{0.0};  // sum over the rays that hit reflectors
+    glm::dvec3 direction{0.0};  // sum of the directions of the rays that hit a reflector
     double range_m = 0.0;
 };
 struct Reflector {
@@ -63,7 +65,7 @@ std::vector<Reflector> reflectors_in(const RenderedScan& scan) {
     return reflectors;
 }
 
-/// Returns the stray light of the reflectors in a direction, before it is multiplied by X
+/// Returns the stray light of all reflectors in a direction, before it is multiplied by X
 /// and bloom.
 Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direction) {
     std::vector<double> share;

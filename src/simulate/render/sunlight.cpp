@@ -9,7 +9,8 @@
 namespace relidar {
 namespace {
 
-constexpr float kHidesSun = 0.5f;  // accumulated alpha from which surfaces hide the sun
+// Surfaces hide the sun if their accumulated alpha is at least this value.
+constexpr float kHidesSun = 0.5f;
 
 }  // namespace
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the angles between rays and the sun. Private to render.
+// Computes the angle between each ray and the direction to the sun. Private to render.
 #pragma once
 
 #include <vector>
@@ -13,7 +13,7 @@ namespace relidar {
 /// @return [3] unit vector
 glm::dvec3 direction_of(const Sun& sun);
 
-/// Returns the angles between the rays of a scan and the sun.
+/// Returns the angles between the rays of a scan and the direction to the sun.
 /// @param renderer renderer of the scene at the time of the scan
 /// @return [rays] radians; empty without a sun, or if the scene hides the sun from the
 /// sensor

@@ -13,18 +13,18 @@
 namespace relidar::scan_files {
 namespace {
 
-constexpr double kLatest_s = 2147483647.0;  // seconds of a ROS stamp have 31 bits
-// Interval of recorded poses. Readers interpolate between poses; for a sensor 2 m from
-// the vehicle's origin the error at 1 rad/s is 0.03 mm.
+constexpr double kLatest_s = 2147483647.0;  // latest time of a ROS stamp, whose seconds have 31 bits
+// Interval between recorded poses. Readers interpolate between poses. For a sensor 2 m
+// from the vehicle's origin that turns with 1 rad/s, the interpolation error is 0.03 mm.
 constexpr double kPoseStep_s = 0.01;
 constexpr double kVelocityStep_s = 0.005;
 
-/// Returns the pose of a scan's sensor at a time of the log.
+/// Returns the pose of the sensor at a time of the log, in the dataset's world frame.
 Pose sensor_pose(const RenderedScan& scan, double time_s) {
     return scan.track.pose.empty() ? scan.world_from_sensor : scan.track.at(time_s);
 }
 
-/// Returns the velocity of an object by central differences.
+/// Returns the velocity of an object, computed by central differences.
 /// @param world_from_thing returns the pose of the object at a time
 template <class PoseAt>
 Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
@@ -36,23 +36,22 @@ Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
             to_own * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
-/// A subset of the rays of a scan, distributed over the full scan.
+/// Subset of the rays of a scan, spread evenly over the scan.
 class SampledRays {
 public:
     explicit SampledRays(const RenderedScan& scan) : scan_(scan) {
         constexpr std::size_t kMost = 4096;
-        // an odd step, so that the columns differ between rows
+        // Uses an odd step, so that the selected columns differ between rows.
         const std::size_t n = scan.image.direction.size(), step = (n / kMost) | 1;
         for (std::size_t i = 0; i < n; i += step)
             rays_.push_back({scan.image.direction[i], scan.time_offset_s[i]});
     }
-    /// Returns the firing time of the ray that passes nearest to a point.
+    /// Returns the firing time of the ray that passes closest to a point.
     /// @param place_m returns the position of the point at a time, in the dataset's world
     /// frame
     template <class PlaceAt>
     double faced_at(const PlaceAt& place_m) const {
-        // Fixed-point iterations, because the point and the sensor move while the head
-        // rotates.
+        // Iterates, because the point and the sensor move while the head rotates.
         constexpr int kRounds = 3;
         double time_s = scan_.time_s;
         for (int round = 0; round < kRounds && !rays_.empty(); ++round) {
@@ -72,8 +71,8 @@ private:
     std::vector<Ray> rays_;
 };
 
-/// Adds times between two limits at intervals of kPoseStep_s, and the times of the poses
-/// of a track.
+/// Adds times between two limits at intervals of kPoseStep_s. Also adds the times of a
+/// track's poses between these limits.
 void add_times(std::vector<double>& times_s, const PoseTrack& track, double first_s, double last_s) {
     const int n = std::max(1, static_cast<int>(std::ceil((last_s - first_s) / kPoseStep_s)));
     for (int i = 0; i <= n; ++i) times_s.push_back(i == n ? last_s : first_s + (last_s - first_s) * i / n);
@@ -133,7 +132,7 @@ RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
 }
 
 /// Returns the poses of the vehicle at the given times.
-/// @param scan scan of the first sensor, whose path defines the path of the vehicle
+/// @param scan scan of the first sensor, whose track defines the track of the vehicle
 std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::vector<double> times_s) {
     std::ranges::sort(times_s);
     const Pose sensor_from_vehicle = inverse(rig().sensors.front().vehicle_from_sensor);
@@ -141,7 +140,7 @@ std::vector<RecordedPose> MomentRecorder::poses(const RenderedScan& scan, std::v
     std::vector<RecordedPose> poses;
     for (const double t_s : times_s) {
         const std::uint64_t time_ns = stamp(t_s);
-        // skips times that an overlapping earlier sweep already wrote
+        // Skips times for which an overlapping earlier sweep already wrote a pose.
         if (last_pose_ns_ && time_ns <= *last_pose_ns_) continue;
         poses.push_back({time_ns, world_from_vehicle(t_s), velocity_of(world_from_vehicle, t_s)});
         last_pose_ns_ = time_ns;
@@ -158,7 +157,7 @@ Points MomentRecorder::cloud(const RenderedScan& scan, const ScanFormat& format,
     return points;
 }
 
-/// Returns the boxes of the actors that are present in a scan, in the dataset's world
+/// Returns the boxes of the actors that are present during a scan, in the dataset's world
 /// frame.
 std::vector<RecordedActor> MomentRecorder::actors(const RenderedScan& scan, double stamp_s) const {
     const SampledRays rays(scan);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts scans to the content of recordings.
+// Converts scans to the poses, points and boxes that a recording stores.
 #pragma once
 
 #include <cstdint>
@@ -13,18 +13,18 @@
 
 namespace relidar::scan_files {
 
-/// Converts scans to moments, in order of time. A moment is the content of a recording
-/// for scans at the same time.
+/// Converts scans to moments, in order of time. A moment holds everything that a
+/// recording stores for scans at the same time: poses, points and boxes.
 class MomentRecorder {
 public:
     explicit MomentRecorder(std::vector<ScanFormat> sensors) : sensors_(std::move(sensors)) {}
     RecordedRig rig() const;
-    /// Converts the scans of all sensors at the same time.
+    /// Converts the scans of all sensors that were made at the same time.
     /// @param scans one scan per sensor
     /// @throws DataError if times decrease, or if the file format cannot represent them
     RecordedMoment take(std::span<const RenderedScan> scans);
-    /// Returns the offset in whole seconds that is added to times of the log, because
-    /// times of files are not negative. It is set by the first moment.
+    /// Returns the number of whole seconds that is added to the times of the log, because
+    /// times in files cannot be negative. The first scan determines this offset.
     double shift_s() const { return shift_s_.value_or(0.0); }
 
 private:

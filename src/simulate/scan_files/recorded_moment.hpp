@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Content of recordings for scans at the same time, independent of the message format.
+// Defines what a recording stores for scans at the same time, independent of the message
+// format.
 #pragma once
 
 #include <cmath>
@@ -27,7 +28,7 @@ struct RecordedRig {
     bool world = false;  ///< true: points are in the world frame; false: in the frame of their sensor
 };
 
-/// Velocity of an object, in its own frame.
+/// Velocity of an object, along the axes of the object.
 struct Velocity {
     glm::dvec3 linear_mps{0.0}, angular_radps{0.0};
 };
@@ -36,7 +37,7 @@ struct RecordedPose {
     Pose world_from_vehicle;
     Velocity velocity;
 };
-/// Pose and velocity of a box at a time.
+/// Pose and velocity of a box at one time.
 struct BoxState {
     std::uint64_t time_ns;
     Pose world_from_box;
@@ -46,22 +47,24 @@ struct RecordedActor {
     std::string name, category;
     glm::dvec3 size_m;  ///< length, width and height
     bool is_parked = false;
-    /// At the time when the sensor faces the actor. The box of a moving actor fits its
-    /// points only at this time.
+    /// State at the time when the sensor faces the actor. The box of a moving actor fits
+    /// its points only at this time.
     BoxState faced;
-    BoxState at_stamp;  ///< at the stamp of the cloud
+    BoxState at_stamp;  ///< state at the time stamp of the cloud
 };
 
-/// Converts a time of the file to a stamp in nanoseconds.
+/// Converts a time of the file from seconds to a time stamp in nanoseconds.
 inline std::uint64_t stamp_of(double time_s) { return std::uint64_t(std::llround(1e9 * time_s)); }
 
 struct RecordedMoment {
     std::uint64_t first_ns, last_ns;  ///< firing times of the first and last ray of all sensors
-    std::vector<RecordedPose> poses;  ///< in ascending order of time, after the poses of earlier moments
+    /// poses in ascending order of time; all are later than the poses of earlier scans
+    std::vector<RecordedPose> poses;
     /// [sensors] Points of each sensor. `time_s` is the time of the first ray, in the
     /// time of the file. Deskewed points are in the sensor's frame at `time_s`.
     std::vector<Points> clouds;
-    std::map<std::uint64_t, std::vector<RecordedActor>> actors;  ///< actors at the stamp of each cloud
+    /// actors at the time stamp of each cloud
+    std::map<std::uint64_t, std::vector<RecordedActor>> actors;
 };
 
 }  // namespace relidar::scan_files

@@ -4,8 +4,8 @@
 namespace relidar::scan_files {
 
 std::span<const RecordingFormat> recording_formats() {
-    // If `serialized_metadata` is empty, rosbag2 reads quality-of-service policies as
-    // numbers, as in bags before version 9.
+    // The key `serialized_metadata` exists but is empty. Therefore rosbag2 reads
+    // quality-of-service policies as numbers, as in bags before version 9.
     static const RecordingFormat formats[] = {
         {"mcap", "scans.mcap", "", "protobuf", "protobuf", {}, foxglove_topics},
         {"rosbag",

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Table of recording formats.
+// Lists the file formats of recordings and their topics.
 #pragma once
 
 #include <cstdint>
@@ -20,7 +20,7 @@ struct RecordedMessage {
 struct RecordedTopic {
     std::string name;
     std::string type;        ///< message type
-    std::string definition;  ///< definition of the type and of all types that it contains
+    std::string definition;  ///< definition of the message type and of all types that it contains
     std::map<std::string, std::string> metadata;
     std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages;
 };
@@ -30,16 +30,18 @@ struct RecordingFormat {
     const char* file;
     const char* profile;  ///< MCAP profile of the file
     const char *definition_encoding, *message_encoding;
-    /// metadata records, in addition to those of the rendering
+    /// Metadata of the file that this format requires. Metadata about the rendering is
+    /// added to it.
     std::map<std::string, std::map<std::string, std::string>> metadata;
-    /// Returns the topics. Messages with the same time are written in the order of the
-    /// topics.
+    /// Returns the topics of a recording. Messages with the same time are written in the
+    /// order of the topics.
     std::vector<RecordedTopic> (*topics)(const RecordedRig&);
 };
 
 std::span<const RecordingFormat> recording_formats();
 
-/// Return the topics with Foxglove's schemas in protobuf, and with ROS 2 messages in CDR.
+/// Return the topics of a recording: foxglove_topics() with Foxglove's schemas in
+/// protobuf, ros_topics() with ROS 2 messages in CDR.
 std::vector<RecordedTopic> foxglove_topics(const RecordedRig& rig);
 std::vector<RecordedTopic> ros_topics(const RecordedRig& rig);
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the boxes of actors as vision_msgs/Detection3DArray and as tracked objects of
-// Autoware.
+// Writes the boxes of actors as vision_msgs/Detection3DArray messages and as Autoware's
+// tracked objects.
 #include "ros_parts.hpp"
 
 #include <algorithm>
@@ -11,15 +11,15 @@ namespace {
 
 using Actors = std::vector<RecordedActor>;
 
-/// Returns a message with one detection per actor. The header of each detection has the
-/// time at which the sensor faces the box.
+/// Returns a message with one detection per actor. The header of a detection has the time
+/// when the sensor faces the box.
 std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     Cdr cdr;
     add_header(cdr, stamp_ns, kWorldFrame);
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_header(cdr, actor.faced.time_ns, kWorldFrame);
-        // a single hypothesis with a score of 1
+        // Writes one class hypothesis with a score of 1.
         cdr.add(std::uint32_t(1)).add_text(actor.category).add(1.0);
         add_pose(cdr, actor.faced.world_from_box), add_covariance(cdr);
         add_pose(cdr, actor.faced.world_from_box), add_vector(cdr, actor.size_m);
@@ -28,8 +28,9 @@ std::string detections(std::uint64_t stamp_ns, const Actors& actors) {
     return cdr.take();
 }
 
-/// Labels of autoware_perception_msgs/ObjectClassification for words in the names of
-/// categories. The first match is used, so a word precedes the words that are part of it.
+/// Labels of autoware_perception_msgs/ObjectClassification, selected by a word in the
+/// class name of an object. The first match is used. Therefore a word is listed before
+/// the words that it contains, for example "caravan" before "car".
 struct Label {
     const char* word;
     std::uint8_t number;
@@ -48,8 +49,9 @@ std::uint8_t label_of(std::string category) {
     return found == std::end(kLabels) ? kUnknown : found->number;
 }
 
-/// Adds a UUID that depends only on a name, so that it is the same in all files. It
-/// consists of two FNV-1a hashes and has the version for custom UUIDs (8).
+/// Adds a UUID that depends only on a name, so that an actor has the same UUID in all
+/// files. The UUID consists of two FNV-1a hashes. Its version is 8, which is for custom
+/// UUIDs.
 void add_uuid(Cdr& cdr, const std::string& name) {
     constexpr int kVersionByte = 6, kVariantByte = 8;
     std::string bytes;
@@ -65,8 +67,8 @@ void add_uuid(Cdr& cdr, const std::string& name) {
     }
 }
 
-/// Returns a message with all boxes at the time of the stamp, because an object in this
-/// message has no time. Readers can extrapolate with the velocities.
+/// Returns a message with the boxes of all actors at the time of the stamp. Objects in
+/// this message have no times of their own. Readers can extrapolate with the velocities.
 std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     constexpr std::uint8_t kOrientationAvailable = 2, kBoundingBox = 0;
     Cdr cdr;
@@ -74,7 +76,7 @@ std::string tracked_objects(std::uint64_t stamp_ns, const Actors& actors) {
     cdr.add(std::uint32_t(actors.size()));
     for (const RecordedActor& actor : actors) {
         add_uuid(cdr, actor.name);
-        // existence and classification have a probability of 1
+        // Existence and classification have a probability of 1.
         cdr.add(1.0f).add(std::uint32_t(1)).add(label_of(actor.category)).add(1.0f);
         add_pose(cdr, actor.at_stamp.world_from_box), add_covariance(cdr);
         add_velocity(cdr, actor.at_stamp.velocity);

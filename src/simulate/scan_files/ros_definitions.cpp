@@ -71,7 +71,8 @@ const std::map<std::string, std::string>& known_types() {
     return types;
 }
 
-/// Returns the message types of fields. Numbers and strings are left out.
+/// Returns the message types of the fields in a definition. Leaves out numbers and
+/// strings.
 std::vector<std::string> types_in(const std::string& fields) {
     std::vector<std::string> types;
     std::istringstream lines(fields);

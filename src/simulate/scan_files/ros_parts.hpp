@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parts of ROS 2 messages that several topics use.
+// Writes the parts of ROS 2 messages that several topics use: headers, poses and
+// velocities.
 #pragma once
 
 #include <cstdint>
@@ -11,7 +12,8 @@
 namespace relidar::scan_files {
 
 constexpr std::uint64_t kNanoseconds = 1'000'000'000;  // nanoseconds per second
-// numbers in a covariance; all are 0, because poses and velocities are exact
+// Number of elements in a covariance matrix. All are 0, because simulated poses and
+// velocities are exact.
 constexpr int kCovariance = 36;
 
 inline void add_time(Cdr& cdr, std::uint64_t time_ns) {
@@ -40,7 +42,7 @@ std::vector<RecordedTopic> ros_cloud_topics(const RecordedRig& rig, std::size_t 
 /// Returns the topics with the boxes of the actors.
 std::vector<RecordedTopic> ros_actor_topics();
 /// Returns a topic with reliable quality of service.
-/// @param is_latched true if later subscribers receive the last message
+/// @param is_latched true if subscribers that join later receive the last message
 RecordedTopic ros_topic(const std::string& name, const std::string& type,
                         std::function<std::vector<RecordedMessage>(const RecordedMoment&)> messages,
                         bool is_latched = false);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Entries of scans.json, and removal of an earlier rendering.
+// Writes the entries of scans.json, and removes the files of an earlier rendering.
 #pragma once
 
 #include <cstddef>
@@ -11,13 +11,13 @@
 
 namespace relidar::scan_files {
 
-/// Returns the entry of a scan in scans.json, a JSON object.
+/// Returns the description of a scan in scans.json, as a JSON object.
 /// @param frame frame number
 /// @param files names of the scan's files in the folder
 std::string entry_json(int frame, const RenderedScan& scan, std::size_t n_points,
                        const std::vector<std::string>& files);
 
-/// Removes the files of an earlier rendering from a folder, including partly written
+/// Removes the files of an earlier rendering from a folder. Also removes partly written
 /// files of a killed process.
 /// @throws DataError for a file that cannot be removed
 void remove_scans(const std::filesystem::path& folder);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes the folder of a rendering: removes the files of an earlier rendering and writes
+// Writes the folder of a rendering. Removes the files of an earlier rendering and writes
 // scans.json.
 #include <relidar/simulate/scan_files.hpp>
 
@@ -24,8 +24,8 @@ using Json = nlohmann::ordered_json;
 
 constexpr const char* kSummary = "scans.json";
 
-/// Returns true for scans.json, recordings, and frame_<number>.<format>, so that files of
-/// other programs are never removed.
+/// Returns true if a file name is scans.json, a recording, or frame_<number>.<format>.
+/// Only such files are removed, never files of other programs.
 bool is_of_rendering(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
     if (name == kSummary || std::ranges::any_of(scan_files::recording_formats(), is_named)) return true;
@@ -57,7 +57,7 @@ Json settings_json(const Config& config) {
     return json;
 }
 
-/// Returns name, unit and meaning of each channel in the files.
+/// Returns the name, unit and meaning of each channel in the files, as JSON.
 Json channels_json(const std::vector<ChannelInfo>& channels) {
     Json json = Json::object();
     const auto add = [&](const ChannelInfo& channel) {

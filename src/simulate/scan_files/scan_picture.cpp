@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts range images to colour pictures.
+// Converts the range, intensity and ray-drop of a scan to colour pictures.
 #include <relidar/simulate/scan_files.hpp>
 
 #include <algorithm>
@@ -11,8 +11,8 @@ namespace relidar {
 
 namespace {
 
-constexpr double kPictureAspect = 8.0;  // ratio of width to height of each image in the stack
-// largest range of the colour scale; larger ranges have the colour of this range
+constexpr double kPictureAspect = 8.0;  // ratio of width to height of each of the stacked pictures
+// Upper end of the colour scale in metres. Larger ranges have the same colour.
 constexpr float kFarthest_m = 80.0f;
 
 std::vector<float> roots(std::vector<float> values) {

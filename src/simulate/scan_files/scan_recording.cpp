@@ -40,7 +40,7 @@ ScanRecording::~ScanRecording() {
 void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
     if (!std::exchange(has_notes_, true)) {
         McapWriter::Values values(notes_.begin(), notes_.end());
-        // offset from times of the log to times of the file
+        // Offset in seconds that was added to the times of the log.
         values["time_shift_s"] = fmt::format("{}", shift_s);
         writer_.add_metadata("relidar", values);
     }
@@ -50,17 +50,19 @@ void ScanRecording::add(const RecordedMoment& moment, double shift_s) {
             messages.emplace_back(channel.id, std::move(message));
     std::ranges::stable_sort(messages, {}, [](const auto& message) { return message.second.logged_ns; });
     for (const auto& [channel, message] : messages) {
-        // Sweeps can overlap. A message with an earlier time gets the log time of the
-        // previous message, so that log times never decrease.
+        // Sweeps can overlap. If a message is earlier than the previous message, it gets
+        // the log time of the previous message. Therefore log times never decrease.
         last_logged_ns_ = std::max(last_logged_ns_, message.logged_ns);
         writer_.add_message(channel, last_logged_ns_, message.bytes);
     }
-    writer_.end_chunk();  // one chunk per moment, because players display the scans of a moment together
+    // Ends a chunk after every scan, because players display all messages of a scan
+    // together.
+    writer_.end_chunk();
 }
 
 void ScanRecording::finish() {
     writer_.close();
-    // flushes the file and renames it to its final name
+    // Flushes the file, and renames it to its final name.
     write_atomically(path_, [&](const fs::path& file) { fs::rename(temporary_, file); });
 }
 

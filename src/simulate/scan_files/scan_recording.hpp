@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes all moments of a rendering to one MCAP file.
+// Writes all scans of a rendering to one MCAP file.
 #pragma once
 
 #include <cstdint>
@@ -11,11 +11,11 @@
 
 namespace relidar::scan_files {
 
-/// A recording in the process of writing. It has a temporary name in the same folder
-/// until it is finished.
+/// Writes one recording. The file has a temporary name in the same folder until finish()
+/// is called.
 class ScanRecording {
 public:
-    /// Creates the file and its topics.
+    /// Creates the file and adds its topics.
     /// @param notes metadata of the file
     /// @throws DataError if the file cannot be written
     ScanRecording(std::filesystem::path path, const RecordingFormat& format, const RecordedRig& rig,
@@ -25,9 +25,9 @@ public:
     ScanRecording(const ScanRecording&) = delete;
     ScanRecording& operator=(const ScanRecording&) = delete;
 
-    /// Adds the messages of a moment.
-    /// @param shift_s offset from times of the log to times of the file; the same for all
-    /// moments
+    /// Writes the messages of all scans at one time.
+    /// @param shift_s offset that converts times of the log to times of the file; it is
+    /// the same for all calls
     void add(const RecordedMoment& moment, double shift_s);
     void finish();
 

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Simulates returns of fog, raindrops and snowflakes along a ray, and selects the returns
-// that a sensor reports. Fog is a soft target (Rasshofer, Spies and Spies 2011), as in
-// Hahner et al. (ICCV 2021). Particles are drawn for each beam, as in LISA (Kilic et al.
-// 2021) and Hahner et al. (CVPR 2022). The density of fog varies along a ray; the amount
-// of variation is an assumption.
+// Simulates the returns of fog, raindrops and snowflakes along a ray, and selects the
+// returns that a sensor reports. Fog is a soft target (Rasshofer, Spies and Spies 2011),
+// as in Hahner et al. (ICCV 2021). Particles are drawn for each beam, as in LISA (Kilic
+// et al. 2021) and Hahner et al. (CVPR 2022). The density of fog varies along a ray; the
+// amount of variation is an assumption.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -19,23 +19,24 @@ namespace relidar {
 namespace {
 
 constexpr double kStep_m = 0.05;  // range step of the tables
-// At smaller ranges the receiver does not see the part of the air that the beam
+// Below this range, the receiver does not see the part of the air that the beam
 // illuminates (Hahner et al. 2021).
 constexpr double kOverlap_m = 1.0;
 constexpr double kLight_m_s = 299792458.0;
-// backscatter coefficient of fog times its visibility, per steradian (Rasshofer et al.
-// 2011)
+// Backscatter coefficient of fog multiplied by its visibility, per steradian (Rasshofer
+// et al. 2011).
 constexpr double kBackscatter = 0.046;
-// standard deviation of the logarithm of the fog density; an assumption
+// Standard deviation of the logarithm of the fog density. This value is an assumption.
 constexpr double kFogSpread = 1.0;
-// denser fog than this number of standard deviations is ignored, because it is very rare
+// Ignores fog whose density is above this number of standard deviations, because it is
+// very rare.
 constexpr double kRareFog = 5.0;
 
 double pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
 
 }  // namespace
 
-/// A possible return of a ray, with enough power for the sensor.
+/// A possible return of a ray that is bright enough for the sensor.
 struct Air::Candidate {
     Echo echo;
     double power;
@@ -43,8 +44,8 @@ struct Air::Candidate {
 
 namespace {
 
-/// Returns the second return of a sensor that reports two: the last one, or the next
-/// strongest.
+/// Returns the second return of a sensor that reports two returns. This is the last
+/// return, or the second strongest if the strongest is also the last.
 template <class Candidates>
 Echo second_of(const Candidates& candidates, const Echo& strongest, double separation_m) {
     Echo last, next;
@@ -88,7 +89,7 @@ double Air::nearest_m() const { return std::max(kOverlap_m, sensor_.min_range_m)
 
 /// Returns the diameter of the smallest particle that the sensor detects at a range, in
 /// millimetres of liquid water. Returns infinity if even a particle that fills the beam
-/// is too dark.
+/// reflects too little light.
 double Air::smallest_mm(double range_m) const {
     const double share = sensor_.threshold(range_m) * range_m * range_m * std::exp(2.0 * alpha_ * range_m) /
                          falling_.reflectivity;
@@ -96,7 +97,7 @@ double Air::smallest_mm(double range_m) const {
     return 1e3 * beam_m(range_m) * std::sqrt(share) / falling_.widening;
 }
 
-/// Returns the mean power of fog at a range. Integrates over the pulse by the midpoint
+/// Returns the mean power of fog at a range. Integrates over the pulse with the midpoint
 /// rule.
 double Air::fog_power(double range_m) const {
     constexpr int kParts = 32;
@@ -110,9 +111,9 @@ double Air::fog_power(double range_m) const {
     return kPi * kBackscatter / weather_.fog_visibility_m * sum;
 }
 
-/// Returns the reflectivity of a surface that the log returned. Below one intensity step
-/// the log does not contain the reflectivity, so this draws it between the weakest that
-/// is returned and one step.
+/// Returns the reflectivity of a surface. An intensity below one step of the sensor does
+/// not determine the reflectivity. In this case, draws a random value between the weakest
+/// detectable reflectivity and one step.
 double Air::surface_reflectivity(const Echo& surface, Random& random) const {
     const double step = 2.0 * sensor_.darkest;
     if (surface.reflectivity >= step) return surface.reflectivity;
@@ -164,9 +165,9 @@ void Air::add_particles(std::vector<Candidate>& candidates, double free_m, Rando
     }
 }
 
-/// Adds false returns that noise causes. Their powers follow the local maxima of Gaussian
-/// noise above the weakest detected power: power^2 = weakest^2 + 2 sigma^2 E, where E is
-/// exponentially distributed.
+/// Adds false returns caused by noise. Their powers follow the local maxima of Gaussian
+/// noise above the weakest detectable power: power^2 = weakest^2 + 2 sigma^2 E, where E
+/// is exponentially distributed.
 void Air::add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m,
                     Random& random) const {
     const bool meets_surface = surfaces.strongest.source == PointSource::surface;

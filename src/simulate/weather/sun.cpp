@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models sunlight in a receiver as shot noise: N photo-electrons during a pulse have a
+// Models sunlight in a receiver as shot noise. N photo-electrons during a pulse have a
 // standard deviation of sqrt(F N). Also computes how often noise causes a false return.
-// Parameters that data sheets do not list are those of a typical sensor with avalanche
-// photodiodes at 905 nm; these values are assumptions.
+// Values that data sheets do not list are assumptions. They describe a typical sensor
+// with avalanche photodiodes at 905 nm.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -13,16 +13,17 @@
 namespace relidar {
 namespace {
 
-// W/m^2/nm at 905 nm per 100 klux of direct light on a clear day; an assumption
+// Solar irradiance in W/m^2/nm at 905 nm per 100 klux of direct light on a clear day.
+// This value is an assumption.
 constexpr double kIrradiance = 0.65;
 constexpr double kSun_rad = 4.65e-3;  // angular radius of the sun
 constexpr double kSun_sr = kPi * kSun_rad * kSun_rad;
 // Sunlight that a dusty window scatters by one degree, per steradian. It decreases with 1
-// / angle^2; the total is 5 % of the light.
+// / angle^2. The total scattered light is 5 %.
 constexpr double kScatter_sr = 5.0;
 constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;
-// effective area of a lens with a diameter of 5 cm and a transmission of one half
+// Effective area of a lens with a diameter of 5 cm and a transmission of one half.
 constexpr double kReceiver_m2 = 1e-3;
 constexpr double kEfficiency = 0.7;         // quantum efficiency, electrons per photon
 constexpr double kExcess = 3.0;             // excess noise factor F of an avalanche photodiode
@@ -43,7 +44,7 @@ double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_ra
     const double view_sr = kPi * half_rad * half_rad, electrons_per_J = kEfficiency / kPhoton_J;
     const double n =
         irradiance * per_sr * kFilter_nm * view_sr * kReceiver_m2 * sensor.pulse_s * electrons_per_J;
-    // A diffuse surface scatters a fraction of 1 / pi per steradian.
+    // A diffuse surface scatters 1 / pi of the reflected light per steradian.
     const double of_unit_power = kPeak_W * kReceiver_m2 / kPi * sensor.pulse_s * electrons_per_J;
     return std::sqrt(kExcess * n) / of_unit_power;
 }

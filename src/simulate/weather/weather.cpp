@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads and writes weather as text, and computes its extinction coefficient alpha. For
-// fog, alpha follows from the definition of visibility V: exp(-alpha V) = 0.05. Raindrops
-// and flakes remove twice the light that their cross section covers (Q_ext = 2), because
-// they are much larger than the wavelength.
+// Reads and writes weather as text, and computes the extinction coefficient alpha. For
+// fog, alpha follows from the definition of the visibility V: exp(-alpha V) = 0.05.
+// Raindrops and snowflakes remove twice the light that their cross section covers (Q_ext
+// = 2), because they are much larger than the wavelength.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -36,7 +36,7 @@ struct Kind {
     double Weather::*value;
     double least, most;
     const char* range;
-    double usual = 0.0;  ///< value if the text has no number; 0: a number is required
+    double usual = 0.0;  ///< value if the text has no number; 0 if the text must have a number
 };
 constexpr Kind kKinds[] = {
     {"fog", &Weather::fog_visibility_m, 1.0, 1e6, "a visibility of 1 to 1e6 metres"},
@@ -88,7 +88,7 @@ std::string sun_text(const Sun& sun) {
     return sun.klux == kUsual_klux ? where : fmt::format("{}:{}", where, sun.klux);
 }
 
-/// Parses one word, for example "rain=5".
+/// Parses one weather setting, for example "rain=5".
 /// @param equals position of the equals sign, or the length of the word
 void read_word(Weather& weather, std::string_view word, std::size_t equals) {
     const auto twice = [](std::string_view name) {
@@ -154,12 +154,12 @@ double extinction(const Weather& weather) {
 }
 
 Particles falling_in(const Weather& weather) {
-    // Drop sizes of Marshall and Palmer (1948). A drop reflects like water at normal
-    // incidence, ((n - 1) / (n + 1))^2.
+    // Drop size distribution of Marshall and Palmer (1948). A drop reflects like water at
+    // normal incidence, ((n - 1) / (n + 1))^2.
     if (weather.rain_mm_h > 0.0)
         return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
-    // Melted diameters of Gunn and Marshall (1958). A flake is wider than its melted
-    // drop, because its density is a tenth of the density of water.
+    // Distribution of melted diameters of Gunn and Marshall (1958). A flake is wider than
+    // its melted drop, because its density is a tenth of the density of water.
     if (weather.snow_mm_h > 0.0)
         return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
                 2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models water on the ground as a smooth film on a diffuse surface (Lekner and Dorf, "Why
-// some things are darker when wet", Applied Optics 1988).
+// Models water on the ground as a smooth film on a diffuse surface. Follows Lekner and
+// Dorf, "Why some things are darker when wet", Applied Optics 1988.
 #include <relidar/simulate/weather.hpp>
 
 #include <algorithm>
@@ -12,8 +12,8 @@ namespace {
 constexpr double kWater = 1.33;      // refractive index of water in the near infrared
 constexpr double kTexture_mm = 1.0;  // depth of the texture of asphalt
 
-/// Returns the fraction of diffuse light that a film of water reflects: the integral of 2
-/// c F(c) dc, by the midpoint rule.
+/// Returns the fraction of diffuse light that a film of water reflects. This is the
+/// integral of 2 c F(c) dc, computed with the midpoint rule.
 double mean_mirrored() {
     constexpr int kParts = 1000;
     double sum = 0.0;
@@ -35,7 +35,7 @@ double mirrored_by_water(double cosine) {
 }
 
 double wet_over_dry(double cosine, double albedo) {
-    // fraction of the scattered light that total reflection keeps in the film
+    // Fraction of the scattered light that total internal reflection keeps in the film.
     static const double kept = 1.0 - (1.0 - mean_mirrored()) / (kWater * kWater);
     const double passes = 1.0 - mirrored_by_water(cosine);
     return passes * passes / (kWater * kWater * (1.0 - std::clamp(albedo, 0.0, 1.0) * kept));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes checkpoints during training, by number of iterations or by time. A failed write
-// does not stop the training.
+// Writes checkpoints during training, after a number of iterations or minutes. Training
+// continues if a checkpoint cannot be written.
 #include "train/checkpoints/checkpoint_keeper.hpp"
 
 #include <new>
@@ -17,8 +17,8 @@
 namespace relidar {
 
 namespace {
-// Checkpoints to keep: the newest, and one older in case the machine fails while the
-// newest is written.
+// Keeps the two newest checkpoints. The older checkpoint is needed if the machine fails
+// while the newest is being written.
 constexpr int kKept = 2;
 }  // namespace
 
@@ -71,8 +71,8 @@ bool CheckpointKeeper::due(int step) const {
 }
 
 void CheckpointKeeper::save(TrainLoop& loop, const TrainResult& result, double train_s) {
-    // also set before a failed write, so that a full disk is tried again only at the next
-    // checkpoint
+    // Also updates the time before a failed write, so that a full disk is tried again
+    // only at the next checkpoint.
     last_ = Clock::now();
     if (!folder_.wanted()) return;
     folder_.save({result.iterations, texts_.get(), {}}, [&](Checkpoint& checkpoint) {

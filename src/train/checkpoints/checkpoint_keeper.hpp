@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides when a training writes a checkpoint, and handles failures to write one. Private
-// to train.
+// Decides when a training writes a checkpoint. Prints a note if a checkpoint cannot be
+// written. Private to train.
 #pragma once
 
 #include <chrono>
@@ -17,11 +17,12 @@ namespace relidar {
 
 class TrainLoop;
 
-/// Folder with the checkpoints of a training. A failed write does not stop the
-/// training.
+/// Folder with the checkpoints of a training. Training continues if a checkpoint cannot
+/// be written.
 class CheckpointFolder {
 public:
-    /// Keeps the two newest checkpoints, because one can be damaged if the machine fails.
+    /// Opens the folder. Keeps the two newest checkpoints, because a failure of the
+    /// machine can damage one of them.
     /// @param folder  empty: nothing is written
     /// @param newest  iteration of the newest checkpoint in the folder; 0: none
     /// @param count  word for iterations in messages, for example "iteration"
@@ -30,11 +31,11 @@ public:
 
     bool wanted() const { return !folder_.empty(); }
     int newest() const { return newest_; }
-    /// Writes a checkpoint. If the disk or the memory is full, it prints a note and the
+    /// Writes a checkpoint. If the disk or the memory is full, it prints a note and
     /// training continues.
     /// @param fill  adds the state to the checkpoint
-    /// @throws DataError if the state is not finite, because training could not continue
-    /// from it
+    /// @throws DataError if the state contains NaN or infinity, because training could
+    /// not continue from it
     void save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill);
 
 private:
@@ -49,22 +50,22 @@ public:
     CheckpointKeeper(const Sequence& sequence, const Split& split, const Config& config,
                      const TrainSession& session);
 
-    /// Returns true if a checkpoint should be written after this iteration: by number of
-    /// iterations or by time. The last iteration also counts if the run was long enough
-    /// for an earlier checkpoint.
+    /// Returns true if a checkpoint should be written after this iteration. A checkpoint
+    /// is due after a number of iterations or after some minutes. It is also due after
+    /// the last iteration if an earlier checkpoint was written.
     bool due(int step) const;
-    /// Writes the state after result.iterations. If the disk is full, it prints a note
-    /// and the training continues.
-    /// @throws DataError if the state is not finite, because training could not continue
-    /// from it
+    /// Writes the state after result.iterations to a checkpoint. If the disk is full, it
+    /// prints a note and training continues.
+    /// @throws DataError if the state contains NaN or infinity, because training could
+    /// not continue from it
     void save(TrainLoop& loop, const TrainResult& result, double train_s);
 
 private:
     using Clock = std::chrono::steady_clock;
     const TrainConfig& config_;
     CheckpointFolder folder_;
-    /// Texts of every checkpoint of this training. A thread computes them, because
-    /// hashing a log takes some time.
+    /// Settings and hashes that are stored in every checkpoint of this training. A thread
+    /// computes them, because hashing a log takes some time.
     std::shared_future<std::map<std::string, std::string>> texts_;
     Clock::time_point last_ = Clock::now();
 };

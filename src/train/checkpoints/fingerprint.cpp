@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes hashes of logs and scenes, and compares them with those in a checkpoint.
+// Computes hashes of logs and scenes, and compares them with the hashes in a checkpoint.
 #include "train/checkpoints/fingerprint.hpp"
 
 #include <cstring>
@@ -21,7 +21,7 @@ constexpr const char* kSetting = "setting/";
 constexpr const char* kTrainAgain =
     "a checkpoint of another version of relidar cannot be continued: train again";
 
-/// Hash of all added values, in order.
+/// Computes a hash of all added values. The order of the values matters.
 class Hash {
 public:
     template <class T, class Allocator>

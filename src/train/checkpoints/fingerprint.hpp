@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Fingerprint of a training in its checkpoints: settings by value, logs and scenes by
-// hashes. It shows whether a checkpoint belongs to the same training. Private to train.
+// Stores in a checkpoint what its training depends on: the values of the settings, and
+// hashes of the log and the scene. These data show whether a checkpoint belongs to the
+// same training. Private to train.
 #pragma once
 
 #include <map>
@@ -15,26 +16,26 @@
 
 namespace relidar {
 
-/// A property that must not change: its key in a checkpoint, its name in messages, and
-/// its current value.
+/// Describes a property that must not change when training is resumed. Holds the key in a
+/// checkpoint, the name in messages, and the current value.
 struct Mark {
     std::string key, what, value;
 };
 
-/// Returns the marks of a log with the scans of its training frames. They are ordered so
-/// that the first difference gives the best explanation.
+/// Returns the hashes of a log and of the scans of its training frames. They are ordered
+/// so that the first difference gives the best explanation.
 std::vector<Mark> marks_of(const Sequence& sequence, const Split& split);
-/// Returns the mark of all surfels of a scene, including its blocks.
+/// Returns a hash of all surfels of a scene, including its blocks.
 /// @throws DataError like read_block()
 Mark mark_of(const Scene& scene);
 
-/// Adds a setting or a mark to the texts of a checkpoint.
+/// Stores a setting or a hash in the texts of a checkpoint.
 void put(const ConfigKey& setting, std::map<std::string, std::string>& texts);
 void put(const Mark& mark, std::map<std::string, std::string>& texts);
-/// Compares settings or a mark with those in a checkpoint.
+/// Compares settings or a hash with the values in a checkpoint.
 /// @param doing  start of the error message
 /// @throws UsageError for a setting with another value
-/// @throws DataError for a missing setting or another mark
+/// @throws DataError for a missing setting or another hash
 void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkpoint,
                 const std::string& doing);
 void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Compares the settings that must be equal when training is resumed. Saves and restores
-// the training log and times.
+// Compares the settings that must not change when training is resumed. Saves and restores
+// the training log and the elapsed times.
 #include "train/checkpoints/resume.hpp"
 
 #include <algorithm>
@@ -17,11 +17,11 @@
 namespace relidar {
 namespace {
 
-// prefixes of settings that are used only after the training steps
+// Prefixes of settings that are used only after training.
 constexpr std::array kFollows{"refine.", "render."};
-/// Settings that may change when training is resumed. They determine the end of training,
-/// its reports, or the location of the log, but no training step. Paths may change
-/// because the log itself is compared.
+/// Settings that may change when training is resumed. They affect the number of
+/// iterations, the reports, or the location of the log, but not the result of an
+/// iteration. Paths may change because the log itself is compared.
 constexpr std::array kFree{"dataset.path",
                            "dataset.sequence",
                            "dataset.poses",
@@ -39,7 +39,7 @@ bool is_free(const std::string& key) {
            std::ranges::any_of(kFollows, [&](const char* group) { return key.starts_with(group); });
 }
 
-/// The training log so far, by columns.
+/// Lines of the training log, with one array for each column.
 struct LogColumns {
     std::vector<std::int32_t> iteration;
     std::vector<double> seconds;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Data of a training that a checkpoint stores in addition to the state of the training
-// loop. Private to train.
+// Reads and writes the data that a checkpoint stores in addition to the state of the
+// training loop. Private to train.
 #pragma once
 
 #include <map>
@@ -14,8 +14,8 @@
 
 namespace relidar {
 
-/// Returns the settings and the fingerprint of the log. They must be the same when
-/// training is resumed.
+/// Returns the settings and the hashes of the log. Both must be the same when training is
+/// resumed.
 std::map<std::string, std::string> training_texts(const Sequence& sequence, const Split& split,
                                                   const Config& config);
 
@@ -29,8 +29,9 @@ void read_result(const Checkpoint& checkpoint, const Config& config, TrainResult
 /// @throws DataError if its arrays or its layout are invalid
 Scene scene_of(const Checkpoint& checkpoint);
 
-/// Adds a line to the log. The remaining time is estimated from the speed since the first
-/// line, because drivers compile kernels before it. In the first line it is infinite.
+/// Adds a line to the training log. Estimates the remaining time from the speed since the
+/// first line, because drivers compile kernels before the first line. The remaining time
+/// in the first line is infinite.
 /// @param seconds  seconds since training started
 void add_line(std::vector<TrainProgress>& log, const LogLine& line, const Config& config, double seconds);
 

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The last stage of training (paper, section 3.5): renders training frames once and
-// trains a network that predicts which rays the sensor dropped. It uses the nominal rays
-// of the sensor. The rays of a scan have jitter only if they returned, which would reveal
-// the answer to the network.
+// Trains the ray-drop network, the last stage of training (paper, section 3.5). Renders
+// training frames once. The network learns which rays the sensor dropped. The images use
+// the nominal rays of the sensor. In a measured scan, only rays with a return have
+// jitter, which would reveal the answer to the network.
 #include <algorithm>
 #include <map>
 #include <optional>
@@ -25,21 +25,24 @@ bool looks_at_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
-/// Returns the rays of a frame's LiDAR. With refine.image = grid, they are binned.
+/// Returns the rays of a frame's LiDAR. With refine.image = grid, returns one ray for
+/// each grid cell.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
     if (!looks_at_grid(config)) return nominal_rays_of(config, sequence, frame);
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
-    sensor.rolling_shutter = sequence.rolling_shutter;  // same as the scan from which the network learns
+    // same setting as in the scans from which the network learns
+    sensor.rolling_shutter = sequence.rolling_shutter;
     return sensor;
 }
 
-/// Returns rays between those of a sensor: each is rotated towards the next column by a
-/// fraction of the spacing. Surfels are fitted to the sensor's rays, so these look better
-/// than rays of held-out frames. Rotated rays avoid this difference.
+/// Returns rays that lie between the rays of a sensor. Rotates each ray towards the next
+/// column by a fraction of the spacing. The surfels are fitted to the sensor's rays, so
+/// these rays look better than the rays of held-out frames. The rotated rays avoid this
+/// difference.
 RayTable turned_rays(RayTable rays, float share) {
     const RayTable original = rays;
-    // minimum cosine, because the column after the last one of a window is at its other
-    // end
+    // Minimum cosine of the angle between neighbouring columns. The column after the last
+    // column of a narrow field of view is at the opposite end, so it is skipped.
     constexpr float kNear = 0.9f;
     for (std::size_t i = 0; i < original.size(); ++i) {
         const std::size_t row = i / std::size_t(original.columns),
@@ -52,8 +55,8 @@ RayTable turned_rays(RayTable rays, float share) {
     return rays;
 }
 
-/// Returns measured_drops() for the cells of config.sensor.grid. A cell is unknown if it
-/// contains a return that is unknown.
+/// Returns the measured drops (0 returned, 1 dropped, -1 unknown) for the cells of
+/// config.sensor.grid. A cell is unknown if it contains an unknown return.
 std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
                                        const std::vector<float>& dropped) {
     std::vector<float> cells = real_image(config, frame.scan).drop_prob;
@@ -66,7 +69,8 @@ std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
     return cells;
 }
 
-/// Returns the training frames that are images, with the most frequent shape.
+/// Returns the training frames that have rows and columns. Returns only frames with the
+/// most frequent image shape.
 std::vector<int> images_of(const Config& config, const Sequence& sequence, const std::vector<int>& train) {
     if (looks_at_grid(config)) return train;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
@@ -80,8 +84,8 @@ std::vector<int> images_of(const Config& config, const Sequence& sequence, const
     return most == by_shape.end() ? std::vector<int>{} : most->second;
 }
 
-/// Returns the inputs of the network for the training frames, and their measured drops.
-/// Returns nothing if it was stopped.
+/// Renders training frames. Returns the inputs of the ray-drop network together with the
+/// measured drops. Returns nothing if the user stopped the program.
 std::vector<DropImage> training_images(Device& device, const Run& run, const Config& config,
                                        const RefineSession& session) {
     const std::vector<int> positions =
@@ -110,7 +114,8 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         if (looks_at_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
-            // excludes rays that are dropped whatever the network predicts
+            // Excludes rays that are dropped with certainty, whatever the network
+            // predicts.
             if (scan.image.drop_prob[i] == 1.0f) images.back().dropped[i] = -1.0f;
         if (session.stop && session.stop()) return {};
     }

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes checkpoints of the training of a ray-drop network. Checks that its inputs are
-// unchanged when it is resumed: the scene and the log by hashes, and the settings of
-// images and network by value.
+// Writes checkpoints while a ray-drop network is trained. When training is resumed,
+// checks that its inputs have not changed. Compares the scene and the log by hashes, and
+// the settings by value.
 #include "train/drops/refine_keeper.hpp"
 
 #include <algorithm>
@@ -14,7 +14,7 @@
 namespace relidar {
 namespace {
 
-/// Returns true if images or the network depend on a setting.
+/// Returns true if the rendered images or the network depend on a setting.
 bool matters(const std::string& key) {
     constexpr std::array kGroups{"refine.", "image.", "sensor.", "init.", "render.range", "train.seed"};
     return key != "refine.enabled" &&
@@ -27,7 +27,7 @@ std::vector<Mark> marks_of(const Run& run) {
     return marks;
 }
 
-/// Returns the fingerprint of the scene, the log and the settings.
+/// Returns hashes of the scene and the log, and the values of the settings.
 std::map<std::string, std::string> texts_of(const Run& run) {
     std::map<std::string, std::string> texts;
     for (const ConfigKey& key : config_keys(run.config))
@@ -51,8 +51,8 @@ void RefineKeeper::after_step(const RefineProgress& progress, bool stops,
     const std::chrono::duration<double> since_last = Clock::now() - last_;
     const bool by_time = minutes_ > 0.0 && since_last.count() >= 60.0 * minutes_;
     if (!folder_.wanted() || !(ends_epoch || by_time || stops)) return;
-    // also set before a failed write, so that a full disk is tried again only at the next
-    // checkpoint
+    // Also updates the time before a failed write, so that a full disk is tried again
+    // only at the next checkpoint.
     last_ = Clock::now();
     folder_.save({progress.step, texts_.get(), {}},
                  [&](Checkpoint& checkpoint) { state().visit_state(StateWriter(checkpoint)); });

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checkpoints of the training of a ray-drop network: after each epoch, by time, and when
-// it stops. Private to train.
+// Writes checkpoints while a ray-drop network is trained: after each epoch, after some
+// minutes, and when training stops. Private to train.
 #pragma once
 
 #include <chrono>
@@ -21,7 +21,7 @@ class RefineKeeper {
 public:
     RefineKeeper(const Run& run, const RefineSession& session);
 
-    /// Writes a checkpoint if necessary.
+    /// Writes a checkpoint if an epoch ended, enough time has passed, or training stops.
     /// @throws DataError if the state is not finite
     void after_step(const RefineProgress& progress, bool stops, const std::function<RefineState()>& state);
 
@@ -29,13 +29,13 @@ private:
     using Clock = std::chrono::steady_clock;
     const double minutes_;
     CheckpointFolder folder_;
-    /// Texts of every checkpoint of this training. A thread computes them, because
-    /// hashing a log takes some time.
+    /// Settings and hashes that are stored in every checkpoint of this training. A thread
+    /// computes them, because hashing a log takes some time.
     std::shared_future<std::map<std::string, std::string>> texts_;
     Clock::time_point last_ = Clock::now();
 };
 
-/// Returns the state in a checkpoint.
+/// Returns the state of the network training that a checkpoint stores.
 /// @throws DataError if the checkpoint is not from the training of a network
 RefineState refine_state(const Checkpoint& checkpoint);
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Counts ray-drop by beam and azimuth.
+// Counts dropped rays by beam and azimuth.
 #include "train/drops/sensor_drop.hpp"
 
 #include <algorithm>
@@ -11,13 +11,14 @@ namespace relidar {
 namespace {
 
 constexpr int kColumnsPerBin = 3;
-// neighbouring bins on each side that are used for the expected fraction of a bin
+// Number of neighbouring bins on each side that contribute to the expected drop rate of a
+// bin.
 constexpr int kNeighbours = 2;
-// Minimum number of rays. With fewer rays, a blind spot cannot be distinguished from a
-// hole that a few sweeps have seen.
+// Minimum number of rays for a drop rate. With fewer rays, a blind spot of the sensor
+// cannot be distinguished from a hole in the scene that a few sweeps have seen.
 constexpr std::uint32_t kCertainRays = 60;
-// Weight of the prior in rays: of returns in the expected fraction, and of the expected
-// fraction in a bin.
+// Weight of the prior, as a number of rays. The expected drop rate includes this many
+// returned rays. The drop rate of a bin includes this many rays with the expected rate.
 constexpr double kPriorRays = 8.0;
 
 int bins_of(const Sequence& sequence) {

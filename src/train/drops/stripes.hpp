@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects stripes of columns of an image to train a network that processes single pixels.
-// Such a network has about a thousand parameters, so it does not need every pixel of
-// every frame. Neighbouring columns stay together, because tracing is faster for rays
+// Selects stripes of columns of an image, to train a network that processes single
+// pixels. Such a network has about a thousand parameters, so it does not need every pixel
+// of every frame. Neighbouring columns stay together, because tracing is faster for rays
 // with similar directions.
 #pragma once
 
@@ -12,18 +12,18 @@
 
 namespace relidar {
 
-/// Returns the interval between selected stripes that leaves about 32,768 pixels of an
-/// image. Below 2, the full image is used.
+/// Returns n so that every n-th stripe has about 32,768 pixels in total. If n is below 2,
+/// the full image is used.
 inline int stripe_share(const RayTable& rays) { return int(rays.size()) / 32768; }
 
-/// Stripes of an image whose columns wrap around.
+/// Some vertical stripes of an image whose columns wrap around.
 class Stripes {
 public:
     static constexpr int kColumns = 64;  ///< columns in a stripe
 
     /// Selects the stripes of a frame.
-    /// @param share  one of this many stripes is used. Below 2, or if the image has fewer
-    /// stripes, the full image is used.
+    /// @param share  every share-th stripe is used. The full image is used if share is
+    /// below 2 or the image has fewer stripes.
     /// @param of_frame  number of the frame. Each frame starts one stripe later, so that
     /// the frames together use all columns.
     Stripes(int share, const RayTable& rays, std::size_t of_frame)
@@ -54,7 +54,7 @@ public:
 
 private:
     std::size_t rows_, columns_;
-    std::vector<std::size_t> first_;  ///< first columns of the stripes; empty: the full image
+    std::vector<std::size_t> first_;  ///< first column of each stripe; empty if the full image is used
 
     std::vector<std::size_t> places() const {
         std::vector<std::size_t> places;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of train/gather_columns: selects the rays of a batch from a frame.
+// Runs the kernel train/gather_columns, which copies the rays of a batch from a frame.
 #include "train/frames/batch.hpp"
 
 #include <algorithm>
@@ -24,10 +24,10 @@ struct BatchSampler::Impl {
 
 namespace {
 
-/// n columns of an image, distributed like every stride-th column.
+/// Describes n columns of an image, spread over the image like every stride-th column.
 struct Columns {
     std::uint32_t stride = 1;
-    std::uint32_t n = 0;  ///< 0: the batch is not a selection of columns
+    std::uint32_t n = 0;  ///< number of columns; 0 if the batch does not consist of columns
 };
 
 std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config) {
@@ -35,8 +35,8 @@ std::uint32_t stride_over_rays(const FrameData& frame, const TrainConfig& config
     return n_rays == 0 ? 1u : std::max(1u, frame.n_rays / n_rays);
 }
 
-/// Returns the image shape of a full frame. A frame without image order is a single row
-/// of rays.
+/// Returns the number of rows and columns of a full frame. A frame without image order
+/// has a single row.
 ImageShape frame_image(const FrameData& frame) {
     return frame.image.is_image() ? frame.image : ImageShape{1, frame.n_rays, false};
 }
@@ -49,8 +49,8 @@ Columns window(const FrameData& frame, const TrainConfig& config) {
     return n < image.columns ? Columns{1, n} : Columns{};
 }
 
-/// Selects about one of n rays, by groups of columns. Neighbours in the batch are then
-/// close in both directions, whatever the number of columns.
+/// Selects about one of n rays, in groups of neighbouring columns. Therefore neighbours
+/// in the batch have similar directions, whatever the number of columns.
 Columns every_nth(const FrameData& frame, const TrainConfig& config) {
     const std::uint32_t stride = std::min(stride_over_rays(frame, config), frame.image.columns);
     return frame.image.is_image() && stride > 1 ? Columns{stride, frame.image.columns / stride} : Columns{};
@@ -61,7 +61,7 @@ Columns columns_of_batch(const FrameData& frame, const TrainConfig& config, bool
     return windows ? window(frame, config) : every_nth(frame, config);
 }
 
-/// Returns the number of rays of the largest batch of columns.
+/// Returns the number of rays in the largest batch that consists of columns.
 std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config& config) {
     std::size_t largest = 0;
     for (const FrameData& frame : frames)
@@ -70,8 +70,9 @@ std::size_t largest_gathered(const std::vector<FrameData>& frames, const Config&
     return largest;
 }
 
-/// Checks that all frames are images.
+/// Checks that the rays of all frames have rows and columns.
 /// @param setting  name of the setting that compares neighbouring pixels
+/// @throws UsageError if a frame is not an image
 void check_images(const char* setting, const std::vector<FrameData>& frames) {
     for (const FrameData& frame : frames)
         if (!frame.image.is_image())
@@ -92,7 +93,7 @@ BatchSampler::BatchSampler(Device& device, const Config& config, const std::vect
 }
 BatchSampler::~BatchSampler() = default;
 
-/// Uses the same columns as frame_column() in shaders/train/columns.glsl.
+/// Returns the same columns as frame_column() in shaders/train/columns.glsl.
 std::size_t SampledBatch::ray_of_frame(std::uint32_t k) const {
     if (window.columns == 0) return rays.first + std::size_t(k) * rays.stride;
     const std::uint32_t row = k / window.n_columns, column = k % window.n_columns,
@@ -111,7 +112,8 @@ std::uint32_t BatchSampler::draw_first(const FrameData& frame, Random& random) c
     std::uint32_t choices = n_batches(frame);
     if (columns.n > 0) {
         const ImageShape image = frame_image(frame);
-        // only a window must not wrap around the end of the image
+        // Limits the first column of a window, because a window must not wrap around the
+        // end of the image.
         choices = image.circular || columns.stride > 1 ? image.columns : image.columns - columns.n + 1;
     }
     return static_cast<std::uint32_t>(random.next() % choices);
@@ -139,8 +141,9 @@ SampledBatch BatchSampler::take(Stream& stream, const FrameData& frame, std::uin
              .first_column = first,
              .column_stride = columns.stride,
              .n_columns = columns.n});
-        // Scales the counts of the full frame instead of counting in the batch. This is
-        // unbiased, and a sector with few returns gets no higher weight.
+        // Scales the counts of the full frame instead of counting in the batch. This
+        // makes the loss unbiased. It also gives no higher weight to a sector with few
+        // returns.
         const double share = double(n) / frame.n_rays;
         return {{&b.rays, 0, 1, n, columns.n, &b.targets},
                 {&b.targets,

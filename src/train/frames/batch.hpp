@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the rays of a frame that an iteration uses.
+// Selects the rays of a frame that one training iteration uses.
 #pragma once
 
 #include <memory>
@@ -15,51 +15,53 @@ namespace relidar {
 struct Config;
 struct FrameData;
 
-/// Columns of a frame that are copied to the arrays of a batch.
+/// Describes the columns of a frame that are copied to the arrays of a batch.
 /// shared::GatherColumnsParams defines the selection.
 struct ColumnWindow {
-    std::uint32_t columns = 0;  ///< columns of the frame; 0: the batch refers to the rays of the frame
+    /// number of columns of the frame; 0 if the batch uses the frame's arrays directly
+    std::uint32_t columns = 0;
     std::uint32_t first = 0;
     std::uint32_t stride = 1;
     std::uint32_t n_columns = 0;
 };
 
-/// Rays of an iteration and their measurements.
+/// Rays of one training iteration and their measurements.
 struct SampledBatch {
     RayBatch rays;
     TargetBatch targets;
     ColumnWindow window{};
 
-    /// Returns the index in the frame of ray k of the batch.
+    /// Converts the index k of a ray in the batch to its index in the frame.
     std::size_t ray_of_frame(std::uint32_t k) const;
 };
 
-/// Samples about train.rays_per_iteration rays of a frame; 0 means all rays. By default
-/// it takes every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns, starting at a
-/// random column. If structural similarity or normal consistency needs images
-/// (Config::needs_images), it takes a window of neighbouring columns. Both selections are
-/// images. Groups of columns make a step faster than single columns, because rays that
-/// run together then visit the same nodes. For a frame without image order, it takes
+/// Samples about train.rays_per_iteration rays of a frame; 0 means all rays. By default,
+/// it selects every n-th group of RELIDAR_COLUMN_GROUP neighbouring columns, starting at
+/// a random column. If structural similarity or normal consistency needs images
+/// (Config::needs_images), it selects one window of neighbouring columns. Both selections
+/// are images. Groups of columns are faster than single columns, because rays that are
+/// traced together visit the same tree nodes. In a frame without image order, it selects
 /// every n-th ray.
 class BatchSampler {
 public:
-    /// Creates the arrays of the batches.
+    /// Creates the device arrays for batches.
     /// @throws UsageError if structural similarity or normal consistency is enabled and
     /// batches or frames are not images
     BatchSampler(Device& device, const Config& config, const std::vector<FrameData>& frames);
     ~BatchSampler();
-    /// Records the commands that create a batch on the device. The batch is valid until
-    /// the next call.
+    /// Records GPU commands that copy a random batch to the batch arrays. The batch is
+    /// valid until the next call.
     SampledBatch sample(Stream& stream, const FrameData& frame, Random& random);
-    /// Records one of several batches that together contain all rays of a frame once,
-    /// except for a few columns where a ring closes. Windows do not partition the frame.
+    /// Records GPU commands that copy one of several batches. Together the batches
+    /// contain all rays of a frame once, except for a few columns where a full turn
+    /// closes. Windows of columns do not cover the frame.
     /// @param first  start of the first batch, from draw_first()
     /// @param k  index of the batch
     SampledBatch take(Stream& stream, const FrameData& frame, std::uint32_t first, std::uint32_t k);
-    /// Draws the column or ray at which a batch starts.
+    /// Draws a random column or ray at which a batch starts.
     std::uint32_t draw_first(const FrameData& frame, Random& random) const;
-    /// Returns how many batches together contain all rays of the frame. Returns 1 for
-    /// windows.
+    /// Returns how many batches together contain all rays of the frame. Returns 1 if the
+    /// batches are windows of columns.
     std::uint32_t n_batches(const FrameData& frame) const;
 
 private:

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes training rays and targets from scans.
+// Computes the training rays and their target values (range, intensity, weight) from
+// scans.
 #include "train/frames/frame_data.hpp"
 
 #include <algorithm>
@@ -14,11 +15,13 @@ namespace relidar {
 
 namespace {
 
-/// A moving box in a sweep, enlarged by the margin.
+/// A moving box during a sweep, enlarged by a margin. Training ignores the returns inside
+/// it.
 struct MaskedBox {
     InstancePose placed;
     glm::dvec3 half_size_m;
-    /// radius of the volume that it sweeps, around its centre at placed.world_from_model
+    /// Radius of a sphere around placed.world_from_model that contains the box during the
+    /// whole sweep.
     double reach_m;
 
     bool may_meet(const WorldRay& ray) const {
@@ -46,8 +49,8 @@ std::vector<MaskedBox> masked_boxes_in(const Sequence& sequence, const SweepMome
     return result;
 }
 
-/// Returns true if a ray may have hit a moving box, so that its measurement must be
-/// ignored.
+/// Returns true if a ray hit, or may have hit, a moving box. Training must ignore the
+/// measurement of such a ray.
 /// @param after_s  firing time of the ray, relative to the reference time of the sweep
 bool is_unknown(const std::vector<MaskedBox>& boxes, const WorldRay& ray, double after_s, double range_m) {
     return std::any_of(boxes.begin(), boxes.end(), [&](const MaskedBox& box) {
@@ -84,7 +87,7 @@ std::uint32_t most_rays(std::span<const FrameData> frames) {
 }
 
 RayBatch FrameData::batch(std::uint32_t first, std::uint32_t stride) const {
-    // true if the batch contains every stride-th column of each row
+    // True if the batch contains every stride-th column of each row.
     const bool is_column_subset = image.columns % stride == 0 && first < stride;
     return {&rays(),
             first,

@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// Bins a sweep into the cells of a range grid.
+// Converts a sweep to an image: assigns its returns to the cells of a range grid.
 #include "train/frames/grid_frame.hpp"
 
 namespace relidar {
 
 Frame on_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid) {
-    constexpr double kGridPeriod_s = 0.1;  // sweep time that make_rays() uses for a grid
+    constexpr double kGridPeriod_s = 0.1;  // sweep duration that make_rays() assumes for a grid
     const Scan& scan = frame.scan;
     std::vector<glm::vec3> points;
     std::vector<float> intensity;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a sweep to the form that published results use for training: an image of cells
-// of elevation and azimuth (train.grid) instead of the fired rays.
+// Converts a sweep to the form that published methods use for training. The result is an
+// image of elevation and azimuth cells (train.grid) instead of the fired rays.
 #pragma once
 
 #include <relidar/log/sensor.hpp>
@@ -8,11 +8,11 @@
 
 namespace relidar {
 
-/// Returns the frame with a ray for each cell. The ray goes from the sensor origin
-/// through the centre of the cell. A cell uses its nearest return: its range is the range
-/// of the point (Eq. 6-7); intensity, time and beam are those of the return's ray. A cell
-/// without a return is a dropped ray, fired when the head faces the cell. Second returns
-/// are removed.
+/// Returns the frame with one ray for each cell of the grid. The ray goes from the sensor
+/// origin through the centre of the cell. The range of a cell is the range of its nearest
+/// return (Eq. 6-7). The cell also takes the intensity, time and beam of this return. A
+/// cell without a return is a dropped ray. Its time is when the LiDAR's head faces the
+/// cell. Second returns are removed.
 Frame on_grid(const Sequence& sequence, const Frame& frame, const RangeGrid& grid);
 
 }  // namespace relidar

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the rays of training frames and their measured drops.
+// Selects the rays of training frames, and reports which rays were dropped.
 #include "train/frames/measured_frame.hpp"
 
 #include <cstddef>
@@ -10,7 +10,7 @@ SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, con
     SensorChoice sensor = choose_sensor("native", config, sequence, frame.lidar);
     if (sensor.rays.rows != frame.scan.rays.rows || sensor.rays.columns != frame.scan.rays.columns)
         sensor.rays = frame.scan.rays, sensor.follows_sweeps = false;
-    sensor.rolling_shutter = sequence.rolling_shutter;  // same as the measured scan
+    sensor.rolling_shutter = sequence.rolling_shutter;  // Uses the same setting as the measured scan.
     return sensor;
 }
 

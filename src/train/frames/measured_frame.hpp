@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders training frames for comparison with their measurements, to estimate properties
-// of the sensor after training. Private to train.
+// Provides rays and measured drops of training frames. After training, rendered frames
+// are compared with them to estimate properties of the sensor. Private to train.
 #pragma once
 
 #include <vector>
@@ -14,19 +14,20 @@
 
 namespace relidar {
 
-/// Returns the nominal rays of a frame's LiDAR if they have the same order as its scan,
-/// otherwise the rays of the scan.
+/// Returns the nominal rays of a frame's LiDAR if they have the same rows and columns as
+/// its scan. Otherwise returns the rays of the scan.
 SensorChoice nominal_rays_of(const Config& config, const Sequence& sequence, const Frame& frame);
 
-/// Returns which measurements are unknown: those of moving objects that are not in the
-/// scene.
+/// Returns the rule by which measurements are ignored. Measurements of moving objects
+/// that are not in the scene are ignored.
 Unknown masks_of(const Config& config, const Scene& scene);
 
-/// Returns the measured drops of a frame: 0 returned, 1 dropped. -1 means unknown,
-/// because a moving object that is not in the scene was or may have been there.
+/// Returns 0 for each returned ray of a frame, and 1 for each dropped ray. Returns -1 if
+/// a moving object that is not in the scene was hit, or may have been hit.
 std::vector<float> measured_drops(const Sequence& sequence, const Frame& frame, const Unknown& masks);
 
-/// Returns at most n of the positions, evenly distributed. 0: all of them.
+/// Returns at most n of the positions, evenly distributed. Returns all positions if n is
+/// 0.
 std::vector<int> spread(const std::vector<int>& positions, int n);
 
 }  // namespace relidar

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Keeps the first frames on the device. Since the order of training is random, any
-// selection of frames is equally good, and this one needs no bookkeeping. All other
-// frames share one set of arrays. One set is enough, because the upload is recorded in
-// the stream between the iterations that use the previous and the next frame.
+// Keeps the first frames of the log in device memory. Training uses frames in random
+// order, so any selection of frames is equally good. All other frames share one set of
+// arrays. One set is enough, because the stream uploads a frame only after the iteration
+// with the previous frame.
 #include "train/frames/training_frames.hpp"
 
 #include <algorithm>
@@ -19,14 +19,14 @@
 namespace relidar {
 namespace {
 
-// Frames that are prepared in host memory at the same time before they are uploaded.
+// Number of frames that are computed in host memory in parallel before they are uploaded.
 constexpr std::size_t kPreparedAtOnce = 32;
 
 double firing_time(const Sequence& sequence, const Frame& frame, float offset_s) {
     return frame.time_s + (sequence.rolling_shutter ? double(offset_s) : 0.0);
 }
 
-/// A frame of the log, or the frame that was computed from it for a grid.
+/// A frame of the log, or the grid image that was computed from this frame.
 struct TrainedFrame {
     std::optional<Frame> binned;
     const Frame& frame;

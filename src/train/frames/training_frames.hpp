@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// All training frames. Frames within a memory budget are resident on the device. The
-// others are uploaded to shared arrays when they are needed, so that device memory does
-// not grow with the log.
+// Manages all training frames. Keeps frames in device memory within a memory budget.
+// Uploads the other frames to shared arrays when they are needed. Therefore device memory
+// does not grow with the log.
 #pragma once
 
 #include <cstdint>
@@ -16,18 +16,19 @@
 
 namespace relidar {
 
-/// What the device needs of the frames.
+/// Options for uploading training frames.
 struct FrameUse {
     Unknown unknown;
-    bool moves_rays = false;  ///< true: vehicle poses are corrected, so FrameArrays::places is needed
-    std::uint64_t stay_bytes = ~0ull;  ///< maximum device memory of resident frames
-    /// if set, the rays are those of the grid's cells, see on_grid()
+    bool moves_rays = false;  ///< true if vehicle poses are corrected; FrameArrays::places is then needed
+    std::uint64_t stay_bytes = ~0ull;  ///< maximum device memory for frames that stay on the device
+    /// If set, the rays are the cells of this grid (see on_grid()) instead of the fired
+    /// rays.
     std::optional<RangeGrid> grid = {};
 };
 
 class TrainingFrames {
 public:
-    /// Creates the frames and uploads the resident ones.
+    /// Creates the frames, and uploads the frames that stay on the device.
     /// @param sequence  must outlive this object, because its scans are read for each
     /// upload
     /// @param positions  indices into Sequence::frames of the frames
@@ -37,16 +38,16 @@ public:
 
     const std::vector<FrameData>& all() const { return frames_; }
     FrameData& operator[](std::size_t i) { return frames_[i]; }
-    /// Returns the measurements that the targets exclude.
+    /// Returns which measurements have weight 0 in training.
     const Unknown& unknown() const { return use_.unknown; }
-    /// Returns the number of resident frames.
+    /// Returns the number of frames that stay on the device.
     std::size_t n_staying() const { return n_staying_; }
 
-    /// Records the upload of frame i if it is not on the device. Its arrays are valid
-    /// until another frame is uploaded.
+    /// Uploads frame i in the stream if it is not on the device. The arrays of the frame
+    /// are valid until another frame is uploaded.
     FrameData& bring(Stream& stream, std::size_t i);
-    /// Announces that frame i is next. If it needs an upload, a thread starts to prepare
-    /// it.
+    /// Announces that frame i is used next. If the frame must be uploaded, a thread
+    /// starts to compute its rays.
     void expect(std::size_t i);
 
 private:
@@ -60,8 +61,9 @@ private:
     const Sequence& sequence_;
     const FrameUse use_;
     std::vector<FrameData> frames_;
-    std::size_t n_staying_ = 0;                  ///< number of resident frames, which are the first ones
-    std::shared_ptr<const FrameArrays> shared_;  ///< arrays that all other frames share
+    std::size_t n_staying_ = 0;  ///< number of frames that stay on the device; these are the first frames
+    /// arrays that all frames share that do not stay on the device
+    std::shared_ptr<const FrameArrays> shared_;
     std::future<HostFrame> coming_;
     std::size_t coming_frame_ = 0;
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Binding of train/move_rays and train/knot_gradients.
+// Runs the kernels train/move_rays and train/knot_gradients, which move rays to corrected
+// poses and compute the gradients of these poses.
 #include "train/poses/moved_rays.hpp"
 
 #include <algorithm>

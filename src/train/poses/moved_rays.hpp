@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Computes the rays of training frames from corrected sensor poses, and converts
-// gradients of rays to gradients of these poses.
+// Computes the rays of training frames from corrected sensor poses. Converts gradients of
+// rays to gradients of the sensor poses.
 #pragma once
 
 #include <cstdint>
@@ -18,7 +18,7 @@
 
 namespace relidar {
 
-/// Gradient of one pose of the sensor's track.
+/// Gradient of the loss with respect to one pose of the sensor's track.
 struct PoseGradient {
     std::size_t pose = 0;
     Twist gradient{};
@@ -27,28 +27,30 @@ struct PoseGradient {
 class MovedRays {
 public:
     MovedRays(Device& device, const std::vector<FrameData>& frames);
-    /// Records the computation of the rays of a frame that is on the device, and lets the
-    /// frame refer to them. They are valid until the next call.
+    /// Records GPU commands that compute the rays of a frame from the corrected poses.
+    /// The frame must be on the device. Afterwards the frame refers to the new rays,
+    /// which are valid until the next call.
     void move(Stream& stream, const TrackCorrection& sensor, FrameData& frame);
-    /// Records the gradients of the poses between which the batch's rays were fired, from
-    /// dL/d(ray) of a backward pass. The frame must be the one that was moved last. The
-    /// direction for evaluating spherical harmonics is treated as constant.
+    /// Records GPU commands that compute the gradients of poses from dL/d(ray) of a
+    /// backward pass. Each ray was fired between two of these poses. Call move() for the
+    /// same frame before. The direction for evaluating spherical harmonics is treated as
+    /// constant.
     void sum_gradients(Stream& stream, const FrameData& frame, const SampledBatch& batch,
                        const Array<float, shared::DeviceRayGradients>& d_rays);
-    /// Returns [kRows, maximum poses of a frame, 6] partial sums of the last
-    /// sum_gradients().
+    /// Returns the partial sums [kRows, maximum poses of a frame, 6] that the last
+    /// sum_gradients() computed.
     const Array<float>& gradient_rows() const { return rows_; }
-    /// Sums the rows to a gradient for each pose of a frame.
+    /// Adds the partial sums, and returns one gradient for each pose of a frame.
     std::vector<PoseGradient> gradients_in(std::span<const float> gradient_rows,
                                            const FrameData& frame) const;
 
 private:
-    /// Workgroups for each pose: enough parallel rays to use a GPU.
+    /// Number of workgroups for each pose. It gives a GPU enough parallel work.
     static constexpr std::uint32_t kRows = 16;
 
     std::uint32_t most_knots_;
-    Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame that was moved last
-    Array<shared::PoseKnot> knots_;  ///< [most_knots] poses of the frame that was moved last
+    Array<DeviceRay> moved_;         ///< [maximum rays of a frame] rays of the frame of the last move()
+    Array<shared::PoseKnot> knots_;  ///< [most_knots] poses of the frame of the last move()
     Array<float, shared::KnotGradientRows> rows_;
     Kernel<shared::MoveRaysParams> move_;
     Kernel<shared::KnotGradientsParams> gradients_;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Aligns held-out scans with the scene that was trained without them. The six pose
-// parameters of each are estimated from its returns. Then metrics measure the scene and
-// not the error of the scan's pose.
+// Aligns held-out scans with the trained scene, which was trained without them. Estimates
+// the six pose parameters of each scan from its returns. Then metrics measure the quality
+// of the scene and not the error of the scan's pose.
 #include <relidar/train/train.hpp>
 
 #include <algorithm>
@@ -17,10 +17,11 @@
 namespace relidar {
 namespace {
 
-constexpr float kFewestWeight = 0.5f;  // minimum blending weight of a ray that has hit a surface
+// minimum blending weight of a rendered ray; below it, the ray hit no solid surface
+constexpr float kFewestWeight = 0.5f;
 
-/// Renders the background of a run for the alignment. Actors are excluded, because their
-/// own poses are estimates.
+/// Renders the background of a run, to which scans are aligned. Excludes actors, because
+/// the poses of actors are estimates.
 class RunView {
 public:
     RunView(Device& device, const Run& run)
@@ -78,7 +79,9 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
     RunView view(device, run);
     PoseTrack track = run.sequence.world_from_vehicle;
     std::vector<double> moved_m;
-    std::set<std::size_t> poses;  // poses of sweeps; LiDARs that sweep together are aligned together
+    // poses of sweeps; LiDARs that sweep simultaneously share a pose and are aligned
+    // together
+    std::set<std::size_t> poses;
     for (const int position : run.split.test)
         poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A box at one point in time, and the intersection of rays with it.
+// Represents a box at one point in time, and intersects rays with this box.
 #pragma once
 
 #include <glm/glm.hpp>
@@ -13,7 +13,8 @@ struct PlacedBox {
     Pose box_from_world;
     glm::dvec3 half_size_m;
 
-    /// Returns the distances, at least 0, at which a ray enters and leaves the box.
+    /// Returns the distances from the ray origin, at least 0, at which a ray enters and
+    /// leaves the box.
     /// @param grown_m  enlarges the box on every side
     /// @return entry > exit if the ray misses the box
     glm::dvec2 interval(const WorldRay& ray, double grown_m = 0.0) const;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Refines poses: converts gradients of rays and instances to steps of the poses between
-// which they are interpolated.
+// Corrects the poses of the sensor and of actors. Converts the gradients of rays and
+// instances to optimisation steps of the recorded poses.
 #include "train/poses/pose_refiner.hpp"
 
 #include <algorithm>
@@ -17,14 +17,16 @@
 namespace relidar {
 namespace {
 
-constexpr double kFinalShare = 0.1;  // learning rates at the end of training, relative to their start
-/// Learning rates are relative to train.pose_rate_m, the sensor's rate in metres. The
-/// rotation rate is a tenth per metre, because most returns are about 10 m away. The
-/// rates of boxes are ten times as high, because their initial errors are about ten times
-/// those of a registered sensor.
+// learning rates at the end of training, relative to the rates at the start
+constexpr double kFinalShare = 0.1;
+/// Learning rates are multiples of train.pose_rate_m, the learning rate of the sensor
+/// position in metres. The rotation rate per radian is a tenth of it, because most
+/// returns are about 10 m away. The rates of boxes are ten times as high. The initial
+/// errors of boxes are about ten times the errors of a registered sensor.
 constexpr double kMetresPerRadian = 10.0, kBoxFactor = 10.0;
-/// Weights of the squared corrections in the loss, per square metre and per square
-/// radian. They are small, so that they affect only what no ray constrains.
+/// Weights of the squared pose corrections in the loss, per square metre and per square
+/// radian. The weights are small, so that they affect only pose parameters that no ray
+/// constrains.
 constexpr double kPriorPerM2 = 0.01, kPriorPerRad2 = 0.1;
 
 Sequence without_scans(const Sequence& sequence) {
@@ -37,7 +39,7 @@ Sequence without_scans(const Sequence& sequence) {
     return result;
 }
 
-/// Allocates readbacks for an array of the last kReadbackLag iterations.
+/// Allocates host buffers for an array of the last kReadbackLag iterations.
 void make_room(std::vector<Readback>& readbacks, Device& device, std::size_t n_floats, const char* what) {
     while (readbacks.size() < kReadbackLag) readbacks.emplace_back(device, n_floats * sizeof(float), what);
 }
@@ -144,9 +146,11 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
         Twist twist;
         std::copy_n(gradient.begin() + std::ptrdiff_t(floats_of_rays_ + 6 * actors_[k].instance), 6,
                     twist.begin());
-        // half of the gradient for each end of the time in which the actor is seen
+        // Assigns half of the gradient to each end of the time interval in which the
+        // actor is visible.
         for (double& g : twist) g *= 0.5;
-        // zeros if the actor was absent; the correction treats them as no observation
+        // The gradient is zero if the actor was absent. add_gradient() ignores a gradient
+        // of zero.
         for (std::size_t end = 0; end < 2; ++end)
             actors_[k].correction.add_gradient(coming_.actor_time_s[2 * k + end], twist);
         actors_[k].correction.step(step_at(config_, kBoxFactor * config_.pose_rate_m, step));

@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Corrects the poses of the sensor and of the actors' boxes during training
-// (train.refine_poses). The device computes gradients. The host updates the poses in
-// double precision, because there are only a few. It does so a fixed number of iterations
-// later, so that nothing waits (readback_lag.hpp). A checkpoint includes the pending
-// gradients, so that resuming a training changes nothing.
+// (train.refine_poses). The device computes the gradients. The host updates the poses in
+// double precision, because there are only a few poses. The update follows a fixed number
+// of iterations later, so that the host does not wait (readback_lag.hpp). A checkpoint
+// includes the pending gradients, so that resuming a training does not change its result.
 #pragma once
 
 #include <memory>
@@ -30,7 +30,7 @@ struct WantedGradients;
 
 class PoseRefiner {
 public:
-    /// Creates the corrections.
+    /// Creates the pose corrections.
     /// @param layout  layout of the scene; the tracks of its instances are corrected
     /// @param config  train.refine_poses selects the corrected poses; with "none" this
     /// object does nothing
@@ -39,20 +39,21 @@ public:
     ~PoseRefiner();
 
     bool is_active() const { return is_active_; }
-    /// Returns the gradients that record() needs from a backward pass.
+    /// Returns which gradients record() needs from a backward pass.
     WantedGradients wanted() const;
-    /// Records the corrected rays, actors and view origin of a frame that is on the
-    /// device.
+    /// Applies the corrected poses to a frame that is on the device. Moves its rays and
+    /// its actors, and updates its sensor position.
     void place(Stream& stream, FrameData& frame);
-    /// Records the pose gradients of this batch and their readback for take_steps().
+    /// Records GPU commands that compute the pose gradients of a batch and copy them to
+    /// the host. take_steps() uses them later.
     /// @param step  counts from 1
     void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
                 const Gradients& gradients, int step);
-    /// Applies the pending steps of all iterations up to `last`, in order. Waits for
-    /// gradients that are not ready yet.
+    /// Updates the poses with the gradients of all pending iterations up to `last`, in
+    /// order. Waits for gradients that are not ready yet.
     void take_steps(Stream& stream, int last);
-    /// Waits for the pending gradients, so that they become part of the state. Applies no
-    /// step.
+    /// Waits for the pending gradients, so that a checkpoint can store them. Does not
+    /// update the poses.
     void fetch(Stream& stream);
     RefinedPoses poses() const;
 
@@ -67,7 +68,7 @@ public:
         visit("poses/coming/actor_time_s", coming_.actor_time_s);
         visit("poses/coming/gradient", coming_.gradient);
     }
-    /// Completes the object after its state was read from a checkpoint.
+    /// Applies the corrections after the state was read from a checkpoint.
     /// @return false if the state is invalid
     bool take_over();
 
@@ -78,14 +79,15 @@ private:
         TrackCorrection correction;
     };
 
-    /// Iterations whose steps are pending, oldest first.
+    /// Iterations whose pose gradients have not been applied yet, oldest first.
     struct Coming {
         std::vector<std::uint64_t> step;
-        /// index of the frame in the constructor's list of training frames
+        /// index of the iteration's frame in the list of training frames
         std::vector<std::uint64_t> frame;
-        /// [iterations, actors, 2] first and last time at which each actor was seen
+        /// [iterations, actors, 2] first and last time at which each actor was visible
         std::vector<double> actor_time_s;
-        /// [iterations, floats_of_rays_ + floats_of_instances_] gradients after fetch()
+        /// [iterations, floats_of_rays_ + floats_of_instances_] gradients; filled by
+        /// fetch()
         std::vector<float> gradient;
     };
 
@@ -99,10 +101,12 @@ private:
     std::vector<Actor> actors_;
     Coming coming_;
     std::size_t floats_of_rays_ = 0, floats_of_instances_ = 0;
-    /// [kReadbackLag] used in turn by iterations; empty if not refined
+    /// [kReadbackLag] host buffers that the iterations use in turn. Empty if these poses
+    /// are not refined.
     std::vector<Readback> of_rays_, of_instances_;
 
-    /// Returns the gradients of the i-th pending iteration. Waits until they are ready.
+    /// Returns the gradients of the i-th pending iteration. Waits until the gradients are
+    /// on the host.
     std::span<float> fetch(Stream& stream, std::size_t i);
     void take_oldest_step(Stream& stream);
     void update_poses();

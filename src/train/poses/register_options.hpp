@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts settings to options of the registration. Private to train.
+// Converts settings to options of the scan registration. Private to train.
 #pragma once
 
 #include <relidar/log/registration.hpp>
@@ -11,7 +11,8 @@ inline bool registers_sensor(const TrainConfig& config) {
     return config.pose_register && config.refines("sensor");
 }
 
-/// Returns the options, except those of a session: stop, progress and group.
+/// Returns the registration options that follow from the settings. The caller adds stop,
+/// progress and group.
 RegisterOptions register_options(const Sequence& sequence, const Config& config);
 
 }  // namespace relidar

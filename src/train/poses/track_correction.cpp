@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Adam (Kingma and Ba 2015) for a few poses, on the host. The second moment decays faster
-// than usual, because a pose gets tens of gradients in a training, not thousands.
+// Implements the Adam optimizer (Kingma and Ba 2015) for a few poses, on the host. The
+// second moment decays faster than usual, because a pose gets only tens of gradients in a
+// training.
 #include "train/poses/track_correction.hpp"
 
 #include <algorithm>

@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Corrects the poses of a track by gradient descent. Pose k becomes (exp([w_k]x) R_k,
-// T_k + v_k). v is in metres in the world frame. w is a rotation vector in the world's
-// axes about the origin of the pose. The track interpolates between poses as before. So a
-// pose at fraction s moves, to first order, by (1 - s) of the previous correction and s
-// of the next one.
+// Corrects the poses of a track by gradient descent. Pose k becomes (exp([w_k]x) R_k, T_k
+// + v_k). v is in metres in the world frame. w is a rotation vector in the world's axes
+// about the origin of the pose. The track still interpolates between its poses. Therefore
+// the corrections also move the interpolated poses. To first order, the fraction s
+// between two poses moves by (1 - s) times the previous correction plus s times the next
+// correction.
 #pragma once
 
 #include <cstdint>
@@ -13,7 +14,7 @@
 
 namespace relidar {
 
-/// Parameters of a step.
+/// Learning rates and prior weights of one optimisation step.
 struct PoseStep {
     double rate_m = 0.0;
     double rate_rad = 0.0;
@@ -26,25 +27,26 @@ public:
     explicit TrackCorrection(PoseTrack track);
 
     const PoseTrack& uncorrected() const { return track_; }
-    /// Returns the correction of a pose: zero before the first step. For a pose without
-    /// steps, it is interpolated between the nearest poses that have some.
+    /// Returns the correction of a pose. The correction is zero before the first step. If
+    /// the pose had no step yet, interpolates between the nearest poses with steps.
     Twist at(std::size_t pose) const;
     PoseTrack corrected() const;
 
-    /// Adds dL/d(v, w) of the track's pose at a time, or of one of its poses. The next
-    /// step uses it.
+    /// Adds dL/d(v, w) for the track's pose at a given time, or for one of its recorded
+    /// poses. The next call of step() uses the sum.
     void add_gradient(double t_s, const Twist& gradient);
     void add_gradient(std::size_t pose, double share, const Twist& gradient);
-    /// Applies a step of Adam on the loss and the prior, to the poses that got a gradient
-    /// since the last step.
+    /// Performs one Adam step on the loss and the prior. Changes only the poses that got
+    /// a gradient since the last step.
     void step(const PoseStep& step);
-    /// Removes the rigid motion that is common to all corrections. The loss does not
-    /// constrain it, because a scene that moves together with all its sensors looks the
-    /// same. Without this call it would drift. Afterwards, the mean translation and the
-    /// mean rotation are 0.
+    /// Removes the rigid motion that all corrections have in common. The loss does not
+    /// constrain this motion, because a scene that moves together with all its sensors
+    /// looks the same. Without this call, the scene would drift. Afterwards, the mean
+    /// translation and the mean rotation are 0.
     void remove_common_motion();
 
-    /// Visits the state for checkpoints.
+    /// Passes all variables of the optimizer to a visitor that reads or writes a
+    /// checkpoint.
     /// @param name  name of the track
     template <class Visitor>
     void visit_state(const std::string& name, Visitor&& visit) {
@@ -60,7 +62,7 @@ private:
     PoseTrack track_;
     std::vector<double> values_, moment1_, moment2_;  ///< [poses,6]
     std::vector<std::uint64_t> n_steps_;              ///< [poses] number of steps
-    std::vector<double> gradient_;                    ///< [poses,6] sum since the last step
+    std::vector<double> gradient_;                    ///< [poses,6] sum of the gradients since the last step
     std::vector<bool> visited_;  ///< [poses] true if a gradient was added since the last step
 
     Twist value(std::size_t pose) const;

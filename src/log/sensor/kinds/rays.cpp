@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensor kind "rays": a table of rays from any source.
+// Reads and writes sensors of the kind "rays", which are tables of rays from any source.
 #include <algorithm>
 
 #include "log/sensor/pattern_kinds.hpp"
@@ -8,7 +8,7 @@
 namespace relidar {
 namespace {
 
-constexpr int kNesting = 3;  // nested lists: rows, columns, vectors
+constexpr int kNesting = 3;  // maximum nesting of lists: rows, columns, vectors
 
 nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
     auto json = nlohmann::ordered_json::array();
@@ -16,8 +16,8 @@ nlohmann::ordered_json vectors_json(const ScanArray<glm::vec3>& vectors) {
     return json;
 }
 
-/// Returns the number of rows of a list of vectors: the member `rows`, or the length of
-/// the outer list if the vectors are nested by rows.
+/// Returns the number of rows of a ray table. This is the member `rows` if it exists.
+/// Otherwise it is the length of the outer list if the vectors are nested by rows, or 1.
 std::size_t count_rows(const JsonField& field) {
     if (field.has("rows")) return std::size_t(field.at("rows").integer(1, std::int64_t(kMaxRays)));
     const JsonField list = field.at("directions");

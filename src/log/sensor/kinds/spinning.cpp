@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensor kind "spinning": a rotating head with beams.
+// Reads and writes sensors of the kind "spinning", which have a rotating head with
+// several beams.
 #include <relidar/base/math.hpp>
 
 #include <fmt/format.h>
@@ -9,8 +10,9 @@
 namespace relidar {
 namespace {
 
-constexpr double kFarthestBeam_m = 100.0;  // maximum offset of a beam's origin
-// maximum gain and offset of intensities, and maximum range offset in metres
+// maximum distance between a beam's origin and the sensor's origin
+constexpr double kFarthestBeam_m = 100.0;
+// Maximum gain and offset of intensities. Also the maximum range offset in metres.
 constexpr double kLargestResponse = 1e3;
 constexpr double kLargestTurn_deg = 5730.0;  // 100 radians
 constexpr std::size_t kMostBeams = 65534;
@@ -46,7 +48,7 @@ void read_beams(const JsonField& field, SpinningSensor& sensor) {
                    fmt::format("expected at most {} rays", kMaxRays));
 }
 
-/// Returns the JSON object of a beam. Omits members with their default value.
+/// Returns the JSON object of a beam. Omits members that have their default value.
 nlohmann::ordered_json beam_json(const Beam& beam) {
     nlohmann::ordered_json json = {{"elevation_rad", beam.elevation_rad}};
     const auto add = [&](const char* key, double value, double usual) {
@@ -65,8 +67,8 @@ nlohmann::ordered_json beam_json(const Beam& beam) {
 struct SpinningFunctions {
     using Pattern = SpinningSensor;
 
-    /// Reads a spinning sensor. The beams are missing if only the scans of the LiDAR are
-    /// known.
+    /// Reads a spinning sensor. The JSON object has no beams if only the scans of the
+    /// LiDAR are known.
     static SensorModel parse(const JsonField& field, const std::string& of) {
         pattern_detail::check_members(field, {"beams", "columns", "clockwise"}, {"first_azimuth"});
         SpinningSensor sensor;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensor kind "window": mirrors scan a rectangular window.
+// Reads, writes and generates sensors of the kind "window", in which mirrors scan a
+// rectangular field of view.
 #include <cmath>
 
 #include <fmt/format.h>
