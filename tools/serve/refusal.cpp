@@ -50,7 +50,8 @@ grpc::Status answered(const std::function<void()>& answer) {
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
                 fmt::format("{}; this server ends, expected a new one", error.what())};
-        // Errors of the device, of a modified run folder, or of relidar itself.
+        // Other exceptions come from the device, from a run folder that was modified, or
+        // from a bug.
     } catch (const std::exception& error) {
         return {grpc::StatusCode::INTERNAL, error.what()};
     }

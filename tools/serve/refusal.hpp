@@ -21,22 +21,22 @@ private:
     grpc::StatusCode code_;
 };
 
-/// Rejects an invalid field of a request.
+/// Rejects a request because one field has an invalid value.
 /// @throws Refusal always
 [[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected);
 
-/// Rejects an unknown name.
-/// @param known names that the message can suggest
+/// Rejects a request because it contains an unknown name.
+/// @param known valid names, of which the error message may suggest one
 /// @throws Refusal always
 [[noreturn]] void refuse_unknown(const std::string& field, const std::string& name,
                                  const std::vector<std::string>& known);
 
-/// Returns a text of a client for use in messages: on one line, and shortened if it is
-/// long.
+/// Quotes a text of a client for use in an error message. Removes line breaks and
+/// shortens long texts.
 std::string quoted(const std::string& word);
 
-/// Runs the function that answers a request. Converts its exceptions to a status with a
-/// one-line message.
+/// Runs the function that answers a request, and returns a gRPC status. An exception
+/// becomes an error status with a one-line message.
 grpc::Status answered(const std::function<void()>& answer);
 
 }  // namespace relidar::serve

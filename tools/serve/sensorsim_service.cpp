@@ -11,7 +11,8 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kMostScans = 64;  // Maximum number of scans per call, the same as the sensors of a rig.
+// Maximum number of scans per call. It equals the maximum number of sensors of a rig.
+constexpr int kMostScans = 64;
 
 [[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
     throw Refusal(

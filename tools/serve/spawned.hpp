@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that clients have spawned in scenes. May be used from any thread.
+// Stores the actors that clients have spawned in scenes. Any thread may use this class.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ namespace relidar::serve {
 
 class AssetShelf;
 
-/// Source of a spawned actor: an actor of the scene's run, or an asset.
+/// Model of a spawned actor. It is either an actor of the scene's run or an asset.
 struct SpawnSource {
     bool is_asset = false;
     std::string name;
@@ -33,10 +33,11 @@ struct SpawnWish {
     std::size_t surfels = 0;
 };
 
-/// Places of spawned actors: instances that follow those of the scene's run. A place
-/// keeps its source during the lifetime of the server and is reused for the next actor of
-/// this source. Requests that were already read therefore stay valid, and a scene need
-/// not be loaded again for each actor.
+/// Assigns slots to spawned actors. A slot is an instance of a model in the scene, added
+/// after the instances of the run. A slot keeps its model as long as the server runs.
+/// After its actor is removed, the next actor of the same model reuses the slot.
+/// Therefore a scene need not be loaded again for each actor, and requests that were read
+/// earlier stay valid.
 class SpawnedActors {
 public:
     static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of places per scene.
@@ -52,31 +53,34 @@ public:
     /// Returns the places in use.
     std::vector<Place> taken(std::size_t scene) const;
 
-    /// Assigns a place to each actor. If no place of its source is free, the number of
-    /// its places is doubled, but at most 8 places are added.
-    /// @return places in the order of the requests
-    /// @throws Refusal if a name is in use or the limit of places is reached; nothing is
-    /// changed then
+    /// Assigns a slot to each actor. If a model has no free slot, the number of its slots
+    /// is doubled, but at most 8 slots are added.
+    /// @return the slots in the order of the requests
+    /// @throws Refusal if a name is in use or the limit of slots is reached. Nothing is
+    /// changed then.
     std::vector<Place> take(std::size_t scene, const std::vector<SpawnWish>& wishes);
-    /// Releases the places of all named actors.
-    /// @throws Refusal for an unknown name; no place is released then
+    /// Releases the slots of all named actors.
+    /// @throws Refusal if a name is unknown. No slot is released then.
     void give_back(std::size_t scene, const std::vector<std::string>& names);
-    /// Reverts take(): frees the names and restores the previous number of places.
+    /// Reverts take(). Releases the names of the actors and removes the slots that take()
+    /// has added.
     void undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before);
     std::size_t count_places(std::size_t scene) const;
 
 private:
     mutable std::mutex mutex_;
-    std::vector<std::vector<SpawnWish>> scenes_;  ///< Places of each scene, indexed by scene and place.
+    /// Slots of each scene. The first index is the scene, the second index is the slot.
+    std::vector<std::vector<SpawnWish>> scenes_;
 };
 
-/// Returns the track of a place in the rendered scene. No track of a run has such a name.
+/// Returns the track name of a slot in the rendered scene. No track of a run has the same
+/// name.
 std::string track_of_place(std::size_t position);
 
-/// Adds an instance for each place to a run before it is rendered, and the model of each
-/// asset once.
-/// @throws DataError if an asset cannot be read, or its primitive differs from that of
-/// the run
+/// Adds an instance to the run for each slot. Adds the model of each asset once. Must be
+/// called before the run is rendered.
+/// @throws DataError if an asset cannot be read, or if its surfels have another primitive
+/// shape than those of the run
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets);
 
 }  // namespace relidar::serve
