@@ -133,7 +133,8 @@ void remove_blocks(const std::filesystem::path& folder);
 /// Returns the folder that contains the blocks of a run. Each block is stored as a
 /// complete run.
 std::filesystem::path blocks_folder(const std::filesystem::path& run);
-/// Returns the folder that contains the checkpoints of a run.
+/// Return the folders of checkpoints: the first for the scene, the second for the
+/// ray-drop network.
 std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
 std::filesystem::path network_checkpoint_folder(const std::filesystem::path& run);
 /// Removes the checkpoints of the ray-drop network.

@@ -25,7 +25,7 @@ void sleep_until(MPI_Request request) {
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// Returns the FNV-1a hash of the program file, which identifies the build. Returns 0 if
+/// Returns a hash (FNV-1a) of the program file, which identifies the build. Returns 0 if
 /// the file cannot be read.
 unsigned long long build_number() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
@@ -37,8 +37,8 @@ unsigned long long build_number() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Checks that all processes run the same build, because two builds may number settings
-/// and arrays differently.
+/// Checks that all MPI processes run the same build of the program. Two builds may number
+/// settings and arrays differently.
 /// @throws UsageError in a process whose build differs from the build of the first
 /// process
 void check_build(int rank) {
@@ -52,7 +52,7 @@ void check_build(int rank) {
                         rank));
 }
 
-/// Concatenates the texts of all processes and returns the result in every process.
+/// Concatenates the texts of all MPI processes. Every process receives the result.
 std::string gather_in_all(const std::string& text, int size) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
