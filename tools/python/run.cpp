@@ -44,16 +44,17 @@ PointFrame frame_of(const std::string& name) {
     throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", name));
 }
 
-/// Returns the poses of a LiDAR of the log in the dataset's world frame.
+/// Returns the path of one LiDAR of the log in the dataset's world frame.
 PoseTrack log_track(const Sequence& sequence, int lidar) {
     return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
-/// Checks that a time is near the poses of a track, because moving objects would be
-/// extrapolated.
-/// @throws UsageError if the time is more than `beside_s` outside the track
+/// Checks that a time is on a track or near its ends. Moving objects would be
+/// extrapolated at other times.
+/// @throws UsageError if the time is more than `beside_s` before or after the track
 void check_covered(const PoseTrack& track, double time_s, double beside_s, const std::string& what) {
-    // A single pose is constant, and the library rejects a time that is not finite.
+    // A single pose is valid at all times. A time that is not finite is rejected later by
+    // the library.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - beside_s, end_s = track.time_s.back() + beside_s;
     if (time_s < begin_s || time_s > end_s)
@@ -62,7 +63,8 @@ void check_covered(const PoseTrack& track, double time_s, double beside_s, const
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {
-    // Tolerance, because a sweep begins before and ends after its time.
+    // Maximum time before the first or after the last pose, in seconds. A sweep begins
+    // before its nominal time and ends after it.
     constexpr double kBeside_s = 1.0;
     ActorPoses poses;
     for (const auto& [name, pose] : actors) {
@@ -74,7 +76,7 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
     return poses;
 }
 
-/// Returns the number of the log's sweep that is nearest in time.
+/// Returns the index of the log's sweep that is nearest in time.
 int nearest_sweep(const Sequence& sequence, double time_s) {
     const auto farther = [&](const Frame& a, const Frame& b) {
         return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s);

@@ -28,7 +28,8 @@ struct TrainArguments {
     SharedDevice device;
 };
 
-/// Returns the requested settings, but keeps the settings that the log was read with.
+/// Returns the settings of the user. The settings with which the log was read are not
+/// replaced.
 Config config_of(const Log& log, const std::optional<Config>& wanted) {
     Config config = wanted.value_or(log.config);
     config.dataset = log.config.dataset;
@@ -85,8 +86,8 @@ void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     python.raise_again();
 }
 
-/// Trains the ray-drop network. A log without suitable training data and a checkpoint of
-/// another network are not errors.
+/// Trains the ray-drop network. If the log has no suitable training data, or if the
+/// checkpoint belongs to another network, only a note is printed.
 void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         if (asked.note) python([&] { (*asked.note)(line); });
@@ -127,7 +128,9 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& asked
     try {
         result = trained(*device, run, asked, python);
     } catch (const Error&) {
-        python.raise_again();  // The library stopped because a Python callback raised an exception.
+        // If a Python callback raised an exception, the library stopped with an error.
+        // Raises the exception of the callback instead of this error.
+        python.raise_again();
         throw;
     }
     python.raise_again();

@@ -8,8 +8,8 @@ namespace relidar::cli {
 /// Returns true if mpirun or a batch system started several processes together. Only then
 /// is MPI initialised, because MPI may not be set up on this machine.
 inline bool launched_by_mpi() {
-    // Environment variables with the number of processes. Open MPI sets the first one.
-    // MPICH, Intel MPI and Slurm set one of the others.
+    // Environment variables with the number of processes. Open MPI sets the first
+    // variable, MPICH and Intel MPI set the second. Slurm may set either of them.
     for (const char* name : {"OMPI_COMM_WORLD_SIZE", "PMI_SIZE"})
         if (const char* size = std::getenv(name); size && std::atoi(size) > 1) return true;
     return false;

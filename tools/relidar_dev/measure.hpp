@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures the time of every kernel of a training iteration, of a rebuild and of moving
-// an instance. Uses only public interfaces.
+// Measures the time of each kernel of a training iteration, of building the acceleration
+// structure, and of moving an instance. Uses only public headers of the library.
 #pragma once
 
 #include <chrono>
@@ -25,14 +25,15 @@ struct Spread {
     double median = 0.0;
     double p90 = 0.0;
 };
-/// Computes the percentiles.
+/// Computes the percentiles of some samples.
 /// @param samples [n], at least one
 Spread spread_of(std::vector<double> samples);
 
 /// Returns the milliseconds since `start`.
 double ms_since(std::chrono::steady_clock::time_point start);
 
-/// Total time of all launches of a kernel, or of a group of kernels, in one repetition.
+/// Time of a kernel or of a group of kernels in one repetition. The time is the sum over
+/// all launches.
 struct BenchRow {
     std::string name;
     Spread ms;
@@ -40,14 +41,16 @@ struct BenchRow {
 
 /// Device memory in bytes.
 struct BenchMemory {
-    std::uint64_t scene = 0;     ///< Parameters and records of the surfels, and the instance table.
+    /// Memory of the surfel parameters, the surfel records and the instance table, in
+    /// bytes.
+    std::uint64_t scene = 0;
     std::uint64_t accel = 0;     ///< Acceleration structures, proxies and scratch memory.
     std::uint64_t training = 0;  ///< Gradients and moments of Adam.
     std::uint64_t rays = 0;      ///< Rays, rendered values, targets and loss gradients.
     std::uint64_t peak = 0;      ///< Peak since the device was opened.
 };
 
-/// Mean number of nodes and surfels that a ray of the forward pass visits.
+/// Mean number of tree nodes and surfels that a ray visits in the forward pass.
 struct BenchVisits {
     double nodes = 0.0;
     double surfels = 0.0;
@@ -61,12 +64,12 @@ struct BenchResult {
     double forward_mrays_per_s = 0.0;            ///< From the median time of diff/forward/trace.
     std::optional<double> backward_mrays_per_s;  ///< From the median time of diff/backward/trace.
     double hits_per_ray = 0.0;                   ///< Mean number of blended hits.
-    std::uint32_t kept_hits = 0;                 ///< Number of hits stored per ray for the backward pass.
-    std::optional<BenchVisits> visits;           ///< No value for ray query.
+    std::uint32_t kept_hits = 0;        ///< Number of hits that are stored per ray for the backward pass.
+    std::optional<BenchVisits> visits;  ///< No value for ray query.
     BenchMemory memory;
     FloorSizes sizes;
-    /// Copy bandwidth, bytes read plus bytes written. It is a property of the device, so
-    /// measure() does not set it.
+    /// Bandwidth of copying, counted as bytes read plus bytes written. measure() does not
+    /// set it, because it depends on the device and not on the case.
     std::optional<double> copy_bytes_per_s;
 };
 
@@ -76,9 +79,9 @@ struct BenchSettings {
     bool quiet = false;
 };
 
-/// Warms up the device, then measures. Learning rates are 0, so that every repetition has
-/// the same scene.
-/// @throws DeviceError if a ray reaches the limit of passes
+/// Warms up the device and then measures all kernels. The learning rates are 0, so that
+/// every repetition uses the same scene.
+/// @throws DeviceError if a ray reaches the maximum number of passes
 BenchResult measure(Device& device, const DevCase& bench, const BenchSettings& settings);
 
 }  // namespace relidar::cli
