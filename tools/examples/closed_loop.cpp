@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A simulator that runs a closed loop at 10 Hz. It moves the ego car and an actor of the
-// run, and brakes depending on its simulated LiDAR. The ego car starts at the first pose
-// of the log. The actor drives 25 m in front of it and brakes after two seconds.
+// Example: a simulator that runs a closed loop at 10 Hz. It moves the ego car and one
+// actor of the run. The ego car brakes depending on its simulated LiDAR. It starts at the
+// first pose of the log. The actor drives 25 m ahead of it and brakes after two seconds.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -13,8 +13,8 @@ using namespace relidar;
 
 constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrakes_mps2 = 6.0;
 
-/// Distance to the nearest point ahead in the own lane, above the ground and beyond the
-/// own bonnet; 100 m where there is none.
+/// Returns the distance to the nearest point ahead in the lane of the ego car. Ignores
+/// points of the ground and of the car's bonnet. Returns 100 m if there is no such point.
 double gap_ahead(const Points& points) {
     double gap_m = 100.0;
     for (const glm::vec3& p : points.position_m) {
@@ -48,8 +48,8 @@ int main(int argc, char** argv) try {
             .dataset_from_actor = ActorPoses{
                 {actor,
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
-        // Points are in the sensor's frame at time t. A program that need not wait for
-        // the scan can request the next scan here.
+        // The points are in the sensor frame at time t. A program that does other work in
+        // between can request the next scan here.
         renderer.ask_points(sensor, request, t);
         const double gap_m = gap_ahead(renderer.take_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders scans of another sensor on another path: an Ouster OS1-64 on a trajectory,
-// without the first actor of the log.
+// Example: renders scans of another sensor on another path. It simulates an Ouster OS1-64
+// on a trajectory and removes the first actor of the log.
 #include <cstdio>
 #include <exception>
 

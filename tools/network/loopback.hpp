@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Detects addresses that are reachable from this machine only. For other addresses the
-// servers print a warning or require a token.
+// Detects loopback addresses, which only programs on this machine can reach. For other
+// addresses, a server prints a warning or requires a token.
 #pragma once
 
 #include <string>
@@ -9,9 +9,9 @@
 
 namespace relidar {
 
-/// Returns true for a loopback address.
-/// @param host a literal IPv4 or IPv6 address, with or without brackets, or "localhost".
-/// Returns false for other names, because they may resolve to another machine.
+/// Returns true if the host is a loopback address. Returns false for names other than
+/// "localhost", because they may resolve to another machine.
+/// @param host IPv4 or IPv6 address, with or without brackets, or a name
 inline bool is_loopback(std::string host) {
     if (host == "localhost") return true;
     if (host.size() > 2 && host.front() == '[' && host.back() == ']') host = host.substr(1, host.size() - 2);
