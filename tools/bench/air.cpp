@@ -27,7 +27,7 @@ constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
 // Number of directions in which rays are cast around a point. With this number, the
 // normal of any surface is within 7 degrees of one of the directions.
 constexpr std::size_t kProbes = 256;
-constexpr std::size_t kTogether = 4096;  // Number of points whose surroundings are cast together.
+constexpr std::size_t kTogether = 4096;  // Number of points whose test rays are cast together.
 
 /// Returns directions that are evenly distributed on the sphere (Fibonacci spiral).
 std::array<glm::vec3, kProbes> all_around() {

@@ -37,7 +37,8 @@ using Context = RTCIntersectContext;
 #endif
 
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
-constexpr float kGrow = 1.002f, kPad_m = 1e-4f;  // Margins of the proxies, as in AccelOptions.
+// Margins around the bounding shapes of surfels, as in AccelOptions.
+constexpr float kGrow = 1.002f, kPad_m = 1e-4f;
 
 /// Data that are needed to blend the hit of a surfel, including the coefficients of its
 /// channels.
@@ -98,7 +99,8 @@ struct Query {
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     Query& query = *reinterpret_cast<Query*>(args->context);
     query.offer(RTCHitN_primID(args->hit, 1, 0));
-    // An accepted hit ends the ray here.
+    // If a hit is accepted, the ray ends at this hit. Only hits beyond the end of the
+    // query are accepted, so that the search stops there.
     args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;
 }
 
@@ -236,7 +238,7 @@ private:
     }
 
     static Pixel finished(Pixel pixel) {
-        pixel.drop_logit += pixel.transmittance;  // Adds the background, whose drop logit is 1.
+        pixel.drop_logit += pixel.transmittance;  // Adds the background, which has a drop logit of 1.
         return pixel;
     }
 };
@@ -263,7 +265,7 @@ double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
 RayTable make_rays(const std::string& text) {
     int rows = 0, columns = 0;
-    // Same rays as in relidar-dev bench.
+    // Uses the same rays as relidar-dev bench.
     if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2)
         return make_benchmark_rays(rows, columns, 2.0, -24.9);
     return make_benchmark_rays(text);

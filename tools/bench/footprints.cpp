@@ -35,7 +35,7 @@ struct Return {
     float range_m = 0.0f, light = 0.0f;
 };
 
-/// Returns of one beam, nearest first.
+/// Returns of one beam, sorted by range.
 using Returns = std::vector<Return>;
 
 /// Replaces each ray by a cone of rays.
@@ -85,8 +85,8 @@ Returns returns_of(const Scan& cone, std::size_t ray) {
 
 struct Truth {
     Returns returns;
-    float first_m = 0.0f;   ///< 0: the beam is dropped.
-    float second_m = 0.0f;  ///< 0: no second return.
+    float first_m = 0.0f;   ///< Range of the first return. It is 0 if the beam is dropped.
+    float second_m = 0.0f;  ///< Range of the second return. It is 0 if there is none.
     bool edge = false;      ///< True if two surfaces each receive at least a tenth of the beam's light.
 };
 

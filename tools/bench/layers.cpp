@@ -29,7 +29,7 @@ namespace {
 using namespace relidar;
 using dnnl::algorithm, dnnl::memory;
 
-/// The same convolution with oneDNN.
+/// Runs the same convolution with oneDNN on the host.
 class HostConvolution {
 public:
     explicit HostConvolution(const ConvolutionSize& size)
@@ -89,7 +89,7 @@ private:
     }
 };
 
-/// Milliseconds of each repetition.
+/// Times of the repetitions in milliseconds.
 struct Times {
     std::vector<double> wall, cpu;
 

@@ -35,7 +35,8 @@ int main(int argc, char** argv) try {
     const SensorChoice sensor = configured_sensor(run.config, run.sequence);
 
     Pose start = run.sequence.world_from_sensor(0).pose.front();
-    start.translation += run.sequence.world_offset_m;  // Requests use the dataset's world frame.
+    // Converts to the dataset's world frame, because requests use this frame.
+    start.translation += run.sequence.world_offset_m;
     const auto ahead = [&](double metres, double up_m) {
         return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}};
     };

@@ -47,7 +47,7 @@ int main(int argc, char** argv) try {
     RenderedGradients d;
     double first = 0.0, last = 0.0;
     for (int step = 1; step <= 40; ++step) {
-        // Ten steps per frame.
+        // Selects the frame of this step. Each frame is used for ten steps.
         const Frame& frame =
             log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];
         WorldRays rays;

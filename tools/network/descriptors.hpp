@@ -12,7 +12,7 @@ inline void raise_descriptor_limit() {
     rlimit limit{};
     if (::getrlimit(RLIMIT_NOFILE, &limit) != 0) return;
     limit.rlim_cur = limit.rlim_max;
-    (void)::setrlimit(RLIMIT_NOFILE, &limit);  // On failure the lower limit stays.
+    (void)::setrlimit(RLIMIT_NOFILE, &limit);  // If raising the limit fails, the lower limit stays.
 }
 
 }  // namespace relidar

@@ -15,7 +15,7 @@ namespace relidar {
 inline constexpr int kLastPort = 65535;
 
 struct HostPort {
-    std::string host;  ///< Without the brackets of an IPv6 address.
+    std::string host;  ///< Host name or address. An IPv6 address has no brackets.
     int port = 0;
 };
 

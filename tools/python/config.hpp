@@ -17,7 +17,7 @@ namespace relidar::python {
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
 /// Shows a note of the library as a Python warning.
 void warn(const std::string& text);
-/// Sets all settings of a dict.
+/// Sets each setting that the dict contains.
 void set_values(Config& config, const pybind11::dict& values);
 
 }  // namespace relidar::python

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chained edits of a run: run.edit().remove("0").move("1", pose).save("edited").
+// Edits a run by chained calls: run.edit().remove("0").move("1", pose).save("edited").
 #include <filesystem>
 #include <functional>
 

@@ -26,7 +26,7 @@ PoseTrack track_of(const py::handle& object, const std::string& what, double tim
 /// @throws DataError if an element is not a rigid motion, as in pose_of()
 std::vector<Pose> poses_of(const py::handle& matrices, const std::string& what);
 
-/// Returns a [4,4] float64 array.
+/// Converts a pose to a [4,4] float64 array.
 py::array to_matrix_array(const Pose& pose);
 
 /// Returns the track as (times [n], poses [n,4,4]). Adds the offset to all positions.

@@ -188,7 +188,7 @@ constexpr const char* kRenderHelp =
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
     "unknown names and weather.";
 
-/// Adds the methods of a run.
+/// Adds the methods of the Python class for runs.
 void add_calls(py::class_<LoadedRun>& type) {
     type.def_static(
             "load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
@@ -230,7 +230,7 @@ void add_calls(py::class_<LoadedRun>& type) {
              "The same run with other values of all surfels. Raises DataError for another number of them.");
 }
 
-/// Adds the properties of a run.
+/// Adds the properties of the Python class for runs.
 void add_properties(py::class_<LoadedRun>& type) {
     type.def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
@@ -300,7 +300,8 @@ OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
         made = std::make_unique<ScanRenderer>(device->device, run);
     }
     OnDevice<ScanRenderer> fresh(device, std::move(made));
-    if (!renderer) renderer = std::move(fresh);  // Another thread may have created the renderer first.
+    // Keeps the existing renderer if another thread was faster.
+    if (!renderer) renderer = std::move(fresh);
     return renderer;
 }
 

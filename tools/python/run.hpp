@@ -13,7 +13,7 @@ namespace relidar::python {
 
 struct LoadedRun {
     Run run;
-    SharedDevice device;  ///< Null: the default device.
+    SharedDevice device;  ///< Device of the run. If it is null, the default device is used.
     OnDevice<ScanRenderer> renderer{};
 
     /// Returns the renderer of this run. Creates the renderer at the first call. No other

@@ -12,7 +12,9 @@ namespace relidar::python {
 
 struct Log {
     Sequence sequence;
-    Config config;  ///< config.dataset and config.sensor.rolling_shutter are those of the log.
+    /// Settings. config.dataset and config.sensor.rolling_shutter are those with which
+    /// the log was read.
+    Config config;
 };
 
 /// These functions return the frames and poses of a log, or of the log of a run.
@@ -22,7 +24,7 @@ pybind11::object lidars_of(const Sequence& sequence);         ///< Returns the L
 /// Returns the path of the vehicle as (times, poses) in the dataset's world frame.
 pybind11::object trajectory_of(const Sequence& sequence);
 pybind11::object mountings_of(
-    const Sequence& sequence);  ///< Returns a dict of vehicle_from_sensor by LiDAR name.
+    const Sequence& sequence);  ///< Returns a dict from LiDAR name to vehicle_from_sensor.
 /// Returns a dict from track name to (times, poses). The poses are those of the box
 /// centre.
 pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);

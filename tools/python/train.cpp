@@ -18,7 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Arguments of train() except the log.
+/// Arguments of the Python function train(), except the log.
 struct TrainArguments {
     std::optional<Config> config;
     std::optional<std::function<py::object(const TrainProgress&)>> callback;
@@ -72,14 +72,14 @@ TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& asked, Pyt
                  {asked.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
-/// Aligns the held-out scans to the trained scene.
+/// Aligns the held-out scans with the trained scene.
 void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     place_held_out(open.device, run, {{}, [&] { return !python.go_on(); }});
     python.raise_again();
 }
 
-/// Learns how intensities scatter.
+/// Measures the noise of the LiDAR's intensities.
 void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.go_on(); }});

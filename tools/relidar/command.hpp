@@ -18,7 +18,7 @@ namespace relidar::cli {
 
 /// The command line, and the function of the command that the user chose.
 struct Call {
-    std::string command_line;   ///< Command line as typed, for reports.
+    std::string command_line;   ///< Command line as the user typed it. Reports contain it.
     std::function<void()> run;  ///< Runs the chosen command. It throws an exception if the command fails.
 };
 

@@ -14,7 +14,8 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};  // Shorter work prints no progress.
+// Times of the first and the following progress lines. Shorter work prints no progress.
+constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
 // True if the terminal shows a progress line that does not yet end with a line break.

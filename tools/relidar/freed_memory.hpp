@@ -6,7 +6,7 @@
 // CMakePresets.json).
 #pragma once
 
-#include <cstddef>  // Any standard header defines __GLIBC__ on glibc systems.
+#include <cstddef>  // Included because any standard header defines __GLIBC__ on systems with glibc.
 
 #ifdef __GLIBC__
 #include <malloc.h>

@@ -34,7 +34,7 @@ std::vector<std::string> device_words(const DeviceChoice& choice);
 struct Settings {
     std::string preset = "default";
     std::string file;
-    std::vector<std::string> sets;  ///< Each has the form "key=value".
+    std::vector<std::string> sets;  ///< Settings of the form "key=value".
 };
 void add_settings_options(CLI::App& command, Settings& settings);
 /// Adds the option --channels, which is a short form of the setting render.channels.
@@ -77,9 +77,10 @@ void note_frames_beyond(const FrameRange& range, int last, const std::string& wh
 /// @throws UsageError that names the option
 std::vector<double> parse_list(const std::string& option, const std::string& text);
 std::vector<std::string> split(const std::string& text, char separator);
-std::string without_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends.
+std::string without_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
-std::string absolute_path(const std::string& path);  ///< Returns an empty path unchanged.
+/// Returns the absolute path. An empty path stays empty.
+std::string absolute_path(const std::string& path);
 /// Loads the log that the settings in config.dataset describe.
 /// @param most_scans see DatasetOptions::most_scans
 Sequence load_dataset(const Config& config, bool quiet = false, int most_scans = 0);

@@ -120,7 +120,9 @@ OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
 
 OutputFolder::~OutputFolder() {
     std::error_code failed;
-    if (!was_there_) fs::remove(path_, failed);  // Fails if the folder is not empty.
+    // Removes the new folder. This fails if the folder is not empty, and the failure is
+    // ignored.
+    if (!was_there_) fs::remove(path_, failed);
 }
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
@@ -220,7 +222,8 @@ void NewRun::save(Run& run) const {
         remove_run_files(path_);
         remove_blocks(path_);
         std::error_code failed;
-        fs::remove_all(checkpoint_folder(path_), failed);  // A later training would resume from them.
+        // Removes the checkpoints. Otherwise a later training would resume from them.
+        fs::remove_all(checkpoint_folder(path_), failed);
     });
 }
 

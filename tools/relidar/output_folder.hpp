@@ -85,7 +85,7 @@ bool holds_run(const std::filesystem::path& folder);
 
 /// States what the folder of a run may contain before the run is written.
 enum class Existing {
-    refuse,  ///< The folder must be empty.
+    refuse,  ///< An error is thrown if the folder is not empty.
     keep,    ///< The folder may hold a run. Training continues this run.
     replace  ///< The folder may hold a run. The new run overwrites it.
 };
@@ -122,7 +122,8 @@ public:
 
 private:
     std::filesystem::path path_;
-    std::optional<RunFolder> earlier_;  ///< Lock on the folder if it exists already.
+    /// Lock of the folder. It has no value if the folder does not exist yet.
+    std::optional<RunFolder> earlier_;
 };
 
 /// Removes the files of an earlier run, so that they are not mistaken for results of the

@@ -19,7 +19,8 @@
 namespace relidar::cli {
 namespace {
 
-/// Polls with pauses, because MPI_Wait would spin.
+/// Waits for a request by polling with pauses. MPI_Wait would use processor time while it
+/// waits.
 void sleep_until(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
@@ -61,7 +62,8 @@ std::string gather_in_all(const std::string& text, int size) {
                    &request);
     sleep_until(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int.
+    // MPI counts bytes with the type int, so larger texts are rejected.
+    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
         throw Error(ExitCode::bug,
                     "collecting results of several processes: found more than 2 GiB, expected at most 2 GiB");
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The group of processes that mpirun has started.
+// Coordinates the processes that mpirun has started.
 #pragma once
 
 #include <cstddef>

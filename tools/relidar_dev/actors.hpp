@@ -27,9 +27,9 @@ struct ActorTimes {
     Spread move_ms{};
     /// Number of times that a bottom level was built or refitted while the actors moved.
     std::uint64_t builds = 0;
-    Spread scan_ms{};          ///< Wall time of activation, refit and forward pass.
+    Spread scan_ms{};          ///< Wall time of the activation functions, the refit and the forward pass.
     Spread step_ms{};          ///< Wall time of a training iteration.
-    std::uint64_t memory = 0;  ///< Bytes of device memory while training.
+    std::uint64_t memory = 0;  ///< Device memory during training, in bytes.
 
     std::uint64_t n_surfels() const;
 };

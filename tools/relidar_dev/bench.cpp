@@ -30,7 +30,7 @@ constexpr int kMaxRepeat = 100000;
 
 struct BenchOptions {
     BenchChoice choice;
-    bool describes_street = false;  ///< True if --scene, --surfels or --rays was given.
+    bool describes_street = false;  ///< True if the user gave --scene, --surfels or --rays.
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
@@ -39,7 +39,7 @@ struct BenchOptions {
     std::string actors;
     ServeBench service;
     ScanBench scans;
-    int n_steps = 0;  ///< Number of training steps. 0: not measured.
+    int n_steps = 0;  ///< Number of training steps to measure. 0 means that no steps are measured.
     DeviceChoice device;
 };
 
@@ -182,7 +182,7 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
 }
 
-/// Adds the options of ray tracing.
+/// Adds the options for ray tracing to the command.
 void add_trace_options(CLI::App& command, BenchChoice& choice) {
     command
         .add_option("--chunk", choice.chunk,

@@ -22,7 +22,7 @@
 namespace relidar::cli {
 namespace {
 
-// Limits. A channel number has 16 bits.
+// Maximum values of options. A channel number has 16 bits.
 constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;
 constexpr float kFaintLogit = -2.19722458f;  // Logit of opacity 0.1.
 // Highest and lowest elevation of the HDL-64E. The kitti rays use the same elevations.

@@ -11,7 +11,7 @@
 
 namespace relidar::cli {
 
-/// The case as given on the command line.
+/// Options of the command line that describe the case.
 struct BenchChoice {
     /// Kind of benchmark street. In "A", the size of the surfels does not depend on their
     /// number. In "B", the surfels are smaller if there are more of them. "C" is like
@@ -23,11 +23,13 @@ struct BenchChoice {
     /// Values that replace settings of the case. An empty text leaves the setting
     /// unchanged.
     std::string chunk, proxy, walk, order, sh, keep_hits;
-    std::string likelihood;      ///< weight of this loss, likewise
-    bool deterministic = false;  ///< gradients are gathered, whatever the case says
+    std::string likelihood;  ///< Weight of the likelihood loss. An empty text leaves it unchanged.
+    /// If true, gradients are gathered instead of added by atomics, whatever the settings
+    /// of the case.
+    bool deterministic = false;
 };
 
-/// A case with options that no setting offers.
+/// A case with additional options that are not settings of a run.
 struct DevCase : BenchCase {
     Proxy proxy = Proxy::automatic;
     Walk walk = Walk::automatic;

@@ -134,9 +134,9 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
         bytes["diff/forward/trace"] = search + shading;
     }
     if (!s.training) return bytes;
-    // Share of the hits that are searched again.
+    // Share of the hits that are not stored and must be searched again.
     const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;
-    // 16 float atomics per hit.
+    // Without gathering, each hit adds 16 floats with atomic operations.
     const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);
     bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
     return bytes;

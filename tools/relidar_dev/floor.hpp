@@ -12,24 +12,25 @@
 
 namespace relidar::cli {
 
-/// Sizes that determine the bytes of one repetition.
+/// Sizes of a case, from which the bytes of one repetition are computed.
 struct FloorSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
     /// Number of surfels that receive a gradient. It is 0 if there is no backward pass.
     double n_touched = 0.0;
     double n_rays = 0.0;
-    double n_hits = 0.0;          ///< Number of blended hits of all rays.
+    double n_hits = 0.0;          ///< Total number of blended hits of all rays.
     double n_hits_written = 0.0;  ///< Number of hits that the forward pass stores.
     /// Number of stored hits that the backward pass reads. Other hits are searched again.
     double n_hits_kept = 0.0;
-    double n_sh = 16.0;  ///< Active spherical harmonics per channel.
+    double n_sh = 16.0;  ///< Number of active spherical harmonics per channel.
     bool sh_per_surfel = true;
     bool training = true;
-    bool lists = false;   ///< True: the forward pass writes lists of hits.
-    bool gather = false;  ///< True: hit records replace atomics.
+    bool lists = false;  ///< If true, the forward pass writes lists of hits.
+    /// If true, gradients are gathered from hit records instead of added by atomics.
+    bool gather = false;
     bool only_touched = false;
-    bool boxes = true;  ///< True: proxies of surfels are boxes.
+    bool boxes = true;  ///< If true, surfels are represented by boxes in the acceleration structure.
     /// True for ray traversal in software. For traversal in hardware, the tree of the
     /// driver is unknown and not counted.
     bool software = true;

@@ -166,7 +166,7 @@ public:
         r.accel().move(stream, r.scene());
         stream.finish();
         take("move", rebuild_kernels_);
-        r.scene().place(stream, before);  // Takes effect in the next iteration.
+        r.scene().place(stream, before);  // The new pose takes effect in the next iteration.
     }
 
     /// Measures only the forward pass by wall time. Used for devices without timestamps.
@@ -193,8 +193,8 @@ private:
     const DevCase& case_;
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
-    BenchMemory memory_;               ///< Memory of each part.
-    std::unique_ptr<Renderer> image_;  ///< Only one of the two is used.
+    BenchMemory memory_;               ///< Device memory that each part of the case uses.
+    std::unique_ptr<Renderer> image_;  ///< Either this renderer or the training step is used, never both.
     std::unique_ptr<TrainingStep> training_;
     FloorSizes sizes_;
     Samples kernels_, rebuild_kernels_, phases_;
@@ -244,7 +244,8 @@ BenchResult Bench::result() {
             fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, "
                         "expected every ray to end",
                         rays_.size(), capped));
-    kernels_.merge(rebuild_kernels_);  // Adds the kernels that only a rebuild uses.
+    // Adds the kernels that run only when the acceleration structure is built.
+    kernels_.merge(rebuild_kernels_);
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
     result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});

@@ -29,7 +29,7 @@ struct Spread {
 /// @param samples [n], at least one
 Spread spread_of(std::vector<double> samples);
 
-/// Returns the milliseconds since `start`.
+/// Returns the time since `start` in milliseconds.
 double ms_since(std::chrono::steady_clock::time_point start);
 
 /// Time of a kernel or of a group of kernels in one repetition. The time is the sum over
@@ -39,15 +39,15 @@ struct BenchRow {
     Spread ms;
 };
 
-/// Device memory in bytes.
+/// Device memory of each part in bytes.
 struct BenchMemory {
     /// Memory of the surfel parameters, the surfel records and the instance table, in
     /// bytes.
     std::uint64_t scene = 0;
-    std::uint64_t accel = 0;     ///< Acceleration structures, proxies and scratch memory.
-    std::uint64_t training = 0;  ///< Gradients and moments of Adam.
-    std::uint64_t rays = 0;      ///< Rays, rendered values, targets and loss gradients.
-    std::uint64_t peak = 0;      ///< Peak since the device was opened.
+    std::uint64_t accel = 0;     ///< Memory of acceleration structures, proxies and scratch buffers.
+    std::uint64_t training = 0;  ///< Memory of the gradients and of the optimizer's moments (Adam).
+    std::uint64_t rays = 0;      ///< Memory of rays, rendered values, targets and gradients of the loss.
+    std::uint64_t peak = 0;      ///< Maximum device memory since the device was opened.
 };
 
 /// Mean number of tree nodes and surfels that a ray visits in the forward pass.
@@ -57,15 +57,19 @@ struct BenchVisits {
 };
 
 struct BenchResult {
-    bool device_clock = true;  ///< False: wall time of the forward pass only.
+    bool device_clock = true;  ///< If false, only the wall time of the forward pass was measured.
     std::string proxy;
-    std::vector<BenchRow> kernels;               ///< In the order of an iteration.
-    std::vector<BenchRow> phases;                ///< "rebuild", "iteration", "iteration_wall" and "move".
-    double forward_mrays_per_s = 0.0;            ///< From the median time of diff/forward/trace.
-    std::optional<double> backward_mrays_per_s;  ///< From the median time of diff/backward/trace.
-    double hits_per_ray = 0.0;                   ///< Mean number of blended hits.
-    std::uint32_t kept_hits = 0;        ///< Number of hits that are stored per ray for the backward pass.
-    std::optional<BenchVisits> visits;  ///< No value for ray query.
+    std::vector<BenchRow> kernels;  ///< Times of the kernels, in the order of a training iteration.
+    /// Times of the phases "rebuild", "iteration", "iteration_wall" and "move".
+    std::vector<BenchRow> phases;
+    /// Million rays per second, from the median time of the kernel diff/forward/trace.
+    double forward_mrays_per_s = 0.0;
+    /// Million rays per second, from the median time of the kernel diff/backward/trace.
+    std::optional<double> backward_mrays_per_s;
+    double hits_per_ray = 0.0;    ///< Mean number of hits that are blended per ray.
+    std::uint32_t kept_hits = 0;  ///< Number of hits that are stored per ray for the backward pass.
+    /// Visited nodes and surfels. It has no value for traversal in hardware (ray query).
+    std::optional<BenchVisits> visits;
     BenchMemory memory;
     FloorSizes sizes;
     /// Bandwidth of copying, counted as bytes read plus bytes written. measure() does not

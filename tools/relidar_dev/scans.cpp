@@ -93,7 +93,8 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         }
         return end - first;
     };
-    for (int n = ask(0); n > 0; --n) renderer.take_points();  // The first scans allocate memory.
+    // The first scans are not measured, because they allocate memory.
+    for (int n = ask(0); n > 0; --n) renderer.take_points();
     ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
                      .n_scans = bench.n_scans,
                      .together = together,

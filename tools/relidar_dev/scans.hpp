@@ -12,7 +12,7 @@ class Device;
 namespace relidar::cli {
 
 struct ScanBench {
-    int n_scans = 0;  ///< 0: scans are not measured.
+    int n_scans = 0;  ///< Number of scans to measure. 0 means that scans are not measured.
     /// Run folder and sensor. The sensor is a name of `relidar list sensors` or the file
     /// of a rig. An empty sensor means the sensor of the log.
     std::string run, sensor;
@@ -38,7 +38,7 @@ struct ScanTimes {
     /// Median wall time of a group of scans that were submitted together, divided by
     /// their number.
     double scan_ms = 0.0;
-    double device_ms = 0.0;  ///< Mean kernel time per scan. 0 without timestamps.
+    double device_ms = 0.0;  ///< Mean kernel time per scan. It is 0 if the device has no timestamps.
     double host_ms = 0.0;    ///< Mean processor time per scan that the calling thread uses.
 };
 

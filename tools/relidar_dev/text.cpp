@@ -33,7 +33,7 @@ std::string walk_name(const DevCase& bench) {
 std::string traversal_of(const Device& device) {
     return device.traversal() == Traversal::software ? "software" : "ray_query";
 }
-/// Returns the selected variant of the traversal.
+/// Returns a text that names the selected ray traversal and its variant.
 std::string search_of(const Device& device, const DevCase& bench, const BenchResult& result) {
     return device.traversal() == Traversal::software ? "walk " + walk_name(bench) : "proxy " + result.proxy;
 }

@@ -30,7 +30,8 @@ namespace {
 constexpr std::chrono::milliseconds kPause{50};
 // Maximum number of open file descriptors of the process, including its connections.
 constexpr int kMostDescriptors = 16384;
-constexpr int kReservedDescriptors = 256;  // Descriptors reserved for files and the driver.
+// Number of file descriptors that are reserved for files and the driver.
+constexpr int kReservedDescriptors = 256;
 
 std::string message_of(int error) { return std::generic_category().message(error); }
 
@@ -111,7 +112,8 @@ Acceptor::Acceptor(const std::string& text) {
         const int listener = listen_at(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
-        if (listener < 0) continue;  // The machine does not support this address family.
+        // Skips this address, because the machine does not support its address family.
+        if (listener < 0) continue;
         listeners_.push_back(listener);
         port_ = port_of(listener);
     }
@@ -144,7 +146,7 @@ void Acceptor::stop() {
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
     thread_.join();
-    // From here on the system refuses connections.
+    // After the sockets are closed, the system refuses new connections.
     for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
 }

@@ -34,7 +34,7 @@ public:
 
 private:
     std::vector<int> listeners_;
-    int wake_[2] = {-1, -1};  ///< Pipe that wakes the waiting thread.
+    int wake_[2] = {-1, -1};  ///< Pipe with which stop() wakes the thread that waits for connections.
     int port_ = 0;
     Receive receive_;
     std::thread thread_;

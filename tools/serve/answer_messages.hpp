@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts scans and scenes to messages.
+// Writes rendered scans and descriptions of scenes into Protobuf messages.
 #pragma once
 
 #include <relidar/run/run.hpp>
@@ -14,7 +14,7 @@ namespace relidar::serve {
 /// @param config settings of the run, which define the range limits of points
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
                 v1::LidarScan& message);
-/// Writes a scan of points without an image.
+/// Writes a scan that has points but no range image.
 void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarScan& message);
 
 /// Writes the description of a scene into a message.

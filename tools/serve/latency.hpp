@@ -9,8 +9,8 @@
 namespace relidar::serve {
 
 struct LatencyOptions {
-    std::string address;  ///< HOST:PORT of a service without TLS.
-    std::string scene;    ///< Name of the scene. Empty: the first scene.
+    std::string address;  ///< HOST:PORT of a service. The connection does not use TLS.
+    std::string scene;    ///< Name of the scene. If it is empty, the first scene is used.
     /// Name of the sensor to simulate. If it is empty, the sensor of the log is used.
     std::string sensor;
     /// Number of clients. Each client has its own connection and waits for one call at a
@@ -28,7 +28,7 @@ struct LatencyResult {
     std::string scene;
     Percentiles latency_ms;   ///< Time from sending a call until the client receives the answer.
     Percentiles queued_ms;    ///< Part of the latency during which the call waited for the device.
-    Percentiles rendered_ms;  ///< Part of this time spent rendering.
+    Percentiles rendered_ms;  ///< Part of the latency during which the scan was rendered.
     double scans_per_s = 0.0;
     std::size_t rays = 0;  ///< Number of rays per scan.
     double points = 0.0;   ///< Mean number of points per scan.

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Errors of requests, as gRPC statuses.
+// Errors that a client receives as gRPC statuses.
 #pragma once
 
 #include <functional>
@@ -11,7 +11,7 @@
 
 namespace relidar::serve {
 
-/// A request that cannot be answered.
+/// Exception for a request that cannot be answered.
 class Refusal : public std::runtime_error {
 public:
     Refusal(grpc::StatusCode code, const std::string& message) : std::runtime_error(message), code_(code) {}

@@ -35,7 +35,7 @@ public:
     /// Starts the render thread.
     /// @param waiting maximum number of waiting requests, in addition to the running one
     explicit RenderQueue(std::size_t waiting);
-    /// All Place objects must be destroyed first.
+    /// Waits until all jobs have ended. All slots must be released before.
     ~RenderQueue();
     RenderQueue(const RenderQueue&) = delete;
     RenderQueue& operator=(const RenderQueue&) = delete;
@@ -76,7 +76,7 @@ public:
 
 private:
     struct Job {
-        const WorkInTwo& work;  ///< Without `finish`, the job has only one part.
+        const WorkInTwo& work;  ///< If `finish` is empty, the job has only one part.
         const std::function<bool()>& is_wanted;
         enum class State { waits, runs, done, unwanted } state = State::waits;
         std::exception_ptr failure = {};

@@ -225,7 +225,7 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
         if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
         if (actor == run_actors.end()) refuse_unknown(field + ".actor", spawn.actor(), run_actors);
-        // The actors of the run come first.
+        // The actors of the run are at the beginning of the list.
         const PlacedActor& model = known[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }

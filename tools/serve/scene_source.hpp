@@ -15,13 +15,13 @@ struct Run;
 
 namespace relidar::serve {
 
-/// A served run and its name for clients.
+/// A run of the server, and its name for clients.
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
     /// Channels of the rendered scans. Without a value, the settings of the run apply.
     std::optional<std::string> channels = {};
-    Weather weather = {};  ///< Weather of scans whose request sets none.
+    Weather weather = {};  ///< Weather of a scan if the request does not set the weather.
 
     /// Loads the run and applies these settings.
     /// @throws the exceptions of load_run(); UsageError if a channel is unknown

@@ -63,11 +63,13 @@ public:
 
 private:
     struct Loaded {
-        std::unique_ptr<ScanRenderer> renderer;  ///< Null if the scene is not loaded.
-        std::uint64_t bytes = 0;                 ///< Device memory of the most recent load.
-        std::uint64_t used = 0;                  ///< Time of the last use, counted in uses.
-        Load load{};                             ///< Number of the most recent load.
-        std::size_t n_places = 0;                ///< Number of slots for spawned actors in the loaded scene.
+        /// Renderer of the scene. It is null if the scene is not loaded.
+        std::unique_ptr<ScanRenderer> renderer;
+        std::uint64_t bytes = 0;  ///< Device memory that the most recently loaded renderer uses.
+        /// Counter value of the last use. It shows which scene was used least recently.
+        std::uint64_t used = 0;
+        Load load{};               ///< Number that identifies the most recent load of the scene.
+        std::size_t n_places = 0;  ///< Number of slots for spawned actors in the loaded scene.
     };
 
     Device& device_;

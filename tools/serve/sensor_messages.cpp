@@ -124,7 +124,8 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
-    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;  // Azimuth 0 is the middle of the turn.
+    // The turn is shifted so that azimuth 0 is in its middle.
+    sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     return sensor;
 }
 

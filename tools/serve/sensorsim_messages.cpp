@@ -23,7 +23,7 @@ constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 struct WireLidar {
     sensorsim::LidarType type;
     const char* name;
-    double period_s;  ///< Period of its sweep, as in find_sensor().
+    double period_s;  ///< Time of one turn of the sensor in seconds, as in find_sensor().
 };
 constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sensorsim::AT128, "AT128", 0.1}};
 

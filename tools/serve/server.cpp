@@ -31,7 +31,8 @@ constexpr int kLargestRequest = 40 << 20;
 // Number of threads for calls that do not render. Each call in the queue has one more
 // thread.
 constexpr std::size_t kOtherThreads = 32;
-constexpr int kKeepalive_ms = 20'000;  // Time after which a vanished client is detected.
+// Interval of keepalive pings, with which the server detects that a client has vanished.
+constexpr int kKeepalive_ms = 20'000;
 // A connection is closed if it has not started gRPC within this time.
 constexpr int kHandshake_ms = 10'000;
 // A connection without calls is closed after this time. A client then connects again.
@@ -79,7 +80,7 @@ struct ScanServer::Impl {
     std::optional<RenderService> service;
     std::optional<SensorsimService> sensorsim;
     std::optional<Acceptor> acceptor;
-    /// Connections of the server.
+    /// gRPC object that receives the connections of clients.
     std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;
     std::unique_ptr<grpc::Server> server;
 

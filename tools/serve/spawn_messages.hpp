@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts assets and spawned actors to messages.
+// Writes assets and spawned actors into Protobuf messages.
 #pragma once
 
 #include <relidar/simulate/assets.hpp>

@@ -25,7 +25,7 @@ struct SpawnSource {
     bool operator==(const SpawnSource&) const = default;
 };
 
-/// An actor to spawn.
+/// Describes an actor that a client wants to spawn.
 struct SpawnWish {
     std::string name;  ///< Name chosen by the client.
     SpawnSource source;
@@ -40,17 +40,17 @@ struct SpawnWish {
 /// earlier stay valid.
 class SpawnedActors {
 public:
-    static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of places per scene.
+    static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of slots per scene.
 
     explicit SpawnedActors(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A place and its index in the scene.
+    /// A slot for a spawned actor, and its index in the scene.
     struct Place {
         std::size_t position = 0;
-        SpawnWish actor;  ///< An empty name marks a free place.
+        SpawnWish actor;  ///< Actor in this slot. The name is empty if the slot is free.
     };
     std::vector<Place> places(std::size_t scene) const;
-    /// Returns the places in use.
+    /// Returns the slots that contain an actor.
     std::vector<Place> taken(std::size_t scene) const;
 
     /// Assigns a slot to each actor. If a model has no free slot, the number of its slots

@@ -13,7 +13,7 @@ struct Credentials {
     std::string_view host;    ///< Value of the header Host.
     std::string_view origin;  ///< Value of the Origin header. It is empty if the header is missing.
     std::string_view cookie;  ///< Value of the header Cookie.
-    std::string_view query;   ///< Part of the request target after '?'.
+    std::string_view query;   ///< Part of the URL after '?'.
 };
 
 /// Returns true if a Host header names this machine: an IP address, "localhost", or

@@ -64,7 +64,7 @@ void HttpSession::limit(std::chrono::milliseconds time) {
 void HttpSession::read() {
     parser_.emplace();
     parser_->header_limit(static_cast<std::uint32_t>(hub_.options.max_header_bytes));
-    parser_->body_limit(0);  // No request of this server has a body.
+    parser_->body_limit(0);  // Rejects requests with a body, because no request to this server needs one.
     limit(hub_.options.request_time);
     http::async_read(stream_, buffer_, *parser_,
                      [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });

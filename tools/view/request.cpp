@@ -16,7 +16,7 @@ using Json = nlohmann::json;
 
 // Maximum absolute value of positions and moves. Larger values are rejected as errors.
 constexpr double kFar_m = 10'000.0;
-constexpr double kFarAway_m = 1e6;  // Limit of positions in relidar's world frame.
+constexpr double kFarAway_m = 1e6;  // Maximum absolute value of positions in relidar's world frame.
 constexpr double kFast_mps = 200.0;
 constexpr double kLate_s = 1e10;
 // Maximum number of actors that are copied, moved, removed or hidden.

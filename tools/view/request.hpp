@@ -48,7 +48,7 @@ struct ActorEdits {
 };
 
 struct ScanWish {
-    std::int64_t id = 0;  ///< The answer repeats this number.
+    std::int64_t id = 0;  ///< Number of the request. The answer contains the same number.
     double time_s = 0.0;
     Pose sensor_offset;  ///< Pose of the simulated sensor relative to the LiDAR of the log.
     std::string sensor = "native";
@@ -70,7 +70,7 @@ struct SensorFile {
 struct GroundWish {
     std::string of;
     std::string from;            ///< See ActorEdits::Copy.
-    std::array<double, 2> at{};  ///< x and y in relidar's world frame.
+    std::array<double, 2> at{};  ///< Clicked position x and y in relidar's world frame.
 };
 
 struct SaveWish {

@@ -27,7 +27,7 @@ constexpr std::size_t kMaxRays = std::size_t(1) << 20;
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
-/// Returns the sensors that choose_sensor() accepts by name.
+/// Returns the names of sensors that choose_sensor() accepts.
 std::vector<std::string> known_sensors() {
     std::vector<std::string> names = sensor_names();
     names.insert(names.begin(), "native");
@@ -52,7 +52,7 @@ std::string identity_of(const Run& run) {
     return fmt::format("{:08x}", hash);
 }
 
-/// Returns the actors that can be copied.
+/// Returns a list of the actors that can be copied.
 Json actors_json(const Run& run) {
     Json actors = Json::array();
     for (const Instance& instance : run.scene.instances) {
@@ -112,7 +112,8 @@ void check_size(const SensorChoice& sensor) {
 
 Json channels_json(const Config& config) {
     Json channels = Json::array();
-    // The channel `source` exists only in weather.
+    // Adds the channel `source`, which is not in the settings because it exists only in
+    // simulated weather.
     for (const ChannelInfo& channel : wanted_channels(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;

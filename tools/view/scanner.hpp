@@ -24,7 +24,8 @@ namespace relidar::view {
 
 /// State that is kept for one browser tab from one scan to the next.
 struct TabCache {
-    std::optional<SensorChoice> file_sensor = {};  ///< Sensor of the tab's uploaded sensor file.
+    /// Sensor in the file that the browser tab has uploaded.
+    std::optional<SensorChoice> file_sensor = {};
     std::optional<Traffic> traffic = {};
     /// Most recent sensor, with its key "lidar/name".
     std::optional<std::pair<std::string, SensorChoice>> sensor = {};

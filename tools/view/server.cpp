@@ -25,7 +25,7 @@ using ErrorCode = boost::system::error_code;
 
 // Time to wait after the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which close() checks for open connections.
+// Interval at which close() checks whether connections are still open.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_address(const std::string& text) {

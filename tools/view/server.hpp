@@ -32,7 +32,7 @@ struct Asset {
 
 struct ServerOptions {
     std::string address = "127.0.0.1";  ///< Literal IPv4 or IPv6 address to listen on.
-    int port = 8080;                    ///< 0: any free port.
+    int port = 8080;                    ///< Port to listen on. 0 selects a free port.
     /// Access token that every request must contain. If it is empty, no token is needed.
     std::string token = {};
     std::span<const Asset> assets = {};
@@ -40,7 +40,7 @@ struct ServerOptions {
     std::size_t max_header_bytes = 8192;
     /// Maximum size of a WebSocket message from a client, in bytes.
     std::size_t max_message_bytes = std::size_t(1) << 20;
-    std::chrono::milliseconds request_time{5000};  ///< Maximum time until a request is complete.
+    std::chrono::milliseconds request_time{5000};  ///< Maximum time to receive a complete request.
     /// A WebSocket is closed if its client does not answer a ping within this time.
     std::chrono::milliseconds idle_time{30000};
 };

@@ -162,7 +162,7 @@ Json Session::answer(TabCache& cache, const Request& request) const {
 }
 
 Json Session::save(const SaveWish& wish) const {
-    // Throws before the folder is created.
+    // Throws an error for invalid edits before the folder is created.
     Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;

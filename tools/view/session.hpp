@@ -28,7 +28,8 @@ using TabId = std::uint64_t;
 /// rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about, text}
 struct Answers {
     std::function<void(TabId, std::string)> text;
-    std::function<void(TabId, std::string)> frame;  ///< Receives a binary message, see frame.hpp.
+    /// Sends a binary message in the format of frame.hpp to a browser tab.
+    std::function<void(TabId, std::string)> frame;
 };
 
 class Session {
@@ -55,12 +56,13 @@ private:
         bool greeted = false;
         /// State of reading the log that was last sent to the browser tab.
         RealScans::State told = RealScans::State::loading;
-        std::optional<ScanWish> scan = {};  ///< Newest requested scan that is not rendered yet.
+        /// Newest scan that the browser tab has requested and that is not rendered yet.
+        std::optional<ScanWish> scan = {};
         /// Pending requests that are not scans: sensor files, positions on the ground,
         /// and runs to save.
         std::deque<Request> others = {};
         std::optional<std::string> refused = {};  ///< Reason why the last message was invalid.
-        TabCache cache = {};                      ///< Used only by the rendering thread.
+        TabCache cache = {};                      ///< State of the tab that only the rendering thread uses.
     };
     struct Job {
         TabId id;
@@ -81,7 +83,7 @@ private:
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<Tab>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;  ///< True after finish() was called.
+    bool deaf_ = false;  ///< True after finish() was called. New messages are then ignored.
 };
 
 }  // namespace relidar::view

@@ -47,7 +47,7 @@ private:
     Counted counted_;
     boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
     boost::beast::flat_buffer incoming_;
-    std::deque<Message> outgoing_;  ///< The first message is being written.
+    std::deque<Message> outgoing_;  ///< Queued messages. The first message is being written.
     /// Id of the client. It is 0 before the handshake and after the connection was
     /// closed.
     ClientId id_ = 0;

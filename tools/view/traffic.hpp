@@ -53,7 +53,7 @@ private:
         return !edits_.removed.contains(box.id) && !edits_.hidden.contains(box.id);
     }
 
-    DrivingScene driving_;  ///< Scene and tracks after the edits, without surfels.
+    DrivingScene driving_;  ///< Scene and tracks after the edits. The scene has no surfels.
     ActorEdits edits_;
 };
 

@@ -47,7 +47,8 @@ struct BenchTimes {
     /// Adam, submitted to the device together.
     double iteration_ms = 0.0;
     std::size_t repetitions = 0;
-    std::optional<double> scans_per_s;  ///< Empty unless a run is timed.
+    /// Rendered scans per second. It has a value only if a run is measured.
+    std::optional<double> scans_per_s;
 };
 
 double ms_since(Clock::time_point start) {

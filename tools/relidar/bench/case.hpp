@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scenes and rays for benchmarks.
+// Creates scenes and rays for benchmarks.
 #pragma once
 
 #include <cstdint>

@@ -27,12 +27,15 @@ public:
     DifferentiableRenderer renderer;
     Array<DeviceTarget> targets;
 
-    void compare(const RayBatch& rays);  ///< Records the losses. Call it after record_forward().
-    void optimise();                     ///< Records Adam. Call it after record_backward().
+    /// Records the kernels of the losses. Must be called after record_forward().
+    void compare(const RayBatch& rays);
+    /// Records the kernel of the optimizer (Adam). Must be called after
+    /// record_backward().
+    void optimise();
 
 private:
     ImageLoss loss_;
-    std::optional<LikelihoodLoss> likelihood_loss_;  ///< if its weight is above 0
+    std::optional<LikelihoodLoss> likelihood_loss_;  ///< Loss that is used only if its weight is above 0.
     Adam adam_;
     Array<float> terms_;
     double n_returned_ = 0.0;

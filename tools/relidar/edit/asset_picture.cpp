@@ -11,7 +11,7 @@ namespace {
 
 constexpr double kPixel_m = 0.02;
 constexpr double kWidest = 400.0;  // Maximum width of a view in pixels.
-constexpr double kAround_m = 0.3;  // Margin around the box.
+constexpr double kAround_m = 0.3;  // Width of the margin around the asset's box.
 constexpr int kGap = 8;            // Gap between views in pixels.
 constexpr std::uint8_t kBackdrop = 24;
 // Minimum rendered weight (opacity) of a pixel. Pixels below it show no surface.

@@ -78,7 +78,8 @@ struct SourceActor {
     std::optional<double> clearance_m;
 };
 
-/// Parses "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
+/// Parses a start pose and an optional speed:
+/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
 Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
                const SourceActor& actor) {
     const std::size_t colon = text.find(':');
@@ -139,7 +140,7 @@ std::string absence_note(const DrivingScene& driving, const std::string& track, 
 
 BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
-    return box ? *box : BoxTrack{};  // The edit itself rejects an unknown track.
+    return box ? *box : BoxTrack{};  // If the track is unknown, the edit itself throws an error later.
 }
 
 AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {

@@ -25,7 +25,7 @@ struct EditOption {
 };
 const std::vector<EditOption>& edit_options();
 
-/// Result of an edit.
+/// Result of applying an edit to a scene.
 struct AppliedEdit {
     DrivingScene driving;
     std::string said;  ///< One line that describes the edit.

@@ -32,8 +32,8 @@ namespace relidar::cli {
 namespace {
 
 struct EvalOptions {
-    std::vector<std::string> targets;  ///< Runs or log that the user typed.
-    std::string target;                ///< The run or log to score.
+    std::vector<std::string> targets;  ///< Folders of runs or logs that the user typed.
+    std::string target;                ///< Run or log to score.
     std::vector<std::string> tables;
     std::string out;
     LogPart part;
@@ -57,7 +57,8 @@ void check_held_out(const Split& split, const std::string& where) {
 /// Output files and folders. The first process checks that they can be written before any
 /// process starts to render.
 struct Output {
-    std::filesystem::path file, pictures;  ///< Output paths; an empty path is not written.
+    /// Output paths. If a path is empty, nothing is written there.
+    std::filesystem::path file, pictures;
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
 
@@ -116,7 +117,7 @@ void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& bef
                                          {edited_region(frame.real, real_image(config, before))}));
 }
 
-/// Keeps only the frames that this process scores.
+/// Removes the frames that other processes score.
 void keep_share(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin),
@@ -175,7 +176,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
-/// Settings that change the scores of a baseline.
+/// Settings that affect the scores of a baseline.
 const std::vector<std::string> kBaselineSettings = {
     "dataset.sequence",        "dataset.lidars",      "dataset.frames_begin",  "dataset.frames_end",
     "dataset.test_every",      "dataset.poses",       "dataset.test_frames",   "dataset.poses_from",

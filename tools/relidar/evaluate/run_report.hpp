@@ -20,7 +20,7 @@ namespace relidar::cli {
 Report make_report(const Run& run, const TrainResult& result, const Device& device,
                    const std::string& command_line);
 
-/// Labels of a set of scored frames.
+/// Texts that describe a set of scored frames in the report.
 struct EvaluationTitle {
     std::string column;  ///< Title of the column in the metric table, such as "held out".
     std::string real;    ///< Caption of the real images: "real" or "exact".

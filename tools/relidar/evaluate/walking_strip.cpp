@@ -58,7 +58,8 @@ double distance_of(const Run& run, const Frame& frame, const BoxTrack& box) {
 struct Walk {
     const BoxTrack* box = nullptr;
     std::vector<const Frame*> frames;
-    double distance_m = std::numeric_limits<double>::max();  ///< Mean distance from the sensor.
+    /// Mean distance between the actor and the sensor.
+    double distance_m = std::numeric_limits<double>::max();
 };
 
 /// Finds the walking actor that is nearest to the sensor, and the frames in which its

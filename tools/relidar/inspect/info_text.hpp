@@ -49,15 +49,16 @@ struct LidarSummary {
 
 struct LogSummary {
     std::string name, source, conventions;
-    std::vector<std::string> notes;  ///< Messages about data that the log lacks.
+    std::vector<std::string> notes;  ///< Notes about data that are missing in the log.
     std::vector<LidarSummary> lidars;
     bool rolling_shutter = false;
     std::size_t n_frames = 0;
     int first_frame = 0, last_frame = 0;
     double seconds = 0.0, path_m = 0.0;
-    std::optional<double> returns_share;  ///< No value if the scans are missing.
-    std::size_t n_scans_read = 0;         ///< Number of scans that returns_share is computed from.
-    bool is_look = false;                 ///< True if only some of the scans were read to make the summary.
+    /// Share of rays with a return. It has no value if the scans are missing.
+    std::optional<double> returns_share;
+    std::size_t n_scans_read = 0;  ///< Number of scans from which returns_share is computed.
+    bool is_look = false;          ///< True if only some of the scans were read to make the summary.
     std::vector<BoxSummary> boxes;
     /// Names of moving boxes that do not become actors. Their points are masked out in
     /// training.
@@ -75,9 +76,9 @@ struct RunSummary {
     int iterations = 0;
     /// Number of parameters of the ray-drop network. It is 0 if the run has no network.
     std::size_t n_drop_parameters = 0;
-    std::string drop_image = {};  ///< Kind of image that the network reads.
+    std::string drop_image = {};  ///< Kind of image that the ray-drop network reads.
     std::size_t n_surfels = 0;
-    Primitive primitive = Primitive::surfel;  ///< Kind of the surfels.
+    Primitive primitive = Primitive::surfel;  ///< Shape of the surfels.
     /// Name and number of surfels of each model.
     std::vector<std::pair<std::string, std::size_t>> models;
     /// Number of blocks that the background consists of. It is 0 if the background is not

@@ -58,7 +58,7 @@ struct RenderOptions {
 // distances, float positions are less exact than a millimetre.
 constexpr double kFarthestOffset_m = 10'000.0;
 
-/// Parses "x,y,z,yaw_deg" in the sensor's frame.
+/// Parses an offset "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);

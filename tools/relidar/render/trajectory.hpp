@@ -17,7 +17,7 @@ namespace relidar::cli {
 
 /// Values of --trajectory, --rate and --times.
 struct TrajectoryChoice {
-    std::string file;  ///< Empty: the path of the log.
+    std::string file;  ///< File with the trajectory. If it is empty, the path of the log is used.
     /// Number of scans per second between the first and the last pose. Without a value,
     /// the rate of the log's sensor is used.
     std::optional<double> rate_hz;

@@ -41,7 +41,7 @@ struct ViewOptions {
     bool quiet = false;
 };
 
-// Interval at which Ctrl-C is checked.
+// Interval at which the program checks for Ctrl-C.
 constexpr std::chrono::milliseconds kViewPatience{50};
 // Maximum time to wait at exit until slow browser tabs have received their data.
 constexpr std::chrono::seconds kGoodbye{5};
@@ -83,7 +83,7 @@ void run_view(const ViewOptions& options) {
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    std::optional<OutputFolder> made;  // Removed at exit if no run was saved.
+    std::optional<OutputFolder> made;  // The folder is removed at exit if no run was saved in it.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));

@@ -36,7 +36,7 @@ struct TrainOptions {
     Settings settings;
     DeviceChoice device;
     std::string seed;
-    std::string blocks;         ///< Length of a block, such as "60m".
+    std::string blocks;         ///< Length of the blocks into which the log is divided, such as "60m".
     std::string resume_folder;  ///< Argument of --resume.
     bool resume = false;
     /// True if the user gave --preset or --config. In this case the settings of a resumed
@@ -295,7 +295,8 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
                            .stages = &stages}))
             throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        remove_network_checkpoints(run.folder);  // Resuming would end with the same error.
+        // The checkpoints have no use, because resuming would end with the same error.
+        remove_network_checkpoints(run.folder);
         return leave_out(error);
     } catch (const DeviceError& error) {
         return leave_out(error);
@@ -348,7 +349,9 @@ void clear_folder(const fs::path& folder, const Config& config, bool keeps_block
     remove_network_checkpoints(folder);
     if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
     if (!keeps_blocks) remove_blocks(folder);
-    write_text(folder / kConfigFile, to_toml(config));  // A killed run is resumed with these settings.
+    // Saves the settings, so that the run can be resumed with them if the process is
+    // killed.
+    write_text(folder / kConfigFile, to_toml(config));
 }
 
 void check_ranks(const Ranks& ranks, bool in_blocks) {

@@ -64,7 +64,7 @@ void check_frames(const Run& trained, const BlockLog& log) {
                         is.front().index, is.back().index));
 }
 
-/// Accumulates sums and means over blocks.
+/// Sums and averages the results of the blocks.
 class Total {
 public:
     void add(const std::vector<TrainProgress>& log) {
@@ -120,7 +120,7 @@ public:
                 blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
                 how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
         std::vector<fs::path> folders;
-        std::vector<std::size_t> others;  // Blocks that other processes train.
+        std::vector<std::size_t> others;  // Numbers of the blocks that other processes are training.
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
             if (!train(k, folders.back())) others.push_back(k);

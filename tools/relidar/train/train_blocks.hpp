@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a long log block by block.
+// Divides the training of a long log into blocks.
 #pragma once
 
 #include <string>
@@ -16,7 +16,7 @@ struct BlockTraining {
     /// Processes that share the training. A process that is free trains the next block.
     const Ranks& ranks;
     bool quiet = false;
-    std::string resume;  ///< Command that resumes the training, for messages.
+    std::string resume;  ///< Command that resumes the training. Error messages contain it.
 };
 
 /// Trains all blocks of a log that are not yet trained. Each block is saved as a run in
