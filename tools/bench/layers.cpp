@@ -1,12 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_layers compares 3x3 convolutions of the ray-drop network on the device
-// with oneDNN on the host. It runs the forward pass, the derivative by the input and the
-// derivative by the weights. Both libraries run alternately in one process. oneDNN
-// chooses its own memory layouts. Its inputs already have these layouts, and padding
-// columns that close the image to a ring. The program prints wall times and processor
-// times of the process. Processor times do not include GPU time. Set
-// OMP_WAIT_POLICY=passive, so that threads of oneDNN do not use processor time while the
-// device is measured.
+// relidar_bench_layers measures 3x3 convolutions of the ray-drop network on the device
+// and compares them with oneDNN on the host. It measures the forward pass and the
+// derivatives by the input and by the weights. Both libraries run alternately in one
+// process. oneDNN chooses its memory layouts. Its inputs already have these layouts and
+// the padding columns that close the image to a ring. The program prints wall times and
+// processor times. Processor times do not include GPU time. Set OMP_WAIT_POLICY=passive,
+// so that waiting threads of oneDNN use no processor time while the device is measured.
 #include <onednn_primitive.hpp>
 
 #include <cmath>

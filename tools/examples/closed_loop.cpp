@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Example: a simulator that runs a closed loop at 10 Hz. It moves the ego car and one
-// actor of the run. The ego car brakes depending on its simulated LiDAR. It starts at the
-// first pose of the log. The actor drives 25 m ahead of it and brakes after two seconds.
+// actor of the run. The ego car starts at the first pose of the log and brakes depending
+// on its simulated LiDAR. The actor drives 25 m ahead of the ego car and brakes after two
+// seconds.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>

@@ -44,7 +44,7 @@ struct WantedScan {
     std::size_t scene = 0;  ///< Index of the scene in the list of runs.
     std::shared_ptr<const SensorChoice> sensor;
     ScanRequest request;
-    /// Actors of this scan, in the order of request.dataset_from_actor.
+    /// Actors that are visible in the scan, in the order of the request.
     std::vector<PlacedActor> placed;
     std::optional<std::uint64_t> sample;
     /// Weather to simulate. Without a value, the weather with which the server was
