@@ -105,8 +105,8 @@ class CarlaLidar:
         self.dataset_from_carla = pose_matrix(*options.dataset_from_carla)
         self.ego_from_sensor = pose_matrix(*options.mount)
         self.ego = None
-        # One entry per tick: seconds since the start of the sweep, pose of the sensor, and
-        # a dict from actor id to pose.
+        # Ticks since the start of the sweep. Each entry has CARLA's time in seconds, the
+        # pose of the sensor, and a dict from actor id to pose.
         self.history = []
 
     def find_ego(self):
