@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_air: counts the points of a trained synthetic street that float in the
-// air, for the recorded sensor poses and for shifted poses. A point is on a surface if
-// the exact street has a surface within 5 cm of it, whichever ray made the point.
+// relidar_bench_air counts the points of a trained synthetic street that float in the
+// air. It tests the recorded and shifted poses of the sensor. A point is on a surface if
+// the exact street has any surface within 5 cm of the point.
 #include <array>
 #include <cmath>
 #include <limits>
@@ -24,12 +24,12 @@ namespace {
 using namespace relidar;
 
 constexpr float kOnSurface_m = 0.05f, kFar_m = 0.3f;
-// Number of directions around a point. The normal of any surface is within 7 degrees of
-// one direction.
+// Number of directions in which rays are cast around a point. With this number, the
+// normal of any surface is within 7 degrees of one of the directions.
 constexpr std::size_t kProbes = 256;
-constexpr std::size_t kTogether = 4096;  // Number of points whose surroundings are cast together.
+constexpr std::size_t kTogether = 4096;  // Number of points whose test rays are cast together.
 
-/// Returns directions that are spread evenly over the sphere (Fibonacci spiral).
+/// Returns directions that are evenly distributed on the sphere (Fibonacci spiral).
 std::array<glm::vec3, kProbes> all_around() {
     std::array<glm::vec3, kProbes> directions;
     for (std::size_t i = 0; i < kProbes; ++i) {
@@ -41,14 +41,15 @@ std::array<glm::vec3, kProbes> all_around() {
     return directions;
 }
 
-/// The exact street, seen from one pose of the sensor.
+/// The exact street, and a pose of the sensor at one time.
 struct Place {
     const SyntheticOptions& street;
     const PoseTrack& world_from_sensor;
     double time_s;
 };
 
-/// Points of a scan, and the exact ranges of the street along the same rays.
+/// End points of the rays of a scan, and the exact ranges of the street along the same
+/// rays.
 struct RayEnds {
     const RayTable& rays;
     const std::vector<float>& range_m;
@@ -57,12 +58,12 @@ struct RayEnds {
     glm::vec3 at(std::size_t i, float range) const { return rays.origin[i] + range * rays.direction[i]; }
 };
 
-/// Returns the distance of each point to the nearest surface at the time of its ray, or
-/// infinity if no probe ray hits a surface. Surfaces of the street are one-sided, and a
-/// point may lie some millimetres behind one. Probe rays are therefore cast from the
-/// point in all directions, and also from all directions back to the point. The latter
-/// start at the distance up to which a point belongs to a surface, and at the maximum
-/// distance.
+/// Returns the distance of each point to the nearest surface of the street at the firing
+/// time of its ray. Returns infinity if no test ray hits a surface. Surfaces of the
+/// street are one-sided, and a point may be some millimetres behind a surface. Therefore
+/// test rays are cast from the point in all directions, and also back to the point from
+/// all directions. The rays back to the point start at two distances: kOnSurface_m and
+/// kFar_m.
 std::vector<float> distances(const Place& place, const RayEnds& points,
                              const std::vector<std::size_t>& chosen) {
     static const std::array<glm::vec3, kProbes> directions = all_around();
@@ -101,8 +102,8 @@ std::vector<float> distances(const Place& place, const RayEnds& points,
 struct Count {
     std::size_t points = 0, in_air = 0, far_out = 0, at_another_range = 0;
 
-    /// Adds the points of a scan.
-    /// @param scan scan that determines which rays return
+    /// Adds the points of a scan to the counts.
+    /// @param scan scan that determines which rays have a return
     void add(const Place& place, const RayEnds& of, const RenderedScan& scan) {
         const std::vector<float>& range_m = of.range_m;
         std::vector<std::size_t> doubtful;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_drop_network: measures a training step and an inference of the ray-drop
-// network, the kernels of a step, and the device memory of training.
+// relidar_bench_drop_network measures the ray-drop network: a training step, an
+// inference, the kernels of a training step, and the device memory of training.
 #include <algorithm>
 #include <string>
 #include <vector>
@@ -25,7 +25,7 @@ double median_ms(int repeat, Work&& work) {
     return median(ms);
 }
 
-/// Prints the kernels of a step by total time, the slowest first.
+/// Prints the total time of each kernel in a training step, the slowest kernel first.
 void print_kernels(const KernelTimes& times, int steps) {
     std::vector<std::pair<double, std::string>> rows;
     for (const auto& [name, ms] : times.milliseconds) {
@@ -39,8 +39,8 @@ void print_kernels(const KernelTimes& times, int steps) {
 }
 
 void measure(const DeviceOptions& chosen, const RefineOptions& options, int rows, int columns, int repeat) {
-    // A separate device for each image size, so that the memory peak belongs to this
-    // size.
+    // Opens the device again for each image size. The peak of the device memory then
+    // belongs to this size.
     Device device(from_environment(chosen));
     MeasuredDropNetwork network(device, options, rows, columns);
     // Measured during training.

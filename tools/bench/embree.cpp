@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_embree: renders the image of `relidar-dev bench` with Embree on the host,
-// as a reference for the speed of the software traversal. Surfels, rays, order and
+// relidar_bench_embree renders the image of `relidar-dev bench` with Embree on the host.
+// The time is a reference for ray traversal in software. Surfels, rays, order and
 // blending are the same (docs/method.md M1-M5, Eq. 2-4), in single precision on two
-// threads. An intersection filter inserts candidates into a sorted buffer of `chunk`
-// hits. It shortens the ray when the buffer is full.
+// threads. An intersection filter inserts each hit into a sorted buffer of `chunk` hits.
+// If the buffer is full, the filter shortens the ray.
 #if __has_include(<embree4/rtcore.h>)
 #include <embree4/rtcore.h>
 #else
@@ -37,9 +37,11 @@ using Context = RTCIntersectContext;
 #endif
 
 constexpr int kMaxChunk = 64, kMaxPasses = 4096;
-constexpr float kGrow = 1.002f, kPad_m = 1e-4f;  // Margins of the proxies, as in AccelOptions.
+// Margins around the bounding shapes of surfels, as in AccelOptions.
+constexpr float kGrow = 1.002f, kPad_m = 1e-4f;
 
-/// Data of a surfel for blending a hit, with the coefficients of its channels.
+/// Data that are needed to blend the hit of a surfel, including the coefficients of its
+/// channels.
 struct Record {
     glm::vec3 mean;
     float opacity;
@@ -59,8 +61,8 @@ struct World {
     std::vector<float> sh;
 };
 
-/// State of one pass of a ray. The first member is the context that Embree passes to the
-/// filter.
+/// State of one pass of a ray. The context must be the first member, because Embree
+/// passes only its address to the filter.
 struct Query {
     Context context;
     const World* world;
@@ -81,7 +83,8 @@ struct Query {
         if (!(hit.alpha >= world->model.alpha_min) || !before(after, hit)) return;
         int slot = n;
         while (slot > 0 && before(hit, hits[slot - 1])) --slot;
-        // A quad that Embree has split is hit twice.
+        // Ignores the second hit of the same surfel. A quad can be hit twice, because
+        // Embree splits it.
         if (slot == chunk || (slot > 0 && hits[slot - 1].surfel == surfel)) return;
         n = std::min(n + 1, chunk);
         std::copy_backward(hits + slot, hits + n - 1, hits + n);
@@ -96,7 +99,8 @@ struct Query {
 void on_candidate(const RTCFilterFunctionNArguments* args) {
     Query& query = *reinterpret_cast<Query*>(args->context);
     query.offer(RTCHitN_primID(args->hit, 1, 0));
-    // An accepted hit ends the ray here.
+    // If a hit is accepted, the ray ends at this hit. Only hits beyond the end of the
+    // query are accepted, so that the search stops there.
     args->valid[0] = RTCRayN_tfar(args->ray, 1, 0) > query.end() ? -1 : 0;
 }
 
@@ -177,7 +181,7 @@ private:
     int chunk_;
     World world_;
 
-    /// Adds the record and the proxy rectangle of a surfel (M1-M3).
+    /// Adds the record of a surfel and the rectangle that bounds it (M1-M3).
     void add(const Surfels& surfels, std::size_t i, glm::vec3* corners) {
         const glm::vec4 q = surfels.rotation[i];
         const glm::mat3 r = glm::mat3_cast(glm::normalize(glm::quat(q[0], q[1], q[2], q[3])));
@@ -215,7 +219,7 @@ private:
     }
 
     /// Blends a hit into a pixel.
-    /// @return false if the ray ends before this hit
+    /// @return false if the ray is already opaque, so that this hit is not visible
     bool blend(const Hit& hit, const float* basis, Pixel& pixel) const {
         const float alpha = std::min(hit.alpha, world_.model.alpha_max),
                     next = pixel.transmittance * (1.0f - alpha);
@@ -234,12 +238,13 @@ private:
     }
 
     static Pixel finished(Pixel pixel) {
-        pixel.drop_logit += pixel.transmittance;  // Adds the background, whose drop logit is 1.
+        pixel.drop_logit += pixel.transmittance;  // Adds the background, which has a drop logit of 1.
         return pixel;
     }
 };
 
-/// Renders all rays in blocks. Threads take the next block from a shared counter.
+/// Renders all rays in blocks on several threads. Each thread reads the number of its
+/// next block from a shared counter.
 std::vector<Pixel> render(const Renderer& renderer, const RayTable& rays, int n_threads) {
     constexpr std::size_t kBlock = 256;
     std::vector<Pixel> image(rays.size());
@@ -260,7 +265,7 @@ double cpu_seconds() { return double(std::clock()) / CLOCKS_PER_SEC; }
 
 RayTable make_rays(const std::string& text) {
     int rows = 0, columns = 0;
-    // Same rays as in relidar-dev bench.
+    // Uses the same rays as relidar-dev bench.
     if (std::sscanf(text.c_str(), "%dx%d", &rows, &columns) == 2)
         return make_benchmark_rays(rows, columns, 2.0, -24.9);
     return make_benchmark_rays(text);

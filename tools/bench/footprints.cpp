@@ -1,9 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_footprints: measures the benefit of sub-rays and second returns on a
-// trained synthetic street. The ground truth casts a cone of 64 exact rays for each beam
-// into the street and separates its returns by brute force. Only beams at edges are
-// compared: the error of the first return, its share between two surfaces, and the
-// numbers of correct, missed and false second returns.
+// relidar_bench_footprints measures the benefit of sub-rays and second returns on a
+// trained synthetic street. As ground truth, it casts a cone of 64 exact rays per beam
+// into the street and separates the returns of the beam. It compares only beams at edges.
+// It reports the error of the first return and the share of first returns between two
+// surfaces. It also reports the numbers of correct, missed and false second returns.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -27,19 +27,20 @@ using namespace relidar;
 constexpr int kCone = 64;
 constexpr double kGolden_rad = 2.399963229728653;
 constexpr float kSeparation_m = 0.5f, kSecondShare = 0.1f;
-// A point floats in the air if its range differs from all surfaces of the footprint by
-// more than this.
+// A point counts as floating in the air if its distance to all surfaces in the beam,
+// along the ray, is larger than this.
 constexpr float kOnSurface_m = 0.3f;
 
 struct Return {
     float range_m = 0.0f, light = 0.0f;
 };
 
-/// Returns of one beam, nearest first.
+/// Returns of one beam, sorted by range.
 using Returns = std::vector<Return>;
 
 /// Replaces each ray by a cone of rays.
-/// @param divergence_rad divergence of all beams; 0: the divergence of each ray
+/// @param divergence_rad divergence of all beams; if it is 0, each ray keeps its
+/// divergence
 RayTable cone_rays(const RayTable& rays, double divergence_rad) {
     RayTable cone;
     cone.rows = rays.rows;
@@ -62,8 +63,9 @@ RayTable cone_rays(const RayTable& rays, double divergence_rad) {
     return cone;
 }
 
-/// Separates the returns of beam `ray`. Cone rays belong to the same return if their
-/// ranges are connected by steps below the separation.
+/// Computes the returns of a beam from its cone of rays. The ranges of the rays are
+/// sorted. Two neighbouring ranges belong to the same return if their difference is below
+/// the separation.
 Returns returns_of(const Scan& cone, std::size_t ray) {
     std::vector<std::pair<float, float>> hits;
     for (std::size_t i = ray * kCone; i < (ray + 1) * kCone; ++i)
@@ -83,9 +85,9 @@ Returns returns_of(const Scan& cone, std::size_t ray) {
 
 struct Truth {
     Returns returns;
-    float first_m = 0.0f;   ///< 0: the beam is dropped.
-    float second_m = 0.0f;  ///< 0: no second return.
-    bool edge = false;      ///< True if two surfaces each receive at least a tenth of the light.
+    float first_m = 0.0f;   ///< Range of the first return. It is 0 if the beam is dropped.
+    float second_m = 0.0f;  ///< Range of the second return. It is 0 if there is none.
+    bool edge = false;      ///< True if two surfaces each receive at least a tenth of the beam's light.
 };
 
 Truth truth_of(const Scan& cone, std::size_t ray) {

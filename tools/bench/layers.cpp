@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_layers: compares 3x3 convolutions of the ray-drop network on the device
-// with oneDNN on the host. Runs the forward pass and the derivatives by input and by
-// weights, alternately in one process. oneDNN chooses its own layouts, and its inputs
-// already have these layouts and the padding columns that close the image to a ring.
-// Prints wall times and processor times of this process, which do not include GPU time.
-// Set OMP_WAIT_POLICY=passive to stop oneDNN's threads from spinning while the device is
-// measured.
+// relidar_bench_layers measures 3x3 convolutions of the ray-drop network on the device
+// and compares them with oneDNN on the host. It measures the forward pass and the
+// derivatives by the input and by the weights. Both libraries run alternately in one
+// process. oneDNN chooses its memory layouts. Its inputs already have these layouts and
+// the padding columns that close the image to a ring. The program prints wall times and
+// processor times. Processor times do not include GPU time. Set OMP_WAIT_POLICY=passive,
+// so that waiting threads of oneDNN use no processor time while the device is measured.
 #include <onednn_primitive.hpp>
 
 #include <cmath>
@@ -28,7 +28,7 @@ namespace {
 using namespace relidar;
 using dnnl::algorithm, dnnl::memory;
 
-/// The same convolution with oneDNN.
+/// Runs the same convolution with oneDNN on the host.
 class HostConvolution {
 public:
     explicit HostConvolution(const ConvolutionSize& size)
@@ -59,7 +59,7 @@ public:
                      {DNNL_ARG_DIFF_WEIGHTS, filled(by_weights.diff_weights_desc())}}}};
     }
 
-    /// Runs one pass.
+    /// Runs one pass of the convolution.
     /// @param pass 0: forward, 1: derivative by the input, 2: derivative by the weights
     void run(std::size_t pass) {
         passes_[pass].primitive.execute(stream_, passes_[pass].arguments);
@@ -88,7 +88,7 @@ private:
     }
 };
 
-/// Milliseconds of each repetition.
+/// Times of the repetitions in milliseconds.
 struct Times {
     std::vector<double> wall, cpu;
 
@@ -99,8 +99,8 @@ struct Times {
     }
 };
 
-/// Prints one line for the device and oneDNN: wall time, processor time, and GFLOP/s of
-/// processor time.
+/// Prints one line with the wall time, the processor time, and the GFLOP per second of
+/// processor time. The line contains the values of the device and of oneDNN.
 void print(const ConvolutionSize& size, const char* pass, const Times& device, const Times& host) {
     const double of_device = median(device.cpu), of_host = median(host.cpu),
                  wall_device = median(device.wall), wall_host = median(host.wall),

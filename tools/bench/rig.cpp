@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar_bench_rig: scores a run that was trained on a synthetic street recorded by a
-// rig. Compares the held-out sweeps of each LiDAR with rays cast into the exact street;
-// LiDARs with two returns use cones of rays. Also scores another sensor in place of the
-// first LiDAR.
+// relidar_bench_rig scores a run that was trained on a synthetic street recorded by a rig
+// of LiDARs. It compares the held-out sweeps of each LiDAR with rays cast into the exact
+// street. For LiDARs with two returns it casts a cone of rays per beam. It also replaces
+// the first LiDAR by another sensor and scores that sensor.
 #include <algorithm>
 #include <cmath>
 #include <vector>
@@ -26,7 +26,8 @@ using namespace relidar;
 constexpr float kOnSurface_m = 0.3f;
 
 struct Score {
-    std::vector<double> errors_m;  ///< Errors of rays that return in both the truth and the rendering.
+    /// Range errors of rays that return in both the exact scan and the rendered scan.
+    std::vector<double> errors_m;
     double squares = 0.0;
     std::size_t rays = 0, returns = 0, missed = 0, behind = 0, drops_right = 0, seconds = 0, found = 0,
                 reported = 0, invented = 0;
@@ -36,9 +37,10 @@ double percent(std::size_t part, std::size_t whole) {
     return whole ? 100.0 * double(part) / double(whole) : 0.0;
 }
 
-/// Ranges of each ray of a rendered or cast scan.
+/// Ranges of the rays of a scan that was rendered, or cast into the exact street.
 struct Returns {
-    /// [rays] 0: no return. `second_m` is empty without second returns.
+    /// [rays] range in metres, 0 for no return. `second_m` is empty if the sensor has no
+    /// second returns.
     std::vector<float> range_m, second_m;
 };
 
@@ -56,8 +58,9 @@ Returns returns_of(const Scan& scan) {
     return {{scan.range_m.begin(), scan.range_m.end()}, second_m};
 }
 
-/// Scores the second returns.
-/// @param truth its second returns have at least a tenth of the light
+/// Compares the second return of ray i with the exact scan and counts the result.
+/// @param truth exact scan. Its second returns have at least a tenth of the light of a
+/// beam.
 void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t i) {
     const float is_m = truth.second_m[i], found_m = scan.second_m[i];
     const bool right =
@@ -97,8 +100,9 @@ std::string row(const std::string& name, Score& s) {
                        percent(s.drops_right, s.rays), seconds);
 }
 
-/// Casts the exact scan of the sensor into the street. Beams with two returns are cones.
-/// @param aside_m shift of the sensor to the left and upwards
+/// Casts rays into the exact street and returns their ranges. A beam with two returns is
+/// cast as a cone of rays.
+/// @param aside_m shift of the sensor to the left and upwards, metres
 Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& track, double time_s,
              const SensorChoice& sensor, float aside_m = 0.0f) {
     for (glm::vec3& origin : rays.origin) origin += aside_m * glm::vec3(0.0f, 1.0f, 1.0f);
@@ -108,8 +112,8 @@ Returns cast(const SyntheticOptions& street, RayTable rays, const PoseTrack& tra
     return returns_of(scan);
 }
 
-/// Scores a sensor that the log does not have, in place of its first LiDAR, on the
-/// held-out sweeps.
+/// Renders the held-out sweeps with a sensor that the log does not have, and scores them.
+/// The sensor replaces the first LiDAR.
 void run_other(ScanRenderer& renderer, const Run& run, const SyntheticOptions& street,
                const std::string& name) {
     const SensorChoice sensor = choose_sensor(name, run.config, run.sequence);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the options of the synthetic street that a run was trained on.
+// Reads the options of the synthetic street on which a run was trained.
 #pragma once
 
 #include <string>
@@ -9,7 +9,7 @@
 
 namespace relidar {
 
-/// Returns the options of the street of a run.
+/// Returns the options of the synthetic street on which a run was trained.
 /// @throws DataError if the log of the run is not a street.toml
 inline SyntheticOptions street_of(const Run& run) {
     const std::string dataset = run.config.dataset.path, prefix = "synthetic:";

@@ -8,7 +8,7 @@
 
 namespace relidar {
 
-/// Returns the median.
+/// Returns the median of some values.
 /// @param values at least one value
 inline double median(std::vector<double> values) {
     std::nth_element(values.begin(), values.begin() + std::ptrdiff_t(values.size() / 2), values.end());

@@ -87,7 +87,7 @@ class Traffic:
             self.names.update({id: f"carla {id}" for id in new})
 
     def model_of(self, actor):
-        extent = actor.bounding_box.extent   # Half of the size.
+        extent = actor.bounding_box.extent   # Half of the box's size.
         wanted = 2 * np.array([extent.x, extent.y, extent.z])
         return min(self.models, key=lambda model: abs(model[0] - wanted).sum())[1]
 
@@ -105,8 +105,8 @@ class CarlaLidar:
         self.dataset_from_carla = pose_matrix(*options.dataset_from_carla)
         self.ego_from_sensor = pose_matrix(*options.mount)
         self.ego = None
-        # Since the start of the sweep: time, pose of the sensor, poses of actors by their
-        # id.
+        # Ticks since the start of the sweep. Each entry has CARLA's time in seconds, the
+        # pose of the sensor, and a dict from actor id to pose.
         self.history = []
 
     def find_ego(self):
@@ -135,7 +135,7 @@ class CarlaLidar:
         return points
 
     def render(self, others):
-        # In the scene's time, every sweep begins when the log begins.
+        # Every sweep begins at the time when the log begins.
         begin_s = self.scene.begin_s - self.history[0][0]
         path = [v1.TimedPose(time_s=begin_s + t, pose=pose_message(sensor)) for t, sensor, _ in self.history]
         tracks = [v1.ActorTrack(name=self.traffic.names[id], poses=[
@@ -143,7 +143,7 @@ class CarlaLidar:
         request = v1.RenderLidarRequest(scene=self.scene.name, sensor=v1.Sensor(name=self.options.sensor), path=path,
                                         actors=v1.ActorTracks(actors=tracks))
         points = self.service.RenderLidar(request, timeout=60).points
-        # Converts to CARLA's left-handed frame.
+        # Negates y, because CARLA's frame is left-handed.
         xyz = np.frombuffer(points.xyz_m, "<f4").reshape(-1, 3) * np.float32([1, -1, 1])
         return np.column_stack([xyz, np.frombuffer(points.intensity, "<f4")])
 

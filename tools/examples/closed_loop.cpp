@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// A simulator that runs a closed loop at 10 Hz. It moves the ego car and an actor of the
-// run, and brakes depending on its simulated LiDAR. The ego car starts at the first pose
-// of the log. The actor drives 25 m in front of it and brakes after two seconds.
+// Example: a simulator that runs a closed loop at 10 Hz. It moves the ego car and one
+// actor of the run. The ego car starts at the first pose of the log and brakes depending
+// on its simulated LiDAR. The actor drives 25 m ahead of the ego car and brakes after two
+// seconds.
 #include <algorithm>
 #include <cmath>
 #include <cstdio>
@@ -13,8 +14,8 @@ using namespace relidar;
 
 constexpr double kStep_s = 0.1, kLane_m = 1.2, kActorBrakes_mps2 = 4.0, kEgoBrakes_mps2 = 6.0;
 
-/// Distance to the nearest point ahead in the own lane, above the ground and beyond the
-/// own bonnet; 100 m where there is none.
+/// Returns the distance to the nearest point ahead in the lane of the ego car. Ignores
+/// points of the ground and of the car's bonnet. Returns 100 m if there is no such point.
 double gap_ahead(const Points& points) {
     double gap_m = 100.0;
     for (const glm::vec3& p : points.position_m) {
@@ -35,7 +36,8 @@ int main(int argc, char** argv) try {
     const SensorChoice sensor = configured_sensor(run.config, run.sequence);
 
     Pose start = run.sequence.world_from_sensor(0).pose.front();
-    start.translation += run.sequence.world_offset_m;  // Requests use the dataset's world frame.
+    // Converts to the dataset's world frame, because requests use this frame.
+    start.translation += run.sequence.world_offset_m;
     const auto ahead = [&](double metres, double up_m) {
         return start * Pose{{1, 0, 0, 0}, {metres, 0, up_m}};
     };
@@ -48,8 +50,8 @@ int main(int argc, char** argv) try {
             .dataset_from_actor = ActorPoses{
                 {actor,
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
-        // Points are in the sensor's frame at time t. A program that need not wait for
-        // the scan can request the next scan here.
+        // The points are in the sensor frame at time t. A program that does other work in
+        // between can request the next scan here.
         renderer.ask_points(sensor, request, t);
         const double gap_m = gap_ahead(renderer.take_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders scans of another sensor on another path: an Ouster OS1-64 on a trajectory,
-// without the first actor of the log.
+// Example: renders scans of another sensor on another path. It simulates an Ouster OS1-64
+// on a trajectory and removes the first actor of the log.
 #include <cstdio>
 #include <exception>
 
@@ -11,7 +11,7 @@ using namespace relidar;
 int main(int argc, char** argv) try {
     if (argc != 4) return std::fprintf(stderr, "usage: %s RUN TRAJECTORY.csv OUT\n", argv[0]), 2;
     Run run = load_run(argv[1]);
-    // Instance 0 is the background.
+    // Instance 0 is the background, so instance 1 is the first actor.
     if (run.scene.instances.size() > 1)
         run.replace(remove_track(run.driving(), run.scene.instances[1].track));
     const PoseTrack trajectory = read_trajectory(argv[2]);

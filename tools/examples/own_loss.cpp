@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains with a user-defined loss: a robust loss of ranges, log(1 + (error / 0.2 m)^2),
-// and cross-entropy of ray drops.
+// Example: trains a run with a user-defined loss. The loss consists of a robust loss of
+// ranges, log(1 + (error / 0.2 m)^2), and the cross-entropy of ray drops.
 #include <cmath>
 #include <cstdio>
 
@@ -10,8 +10,8 @@
 
 using namespace relidar;
 
-/// Returns the mean loss of all rays, and computes its derivatives by the rendered
-/// values.
+/// Returns the mean loss of all rays. Writes the derivatives of the loss by the rendered
+/// values to `d`.
 double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
     const std::size_t n = image.size();
     d = {std::vector<float>(n), std::vector<float>(n), {}, std::vector<float>(n), std::vector<float>(n)};
@@ -25,7 +25,9 @@ double compare(const Rendering& image, const Scan& scan, RenderedGradients& d) {
         d.hit_logit[i] = -d.drop_logit[i];
         if (!returned || weight < 0.1f) continue;
         const float error =
-            (image.depth[i] / weight - scan.range_m[i]) / 0.2f;  // The range is D / W, depth over weight.
+            // The rendered range is depth / weight, because both are sums over the
+            // surfels.
+            (image.depth[i] / weight - scan.range_m[i]) / 0.2f;
         loss += std::log1p(double(error) * double(error)) / double(n);
         d.depth[i] = 2.0f * error / (1.0f + error * error) / 0.2f / float(n) / weight;
         d.weight[i] = -d.depth[i] * image.depth[i] / weight;
@@ -45,7 +47,7 @@ int main(int argc, char** argv) try {
     RenderedGradients d;
     double first = 0.0, last = 0.0;
     for (int step = 1; step <= 40; ++step) {
-        // Ten steps per frame.
+        // Selects the frame of this step. Each frame is used for ten steps.
         const Frame& frame =
             log.frames[std::size_t(split.train[std::size_t(step / 10) % split.train.size()])];
         WorldRays rays;

@@ -78,7 +78,7 @@ class Sweeps:
         """@return v1.LidarScan, and the moment of its points in the log's time"""
         begin_s = self.path[0].time_s + number * self.period_s
         end_s = begin_s + self.period_s
-        # Starts with the pose before the sweep and ends with the pose after it.
+        # Selects the poses of the sweep, one pose before it, and one pose after it.
         first = max(0, np.searchsorted(self.times_s, begin_s, "right") - 1)
         last = np.searchsorted(self.times_s, end_s, "left")
         request = v1.RenderLidarRequest(scene=self.scene.name, lidar=self.options.lidar, sensor=v1.Sensor(name=self.options.sensor),

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses addresses as users type them: 127.0.0.1:50051, [::1]:50051, localhost:50051.
+// Parses network addresses that users type, such as 127.0.0.1:50051, [::1]:50051 or
+// localhost:50051.
 #pragma once
 
 #include <charconv>
@@ -14,14 +15,14 @@ namespace relidar {
 inline constexpr int kLastPort = 65535;
 
 struct HostPort {
-    std::string host;  ///< Without the brackets of an IPv6 address.
+    std::string host;  ///< Host name or address. An IPv6 address has no brackets.
     int port = 0;
 };
 
-/// Parses HOST:PORT.
-/// @param what name of the option, for messages
-/// @param first_port 0 if port 0 may select a free port, otherwise 1
-/// @throws UsageError if the text is not HOST:PORT with a valid port
+/// Parses an address of the form HOST:PORT.
+/// @param what name of the option, for error messages
+/// @param first_port smallest valid port: 0 if port 0 may select a free port, otherwise 1
+/// @throws UsageError if the text is not HOST:PORT, or if the port is not valid
 inline HostPort parse_host_port(const std::string& text, const std::string& what, int first_port) {
     const auto fail = [&] {
         throw UsageError(fmt::format("{}: found '{}', expected HOST:PORT with a port from {} to {}", what,

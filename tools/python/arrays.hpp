@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Conversions between numpy arrays and the library. A returned vector becomes an array
-// without a copy. An argument array is read in place, so dtype, shape and order must
-// match exactly; nothing is converted implicitly.
+// Converts between numpy arrays and types of the library. A returned vector becomes an
+// array without a copy. An array argument is read without a copy. Its dtype, shape and
+// order must therefore match exactly, because nothing is converted.
 #pragma once
 
 #include <span>
@@ -17,10 +17,11 @@ namespace relidar::python {
 namespace py = pybind11;
 
 using Shape = std::vector<py::ssize_t>;
-inline constexpr py::ssize_t kAny = -1;  ///< Any length, in the expected shape of an array.
+/// Stands for any length of a dimension in the expected shape of an array.
+inline constexpr py::ssize_t kAny = -1;
 
-/// Returns an array that takes ownership of the vector's values.
-/// @tparam Number element type of the array; an Element consists of one or more Numbers
+/// Returns an array that takes ownership of the values of a vector.
+/// @tparam Number element type of the array; each Element consists of one or more Numbers
 template <class Number, class Element>
 py::array owned(std::vector<Element>&& values, const Shape& shape) {
     auto* kept = new std::vector<Element>(std::move(values));
@@ -28,7 +29,8 @@ py::array owned(std::vector<Element>&& values, const Shape& shape) {
     return py::array(py::dtype::of<Number>(), shape, kept->data(), owner);
 }
 
-/// Returns a read-only array over values that `owner` keeps alive.
+/// Returns a read-only array of values that belong to `owner`. The array keeps `owner`
+/// alive.
 template <class Number, class Element>
 py::array view(const std::vector<Element>& values, const Shape& shape, const py::handle& owner) {
     py::array array(py::dtype::of<Number>(), shape, values.data(), owner);
@@ -36,21 +38,21 @@ py::array view(const std::vector<Element>& values, const Shape& shape, const py:
     return array;
 }
 
-/// Returns an array of an npz file as a numpy array.
+/// Converts one array of an npz file to a numpy array.
 py::array to_numpy(NamedArray&& array);
-/// Returns all arrays of an npz file by name.
+/// Converts all arrays of an npz file to a dict of numpy arrays.
 py::dict to_dict(std::vector<NamedArray>&& arrays);
 
-/// Checks the type of a numpy array.
-/// @throws DataError that states what was found, if the object is not an array of this
-/// dtype, shape and C order
+/// Checks dtype, shape and C order of a numpy array.
+/// @throws DataError that names the actual type and shape, if the object is not such an
+/// array
 void check_array(const py::handle& object, const std::string& what, const py::dtype& dtype,
                  const Shape& shape);
 
-/// Returns the values of a C-ordered array without a copy.
+/// Returns the values of an array in C order, without a copy.
 /// @param what name of the values, for error messages
 /// @param shape expected shape; kAny for any length
-/// @throws DataError as check_array()
+/// @throws DataError if the dtype, shape or order of the array is wrong
 template <class Number>
 std::span<const Number> values_of(const py::handle& object, const std::string& what, const Shape& shape) {
     check_array(object, what, py::dtype::of<Number>(), shape);
@@ -58,7 +60,8 @@ std::span<const Number> values_of(const py::handle& object, const std::string& w
     return {static_cast<const Number*>(array.data()), static_cast<std::size_t>(array.size())};
 }
 
-/// Copies the values into a vector whose elements consist of one or more Numbers.
+/// Copies the values of an array into a vector. Each Element of the vector consists of
+/// one or more Numbers.
 template <class Number, class Element>
 std::vector<Element> copied(const py::handle& object, const std::string& what, const Shape& shape) {
     const std::span<const Number> values = values_of<Number>(object, what, shape);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Calls from the library into Python during work that has released the interpreter lock.
+// Lets the library call Python functions during work that has released the interpreter
+// lock (GIL).
 #pragma once
 
 #include <exception>
@@ -16,12 +17,13 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// Python callback for progress: receives the name of the step and the finished share.
+/// Python callback that receives the progress: the name of the step, and the finished
+/// share from 0 to 1.
 using Tell = std::optional<std::function<void(const std::string&, double)>>;
 
-/// Wraps a Python callback as a Progress of the library. Exceptions of the callback,
-/// including KeyboardInterrupt, leave the library immediately. Use it only for work that
-/// may be aborted anywhere.
+/// Converts a Python callback to a Progress of the library. If the callback raises an
+/// exception, the work of the library is aborted immediately. Ctrl-C has the same effect.
+/// Use it only for work that may be aborted at any point.
 inline Progress told_to(const Tell& tell) {
     return [&tell](std::string_view what, double done) {
         const py::gil_scoped_acquire interpreter;
@@ -30,12 +32,13 @@ inline Progress told_to(const Tell& tell) {
     };
 }
 
-/// Calls into Python from the library. After the first exception, including Ctrl-C, the
-/// work stops in an orderly way. The exception is raised again afterwards.
+/// Calls Python functions from the library. After the first exception or Ctrl-C, the
+/// library stops its work at a safe point. Then the exception is raised again.
 class PythonCalls {
 public:
-    /// Calls a Python function and records its first exception.
-    /// @return false from the first exception on; the work must then stop
+    /// Calls a Python function and stores the first exception that a call raises.
+    /// @return false if a call has raised an exception; the caller must then stop its
+    /// work
     template <class Call>
     bool operator()(Call&& call) {
         if (failure_) return false;
@@ -48,7 +51,8 @@ public:
         }
         return !failure_;
     }
-    /// Returns true if no exception was raised. Checks for Ctrl-C first.
+    /// Checks for Ctrl-C. Returns true if no exception was raised, so that the work can
+    /// continue.
     bool go_on() {
         return (*this)([] {});
     }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Settings from Python. Names are those of `relidar list settings`; values are Python
-// values.
+// Reads and writes settings from Python. The names are those of `relidar list settings`,
+// and the values are Python values.
 #pragma once
 
 #include <string>
@@ -11,12 +11,13 @@
 
 namespace relidar::python {
 
-/// Sets one setting from a str, bool, int, float or path.
-/// @throws UsageError as set_key(), and for a value of another type
+/// Sets one setting. The value is a str, bool, int, float or path.
+/// @throws UsageError if the value has another type, or if set_key() rejects the key or
+/// the value
 void set_value(Config& config, const std::string& key, const pybind11::handle& value);
-/// Raises a note of the library as a Python warning.
+/// Shows a note of the library as a Python warning.
 void warn(const std::string& text);
-/// Sets all settings of a dict.
+/// Sets each setting that the dict contains.
 void set_values(Config& config, const pybind11::dict& values);
 
 }  // namespace relidar::python

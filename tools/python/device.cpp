@@ -96,7 +96,8 @@ void add_device(py::module_& module) {
             "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); },
             "Most device memory held so far, bytes.")
         .def("__repr__", &shown);
-    // Closes devices before the interpreter and the Vulkan loader shut down.
+    // Closes the default device at exit, before the Python interpreter and the Vulkan
+    // loader end.
     py::module_::import("atexit").attr("register")(py::cpp_function([] { default_device().reset(); }));
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A device shared by several Python objects and threads. It is closed when its last user
-// releases it, and one thread uses it at a time.
+// A device that several Python objects and threads share. One thread at a time uses the
+// device. The device is closed when no object uses it any more.
 #pragma once
 
 #include <atomic>
@@ -17,7 +17,7 @@ namespace relidar::python {
 
 namespace py = pybind11;
 
-/// An open device, its lock and the thread that uses it.
+/// An open device with its lock and the id of the thread that uses the device.
 struct OpenDevice {
     Device device;
     std::mutex in_use;
@@ -27,18 +27,18 @@ struct OpenDevice {
 };
 using SharedDevice = std::shared_ptr<OpenDevice>;
 
-/// Returns the given device. For null, returns the default device, which is opened at its
-/// first use.
-/// @throws DeviceError as Device
+/// Returns the given device. If it is null, returns the default device and opens it if
+/// necessary.
+/// @throws DeviceError if the device cannot be opened
 SharedDevice device_or_default(SharedDevice device);
 
-/// Reserves a device for the current thread and releases the interpreter lock during its
-/// lifetime. Python objects must not be accessed while this object exists.
+/// Locks a device for the current thread. Releases the Python interpreter lock (GIL) at
+/// the same time. No Python object may be used while this object exists.
 class DeviceUse {
 public:
-    /// Waits until the device is free.
-    /// @throws UsageError if this thread already uses the device, because a callback
-    /// calls a function of the same device
+    /// Waits until no other thread uses the device.
+    /// @throws UsageError if this thread already uses the device. This happens if a
+    /// callback calls a function of the same device.
     explicit DeviceUse(OpenDevice& device);
     ~DeviceUse();
     DeviceUse(const DeviceUse&) = delete;
@@ -46,14 +46,14 @@ public:
 
 private:
     OpenDevice& device_;
-    /// Declared first, so that the interpreter lock is released before the thread waits
-    /// for the device.
+    /// Must be the first member. The interpreter lock is then released before the thread
+    /// waits for the device.
     py::gil_scoped_release others_run_;
     std::unique_lock<std::mutex> lock_;
 };
 
-/// An object made on a device. Keeps the device open and reserves it while the object is
-/// destroyed.
+/// An object that was created on a device. It keeps the device open. It locks the device
+/// while the object is destroyed.
 template <class Made>
 class OnDevice {
 public:
@@ -68,7 +68,9 @@ public:
     }
     ~OnDevice() {
         if (!made_ || device_->user == std::this_thread::get_id())
-            return;  // A training callback destroys a renderer. The device is idle at this point.
+            // This thread already uses the device: a training callback destroys a
+            // renderer. The device is idle then.
+            return;
         const DeviceUse use(*device_);
         made_.reset();
     }

@@ -18,7 +18,7 @@
 namespace relidar::python {
 namespace {
 
-/// A renderer with the sizes that determine the shapes of its arrays.
+/// A renderer, and the sizes that determine the shapes of its arrays.
 struct HeldRenderer {
     OnDevice<DifferentiableRenderer> renderer;
     std::vector<InstancePose> placed;  ///< [instances] pose of each instance.
@@ -99,7 +99,8 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
     return dict;
 }
 
-// For messages and help: "depth, weight, " and so on, and the same with their meanings.
+// Texts for error messages and help. The first lists the names "depth, weight, ...". The
+// second also lists the meaning of each name.
 #define RELIDAR_NAME(name, built, value, input, slope, meaning) #name ", "
 #define RELIDAR_MEANING(name, built, value, input, slope, meaning) #name " (" meaning "), "
 

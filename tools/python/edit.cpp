@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Chained edits of a run: run.edit().remove("0").move("1", pose).save("edited").
+// Edits a run by chained calls: run.edit().remove("0").move("1", pose).save("edited").
 #include <filesystem>
 #include <functional>
 
@@ -20,28 +20,30 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// A copy of a run with all edits so far.
+/// A copy of a run to which edits are applied one after the other.
 struct Edits {
     Run run;
     SharedDevice device;
-    std::string origin;  ///< Absolute path of the original run. Empty if it has no folder.
+    /// Absolute path of the original run. It is empty if the run was not loaded from a
+    /// folder.
+    std::string origin;
 
     explicit Edits(const LoadedRun& start) : run(start.run), device(start.device) {
         if (!run.folder.empty()) origin = fs::absolute(run.folder).lexically_normal().string();
         run.folder.clear();
     }
 
-    /// Applies an edit and adds it to the history.
-    /// @param said text of the edit in scene.json
+    /// Applies an edit to the run and adds a text to its history.
+    /// @param said text that describes the edit in scene.json
     Edits& apply(const std::string& said, const std::function<DrivingScene(DrivingScene)>& edit) {
-        // The edit works on a copy, so that a rejected edit changes nothing.
+        // Applies the edit to a copy. If the edit fails, the run is unchanged.
         run.replace(edit(run.driving()));
         run.edits.push_back({origin, said});
         return *this;
     }
 
-    /// Applies an edit of an actor's times, and warns about frames in which the actor is
-    /// now absent.
+    /// Applies an edit that changes when an actor is present. Warns if the actor is now
+    /// absent from frames of the log.
     Edits& apply_times(const std::string& said, const std::string& track,
                        const std::function<DrivingScene(DrivingScene)>& edit) {
         const BoxTrack* box = find_box(run.sequence, track);
@@ -99,7 +101,7 @@ std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool
 }  // namespace
 
 void add_edit(py::module_& module) {
-    // Each edit returns the same object, so that edits can be chained.
+    // Each edit returns the same Python object, so that edits can be chained.
     const auto same = py::return_value_policy::reference;
     py::class_<Edits>(module, "Edit",
                       "A copy of a run that is being edited. Each edit gives the same object back; run() or "

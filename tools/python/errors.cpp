@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Translates each error of the library into a Python exception. Each exception is also a
-// subclass of the built-in exception that a caller would expect.
+// Converts the errors of the library to Python exceptions. Each exception class also
+// derives from the matching built-in exception of Python.
 #include <string>
 
 #include <relidar/base/error.hpp>
@@ -15,7 +15,8 @@ struct Types {
     py::object error, usage, data, device;
 };
 
-/// Never destroyed, because exceptions may be raised until the interpreter has ended.
+/// The exception types are never destroyed, because exceptions may be raised until the
+/// interpreter ends.
 Types& types() {
     static auto* const all = new Types;
     return *all;

@@ -36,7 +36,9 @@ Evaluation evaluation_of(LoadedRun& loaded, const Sequence& log, const std::opti
 
 py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::string>& baseline,
                       const Tell& tell) {
-    if (baseline) (void)find_baseline(*baseline);  // Rejects an unknown baseline before the log is read.
+    // Throws an error for an unknown baseline before the log is read, because reading
+    // takes long.
+    if (baseline) (void)find_baseline(*baseline);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() +
                         ": no frame was held out, expected at least one to evaluate");

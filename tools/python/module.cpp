@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The Python module: the public interface of the library with numpy arrays. Users import
-// relidar/__init__.py, which re-exports everything.
+// Python module that exports the public interface of the library with numpy arrays. Users
+// import relidar/__init__.py, which exports the same names.
 #include "module.hpp"
 
 PYBIND11_MODULE(_relidar, module) {

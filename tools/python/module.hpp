@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parts of the module, in the order in which they are added. A part may use types of
-// earlier parts.
+// These functions add the parts of the Python module, in this order. A part may use types
+// of earlier parts.
 #pragma once
 
 #include <pybind11/pybind11.h>

@@ -20,8 +20,8 @@ py::object get(const py::dict& scan, const char* name) {
     return scan[name];
 }
 
-/// Returns the image of a scan from Run.render() or from a log. A log's scan has no
-/// drop_prob; a range of 0 then means a dropped ray.
+/// Converts a scan of Run.render() or of a log to a rendered scan. A scan of a log has no
+/// drop_prob. Its rays with range 0 count as dropped.
 RenderedScan image_of(const py::dict& scan) {
     const py::object range = get(scan, "range");
     check_array(range, "scan: range", py::dtype::of<float>(), {kAny, kAny});

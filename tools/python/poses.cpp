@@ -12,10 +12,11 @@
 namespace relidar::python {
 namespace {
 
-// Tolerance of R^T R relative to the identity, because files have six digits.
+// Maximum difference between R^T R and the identity matrix. Rotations from text files
+// have only six digits.
 constexpr double kRigid = 1e-4;
 
-/// Returns the rigid pose of a 4x4 matrix and checks that its rotation is valid.
+/// Converts a 4x4 matrix to a pose. Checks that the matrix is a rigid motion.
 /// @param m 16 numbers, row by row
 Pose rigid_pose(const double* m, const std::string& what) {
     const auto fail = [&](const std::string& found) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Poses as numpy arrays: [4,4] float64 matrices a_from_b. A track is a pair of times and
-// poses.
+// Converts poses to numpy arrays and back. A pose is a [4,4] float64 matrix, and a track
+// is a pair (times, poses).
 #pragma once
 
 #include <string>
@@ -11,25 +11,25 @@
 
 namespace relidar::python {
 
-/// Returns the rigid pose of a [4,4] float64 matrix.
-/// @throws DataError if the matrix is not finite or not a rigid motion, or as
-/// check_array()
+/// Converts a [4,4] float64 matrix to a pose.
+/// @throws DataError if the matrix has a wrong type or shape, is not finite, or is not a
+/// rigid motion
 Pose pose_of(const py::handle& matrix, const std::string& what);
 
-/// Returns the track of a constant pose, or of (times [n] float64, poses [n,4,4]
-/// float64).
-/// @param time_s time of a constant pose
-/// @throws DataError as pose_of(), and for any other object
+/// Converts a single pose or a pair (times [n], poses [n,4,4]) of float64 arrays to a
+/// track.
+/// @param time_s time of a single pose
+/// @throws DataError if the object is neither of them, or if a pose is not a rigid motion
 PoseTrack track_of(const py::handle& object, const std::string& what, double time_s);
 
-/// Returns poses from a [n,4,4] array.
-/// @throws DataError as pose_of()
+/// Converts an array [n,4,4] to poses.
+/// @throws DataError if an element is not a rigid motion, as in pose_of()
 std::vector<Pose> poses_of(const py::handle& matrices, const std::string& what);
 
-/// Returns a [4,4] float64 array.
+/// Converts a pose to a [4,4] float64 array.
 py::array to_matrix_array(const Pose& pose);
 
-/// Returns (times [n], poses [n,4,4]) with an offset added to all positions.
+/// Returns the track as (times [n], poses [n,4,4]). Adds the offset to all positions.
 py::tuple to_track(const PoseTrack& track, const glm::dvec3& offset_m);
 
 }  // namespace relidar::python

@@ -44,16 +44,17 @@ PointFrame frame_of(const std::string& name) {
     throw UsageError(fmt::format("frame: found \"{}\", expected sensor or world", name));
 }
 
-/// Returns the poses of a LiDAR of the log in the dataset's world frame.
+/// Returns the path of one LiDAR of the log in the dataset's world frame.
 PoseTrack log_track(const Sequence& sequence, int lidar) {
     return shifted_track(sequence.world_from_sensor(lidar), sequence.world_offset_m);
 }
 
-/// Checks that a time is near the poses of a track, because moving objects would be
-/// extrapolated.
-/// @throws UsageError if the time is more than `beside_s` outside the track
+/// Checks that a time is on a track or near its ends. Moving objects would be
+/// extrapolated at other times.
+/// @throws UsageError if the time is more than `beside_s` before or after the track
 void check_covered(const PoseTrack& track, double time_s, double beside_s, const std::string& what) {
-    // A single pose is constant, and the library rejects a time that is not finite.
+    // A single pose is valid at all times. A time that is not finite is rejected later by
+    // the library.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
     const double begin_s = track.time_s.front() - beside_s, end_s = track.time_s.back() + beside_s;
     if (time_s < begin_s || time_s > end_s)
@@ -62,7 +63,8 @@ void check_covered(const PoseTrack& track, double time_s, double beside_s, const
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {
-    // Tolerance, because a sweep begins before and ends after its time.
+    // Maximum time before the first or after the last pose, in seconds. A sweep begins
+    // before its nominal time and ends after it.
     constexpr double kBeside_s = 1.0;
     ActorPoses poses;
     for (const auto& [name, pose] : actors) {
@@ -74,7 +76,7 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
     return poses;
 }
 
-/// Returns the number of the log's sweep that is nearest in time.
+/// Returns the index of the log's sweep that is nearest in time.
 int nearest_sweep(const Sequence& sequence, double time_s) {
     const auto farther = [&](const Frame& a, const Frame& b) {
         return std::abs(a.time_s - time_s) < std::abs(b.time_s - time_s);
@@ -186,7 +188,7 @@ constexpr const char* kRenderHelp =
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
     "unknown names and weather.";
 
-/// Adds the methods of a run.
+/// Adds the methods of the Python class for runs.
 void add_calls(py::class_<LoadedRun>& type) {
     type.def_static(
             "load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
@@ -228,7 +230,7 @@ void add_calls(py::class_<LoadedRun>& type) {
              "The same run with other values of all surfels. Raises DataError for another number of them.");
 }
 
-/// Adds the properties of a run.
+/// Adds the properties of the Python class for runs.
 void add_properties(py::class_<LoadedRun>& type) {
     type.def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
@@ -298,7 +300,8 @@ OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
         made = std::make_unique<ScanRenderer>(device->device, run);
     }
     OnDevice<ScanRenderer> fresh(device, std::move(made));
-    if (!renderer) renderer = std::move(fresh);  // Another thread may have created the renderer first.
+    // Keeps the existing renderer if another thread was faster.
+    if (!renderer) renderer = std::move(fresh);
     return renderer;
 }
 

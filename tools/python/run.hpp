@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A run as a Python object, with its device, and a renderer that is created when the
+// A run as a Python object, together with its device. Its renderer is created when the
 // first scan is requested.
 #pragma once
 
@@ -13,16 +13,16 @@ namespace relidar::python {
 
 struct LoadedRun {
     Run run;
-    SharedDevice device;  ///< Null: the default device.
+    SharedDevice device;  ///< Device of the run. If it is null, the default device is used.
     OnDevice<ScanRenderer> renderer{};
 
-    /// Returns the renderer of this run and creates it if necessary. No other object
-    /// modifies it.
+    /// Returns the renderer of this run. Creates the renderer at the first call. No other
+    /// object changes the renderer.
     OnDevice<ScanRenderer>& ready_renderer();
 };
 
-/// Writes a run into a folder and sets `run.folder` to it.
-/// @throws UsageError if the folder holds a run that must not be overwritten, as
+/// Saves a run in a folder and sets `run.folder` to this folder.
+/// @throws UsageError if `overwrite` is false and the folder already holds a run, as in
 /// save_run()
 void save_to(Run& run, const std::filesystem::path& folder, bool overwrite);
 

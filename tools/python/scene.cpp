@@ -17,8 +17,8 @@ namespace {
 
 constexpr std::string_view kThirdScale = "log_scale_w", kGait = "gait";
 
-/// Visits the parameter groups of surfels: calls take(name, vector, shape of the floats
-/// of one surfel).
+/// Calls the function `take` for each parameter group of the surfels. Its arguments are
+/// the name, the vector of values, and the shape of the values of one surfel.
 template <class Set, class Take>
 void for_each_group(Set& surfels, Take&& take) {
     take("mean", surfels.mean, Shape{3});
@@ -30,7 +30,7 @@ void for_each_group(Set& surfels, Take&& take) {
     take(kGait.data(), surfels.gait, Shape{5});
 }
 
-/// Returns true if the surfels have a parameter group.
+/// Returns true if the surfels have the parameter group with this name.
 bool has_group(const Surfels& surfels, std::string_view name) {
     if (name == kGait) return surfels.bends;
     return name != kThirdScale || kind_of(surfels.primitive).third_scale;
@@ -42,7 +42,7 @@ Shape rows_of(py::ssize_t n, const Shape& row) {
     return shape;
 }
 
-/// Returns read-only arrays over the surfels of a scene.
+/// Returns the parameters of a scene's surfels as read-only arrays, without a copy.
 py::dict view_of(const py::object& scene_object) {
     const Surfels& surfels = scene_object.cast<const Scene&>().surfels;
     py::dict dict;
@@ -59,9 +59,10 @@ std::uint32_t count_of(const py::dict& dict, const char* name, const char* what)
     return dict[name].cast<std::uint32_t>();
 }
 
-/// Creates a scene.
-/// @param models dicts of name, first and count; none: one model of all surfels
-/// @param instances dicts of model and track; none: one instance of each model
+/// Creates a scene from surfels.
+/// @param models dicts with name, first and count; without them, all surfels form one
+/// model
+/// @param instances dicts with model and track; without them, each model has one instance
 Scene make_scene(const py::dict& surfels, const std::optional<std::vector<py::dict>>& models,
                  const std::optional<std::vector<py::dict>>& instances) {
     Scene scene = make_background_scene(surfels_of(surfels));
@@ -122,8 +123,8 @@ Surfels surfels_of(const py::dict& arrays) {
             throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text,
                                          did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
-    // The arrays of the dict determine the primitive: the first one that has exactly
-    // these arrays.
+    // Chooses the primitive shape: 3D Gaussians have the array of third scales, and 2D
+    // surfels do not have it.
     const auto kind =
         std::ranges::find(kPrimitives, arrays.contains(kThirdScale), &PrimitiveKind::third_scale);
     surfels.primitive = kind->primitive, surfels.bends = arrays.contains(kGait);

@@ -15,10 +15,10 @@
 namespace relidar::python {
 namespace {
 
-constexpr float kUnit = 1e-3f;  // Tolerance of the length of a direction relative to 1.
+constexpr float kUnit = 1e-3f;  // Maximum difference between the length of a direction and 1.
 
-/// Checks that all rays of a sensor are valid.
-/// @throws DataError if a ray is not finite or its direction does not have length 1
+/// Checks the rays of a sensor.
+/// @throws DataError if a ray is not finite, or if its direction does not have length 1
 void check_rays(const RayTable& rays) {
     for (std::size_t i = 0; i < rays.size(); ++i) {
         const float length = glm::length(rays.direction[i]);

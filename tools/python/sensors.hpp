@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Sensors from Python: a name, a CSV table of beams, or a dict with the rays, named as in
-// an npz file.
+// Reads sensors from Python. A sensor is a name, a CSV file with a table of beams, or a
+// dict with the arrays of an npz file.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -10,14 +10,15 @@
 
 namespace relidar::python {
 
-/// Returns the sensor for a Python argument. None: the sensor of the run's settings.
-/// @param lidar LiDAR of the log that the sensor is, or that it replaces
-/// @throws UsageError or DataError as choose_sensor(); DataError for rays of wrong shape
-/// or length
+/// Returns the sensor that a Python argument describes. None means the sensor in the
+/// settings of the run.
+/// @param lidar LiDAR of the log that the sensor is or replaces
+/// @throws UsageError or DataError if choose_sensor() rejects the sensor; DataError if
+/// rays have a wrong shape or length
 SensorChoice sensor_of(const pybind11::handle& sensor, const Run& run, int lidar);
 
-/// Returns the rays as a dict: directions and origin [rows,columns,3] float32, time
-/// [rows,columns] float32, ring [rows,columns] uint16.
+/// Returns the rays of a sensor as a dict of arrays: directions and origin
+/// [rows,columns,3] float32, time [rows,columns] float32, ring [rows,columns] uint16.
 pybind11::dict to_dict(const RayTable& rays);
 
 }  // namespace relidar::python

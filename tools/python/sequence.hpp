@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A log as a Python object, with the settings that it was read with, because training
-// needs them.
+// A log as a Python object. It also stores the settings with which the log was read,
+// because training needs them.
 #pragma once
 
 #include <pybind11/pybind11.h>
@@ -12,18 +12,21 @@ namespace relidar::python {
 
 struct Log {
     Sequence sequence;
-    Config config;  ///< config.dataset and config.sensor.rolling_shutter are those of the log.
+    /// Settings. config.dataset and config.sensor.rolling_shutter are those with which
+    /// the log was read.
+    Config config;
 };
 
-/// Return the frames and poses of a log, or of the log of a run.
+/// These functions return the frames and poses of a log, or of the log of a run.
 pybind11::object times_of(const Sequence& sequence);          ///< Returns the frame times, [frames] float64.
 pybind11::object frame_numbers_of(const Sequence& sequence);  ///< Returns the frame numbers, [frames] int32.
 pybind11::object lidars_of(const Sequence& sequence);         ///< Returns the LiDAR name of each frame.
-/// Returns (times, poses) of the vehicle in the dataset's world frame.
+/// Returns the path of the vehicle as (times, poses) in the dataset's world frame.
 pybind11::object trajectory_of(const Sequence& sequence);
 pybind11::object mountings_of(
-    const Sequence& sequence);  ///< Returns a dict of vehicle_from_sensor by LiDAR name.
-/// Returns a dict of (times, poses) of box centres.
+    const Sequence& sequence);  ///< Returns a dict from LiDAR name to vehicle_from_sensor.
+/// Returns a dict from track name to (times, poses). The poses are those of the box
+/// centre.
 pybind11::object actors_of(const Sequence& sequence, const std::vector<std::string>& names);
 
 }  // namespace relidar::python

@@ -18,7 +18,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-/// Arguments of train() except the log.
+/// Arguments of the Python function train(), except the log.
 struct TrainArguments {
     std::optional<Config> config;
     std::optional<std::function<py::object(const TrainProgress&)>> callback;
@@ -28,7 +28,8 @@ struct TrainArguments {
     SharedDevice device;
 };
 
-/// Returns the requested settings, but keeps the settings that the log was read with.
+/// Returns the settings of the user. The settings with which the log was read are not
+/// replaced.
 Config config_of(const Log& log, const std::optional<Config>& wanted) {
     Config config = wanted.value_or(log.config);
     config.dataset = log.config.dataset;
@@ -71,22 +72,22 @@ TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& asked, Pyt
                  {asked.checkpoints.value_or(""), start ? &*start : nullptr, stop, note, {}});
 }
 
-/// Aligns the held-out scans to the trained scene.
+/// Aligns the held-out scans with the trained scene.
 void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     place_held_out(open.device, run, {{}, [&] { return !python.go_on(); }});
     python.raise_again();
 }
 
-/// Learns how intensities scatter.
+/// Measures the noise of the LiDAR's intensities.
 void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.go_on(); }});
     python.raise_again();
 }
 
-/// Trains the ray-drop network. A log without suitable training data and a checkpoint of
-/// another network are not errors.
+/// Trains the ray-drop network. If the log has no suitable training data, or if the
+/// checkpoint belongs to another network, only a note is printed.
 void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCalls& python) {
     const auto note = [&](const std::string& line) {
         if (asked.note) python([&] { (*asked.note)(line); });
@@ -127,7 +128,9 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& asked
     try {
         result = trained(*device, run, asked, python);
     } catch (const Error&) {
-        python.raise_again();  // The library stopped because a Python callback raised an exception.
+        // If a Python callback raised an exception, the library stopped with an error.
+        // Raises the exception of the callback instead of this error.
+        python.raise_again();
         throw;
     }
     python.raise_again();

@@ -14,14 +14,16 @@ extern char** environ;
 namespace relidar::cli {
 
 void open_in_browser(const std::string& address) {
-    // Started without a shell, because an address may contain any characters.
+    // Starts the program without a shell, because the address may contain special
+    // characters.
     std::string program = "xdg-open", argument = address;
     char* const arguments[] = {program.data(), argument.data(), nullptr};
     posix_spawn_file_actions_t quiet;
     posix_spawn_file_actions_init(&quiet);
     for (const int descriptor : {STDIN_FILENO, STDOUT_FILENO, STDERR_FILENO})
         posix_spawn_file_actions_addopen(&quiet, descriptor, "/dev/null", O_RDWR, 0);
-    pid_t process = 0;  // The process is not waited for, because some browsers stay in the foreground.
+    // Does not wait for the process to end, because some browsers stay in the foreground.
+    pid_t process = 0;
     const int failed = posix_spawnp(&process, program.c_str(), &quiet, nullptr, arguments, environ);
     posix_spawn_file_actions_destroy(&quiet);
     if (failed != 0)

@@ -6,8 +6,8 @@
 
 namespace relidar::cli {
 
-/// Opens a URL or a file with xdg-open. Prints a note with the address if xdg-open is
-/// missing.
+/// Opens a URL or a file with the program xdg-open. If xdg-open is missing, prints a note
+/// with the address.
 void open_in_browser(const std::string& address);
 
 }  // namespace relidar::cli

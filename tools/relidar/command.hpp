@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Interface of a command: a function that adds a subcommand and its options to the
-// parser. When the user chooses the command, its callback stores the function to run in
-// `call.run`. To add a command, write a file, add a line here and a line in commands.cpp.
+// Interface of a command. A command is a function that adds a subcommand and its options
+// to the parser. If the user chooses the command, the parser calls its callback. The
+// callback stores the function to run in `call.run`. To add a command, write a file, and
+// add one line here and one line in commands.cpp.
 #pragma once
 
 #include <functional>
@@ -15,10 +16,10 @@ class App;
 
 namespace relidar::cli {
 
-/// The command line and the command that the user chose.
+/// The command line, and the function of the command that the user chose.
 struct Call {
-    std::string command_line;   ///< Command line as typed, for reports.
-    std::function<void()> run;  ///< Runs the chosen command. Throws an exception on failure.
+    std::string command_line;   ///< Command line as the user typed it. Reports contain it.
+    std::function<void()> run;  ///< Runs the chosen command. It throws an exception if the command fails.
 };
 
 /// Adds all commands to the parser.

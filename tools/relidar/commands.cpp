@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// All commands, in the order that `relidar --help` lists them.
+// Lists all commands in the order in which `relidar --help` shows them.
 #include "command.hpp"
 
 namespace relidar::cli {

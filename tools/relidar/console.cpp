@@ -14,20 +14,22 @@
 namespace relidar::cli {
 namespace {
 
-constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};  // Shorter work prints no progress.
+// Times of the first and the following progress lines. Shorter work prints no progress.
+constexpr std::chrono::seconds kPlainFirst{2}, kPlainInterval{10};
 constexpr std::chrono::milliseconds kTerminalInterval{100};
 
-bool line_open = false;  // True if the terminal shows a progress line that has no line break yet.
+// True if the terminal shows a progress line that does not yet end with a line break.
+bool line_open = false;
 
-/// Returns the number of terminal columns of a text, which is its number of UTF-8
-/// characters.
+/// Returns the number of terminal columns of a text. It is assumed that each UTF-8
+/// character needs one column.
 std::size_t width(const std::string& text) {
     return static_cast<std::size_t>(std::count_if(
         text.begin(), text.end(), [](char c) { return (static_cast<unsigned char>(c) & 0xC0) != 0x80; }));
 }
 
-/// Cuts a line to the width of the terminal, because a wrapped line cannot be
-/// overwritten.
+/// Shortens a line to the width of the terminal. A longer line would wrap, and a wrapped
+/// line cannot be overwritten.
 std::string cut_to_terminal(const std::string& text) {
     winsize size{};
     const bool known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;

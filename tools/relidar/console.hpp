@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Text output for the terminal: tables, durations, sizes and a progress line. Results go
-// to stdout, progress goes to stderr. On a terminal the progress line overwrites itself.
-// Otherwise a plain line is printed after two seconds and then every ten seconds.
+// Prints tables, durations, sizes and a progress line in the terminal. Results go to
+// stdout, progress goes to stderr. On a terminal, each progress line overwrites the
+// previous one. If the output is a file, a progress line is printed after two seconds and
+// then every ten seconds.
 #pragma once
 
 #include <chrono>
@@ -13,23 +14,26 @@
 
 namespace relidar::cli {
 
-/// Formats rows of cells as aligned columns, two spaces apart. The first row is the
-/// header. Columns of numbers are right-aligned.
+/// Formats rows of cells as aligned columns that are two spaces apart. The first row is
+/// the header. Columns of numbers are aligned to the right.
 std::string table(const std::vector<std::vector<std::string>>& rows);
 
 std::string duration(double seconds);          ///< For example "0:42" or "1:54:00".
 std::string byte_size(std::uint64_t n_bytes);  ///< For example "512 B" or "1.3 GiB".
 std::string number(double value);              ///< Formats a number with four significant digits.
-std::string one_line(std::string text);  ///< Replaces line breaks and other control characters by spaces.
-std::string shell_word(const std::string& word);  ///< Quotes a word if a shell would require quotes.
+/// Replaces line breaks and other control characters of a text by spaces.
+std::string one_line(std::string text);
+/// Puts a word into quotes if a shell would split or change it.
+std::string shell_word(const std::string& word);
 
 /// Writes to stdout.
 void print(const std::string& text);
 
-/// Prints a one-line warning on stderr. The command continues.
+/// Prints a one-line warning on stderr. The program continues.
 void note(const std::string& text);
 
-/// Ends the current progress line on the terminal with a line break.
+/// Prints a line break if the terminal shows a progress line, so that other output starts
+/// on a new line.
 void end_progress_line();
 
 class Progress {
@@ -39,11 +43,12 @@ public:
     Progress(const Progress&) = delete;
     Progress& operator=(const Progress&) = delete;
 
-    /// Shows a progress text, unless the previous text was shown too recently.
-    /// @param now shows the text in any case
+    /// Shows a progress text. Does nothing if the previous text was shown a short time
+    /// ago.
+    /// @param now true: shows the text in any case
     void show(const std::string& text, bool now = false);
 
-    /// Shows "what 3/10  2.1/s  eta 0:03", the progress of `total` equal work items.
+    /// Shows the progress of `total` equal steps as "what 3/10  2.1/s  eta 0:03".
     void count(const std::string& what, std::size_t done, std::size_t total);
 
 private:
@@ -54,7 +59,7 @@ private:
     Clock::time_point last_{};
 };
 
-/// Returns a callback that shows the progress of library functions as "what 30 %".
+/// Returns a callback for library functions that shows their progress as "what 30 %".
 relidar::Progress shown_by(Progress& progress);
 
 }  // namespace relidar::cli

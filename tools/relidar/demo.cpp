@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar demo: runs all steps on a synthetic street whose exact geometry is known.
-// Writes a log, trains, and scores held-out frames. It also scores a sensor 2 m to the
-// left and 1 m up, which a real log could not check.
+// The command `relidar demo` runs all steps on a synthetic street with exactly known
+// geometry. It writes a log, trains a run, and scores the held-out frames. It also scores
+// a sensor that is shifted by 2 m to the left and 1 m up. A real log contains no scans of
+// a shifted sensor.
 #include <memory>
 
 #include <fmt/format.h>
@@ -25,7 +26,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// 2 m to the left and 1 m up.
+// Shift of the scored sensor: 2 m to the left and 1 m up.
 const Pose kShift{glm::dquat(1.0, 0.0, 0.0, 0.0), glm::dvec3(0.0, 2.0, 1.0)};
 constexpr const char* kDemoMetrics[] = {"strict/depth_medae_m", "strict/depth_rmse_m", "strict/intensity_mae",
                                         "strict/drop_accuracy", "strict/cd_mean_m",    "points/cd_mean_m",
@@ -42,10 +43,11 @@ struct DemoOptions {
 Config config_of(const DemoOptions& options, const fs::path& street) {
     Config config = make_preset("quick");
     set_key(config, "train.seed", options.seed);
-    // 32 beams leave wider gaps between points than the 64 beams that the preset is made
-    // for.
+    // The gaps between points are wider with 32 beams than with the 64 beams that the
+    // preset assumes.
     config.init.scale_factor = 0.6;
-    // Keeps the demo at one to two minutes on two cores. Preset quick has 540 iterations.
+    // Uses fewer iterations than the 540 of preset quick, so that the demo takes one to
+    // two minutes on two processor cores.
     config.train.iterations = 250;
     apply_sets(config, options.sets);
     config.dataset.path = absolute_dataset("synthetic:" + street.string());
@@ -63,8 +65,8 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     return evaluation;
 }
 
-/// Renders the held-out frames from the shifted sensor and scores them against the exact
-/// scans of that sensor.
+/// Renders the held-out frames from the shifted sensor. Compares them with exact scans of
+/// the street from the same sensor.
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);

@@ -1,11 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// Controls when freed memory returns to the system. Each stage allocates and frees arrays
-// as large as the log. If pages return to the system between stages, allocating them
-// again takes a fifth to a third of the time of a registration. The functions only have
-// an effect with glibc. Tests use the same limits (GLIBC_TUNABLES in CMakePresets.json).
+// Controls when freed memory is returned to the system. Each stage of a training
+// allocates and frees arrays as large as the log. Returning and allocating these pages
+// again would take a fifth to a third of the time of a registration. The functions have
+// an effect only with glibc. Tests set the same limits (GLIBC_TUNABLES in
+// CMakePresets.json).
 #pragma once
 
-#include <cstddef>  // Any standard header defines __GLIBC__ on glibc systems.
+#include <cstddef>  // Included because any standard header defines __GLIBC__ on systems with glibc.
 
 #ifdef __GLIBC__
 #include <malloc.h>
@@ -14,7 +15,7 @@
 namespace relidar::cli {
 
 /// Lets the process keep up to 256 MiB of freed memory, and freed gaps between arrays,
-/// for later allocations. Called once at program start.
+/// for later allocations. Must be called once at program start.
 inline void keep_freed_memory() {
 #ifdef __GLIBC__
     constexpr int kMiB = 1 << 20;
@@ -24,8 +25,8 @@ inline void keep_freed_memory() {
 #endif
 }
 
-/// Returns freed memory to the system. Called before a stage that needs other memory, for
-/// example on a device that shares the host's memory.
+/// Returns freed memory to the system. Called before a stage that allocates other memory,
+/// for example on a device that shares the memory of the host.
 inline void give_back_freed_memory() {
 #ifdef __GLIBC__
     malloc_trim(0);

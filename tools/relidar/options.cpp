@@ -140,7 +140,9 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
                 const std::string& command) {
     Config scratch;
     for (const std::string& set : sets) {
-        apply_sets(scratch, {set});  // Throws its own error for a wrong key or value.
+        // Applies the setting to temporary settings, only to check it. Throws an error if
+        // the key or the value is wrong.
+        apply_sets(scratch, {set});
         const std::string key = set.substr(0, set.find('='));
         const bool is_used = std::ranges::any_of(used, [&](const std::string& name) {
             return name.ends_with('.') ? key.starts_with(name) : key == name;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Options that several commands share, and their conversion into settings, a device and a
-// loaded log.
+// Options that several commands share. Functions convert the options to settings, open a
+// device or load a log.
 #pragma once
 
 #include <filesystem>
@@ -26,37 +26,40 @@ struct DeviceChoice {
 };
 void add_device_options(CLI::App& command, DeviceChoice& choice);
 DeviceOptions device_options(const DeviceChoice& choice);
-/// Returns the options as command line words. Default values are left out.
+/// Converts the options of a device back to words of a command line. Leaves out options
+/// with default values.
 std::vector<std::string> device_words(const DeviceChoice& choice);
 
-/// Values of --preset, --config and --set, in the order in which they take effect.
+/// Values of --preset, --config and --set. They are applied in this order.
 struct Settings {
     std::string preset = "default";
     std::string file;
-    std::vector<std::string> sets;  ///< Each has the form "key=value".
+    std::vector<std::string> sets;  ///< Settings of the form "key=value".
 };
 void add_settings_options(CLI::App& command, Settings& settings);
-/// Adds --channels, a short form of the setting render.channels.
+/// Adds the option --channels, which is a short form of the setting render.channels.
 void add_channels_option(CLI::App& command, std::optional<std::string>& channels);
-/// Adds --weather.
-/// @param weather receives the text for parse_weather()
-/// @param which names the affected scans in the help text
+/// Adds the option --weather.
+/// @param weather receives the text, which parse_weather() reads later
+/// @param which words for the help text that name the affected scans
 void add_weather_option(CLI::App& command, std::string& weather, const std::string& which);
-/// Adds only --set, for commands that take their settings from a run.
+/// Adds the option --set, but not --preset and --config. Used by commands that read their
+/// settings from a run.
 void add_set_option(CLI::App& command, std::vector<std::string>& sets);
 Config resolve(const Settings& settings);
 void apply_sets(Config& config, const std::vector<std::string>& sets);
-/// Returns the settings that affect rendering: names of settings, or prefixes of groups
-/// that end in a dot.
+/// Returns the names of the settings that affect rendering. A name that ends in a dot
+/// stands for all settings of a group.
 std::vector<std::string> rendering_settings();
-/// Rejects settings that have no effect in a command.
-/// @param used names and prefixes as returned by rendering_settings()
+/// Rejects settings that would have no effect in a command.
+/// @param used names and groups of settings that the command uses, as in
+/// rendering_settings()
 /// @param command name of the command
-/// @throws UsageError that names the first such setting
+/// @throws UsageError that names the first setting without effect
 void check_sets(const std::vector<std::string>& sets, const std::vector<std::string>& used,
                 const std::string& command);
 
-/// Values of --frames and --sequence: the part of a log that is read.
+/// Values of --frames and --sequence. They select the part of a log that is read.
 struct LogPart {
     std::string frames;
     std::string sequence;
@@ -64,20 +67,21 @@ struct LogPart {
 void add_log_part_options(CLI::App& command, LogPart& part);
 void apply_log_part(Config& config, const LogPart& part);
 
-/// Parses "a:b", where either side may be empty.
+/// Parses a range "a:b". Each of the two numbers may be missing.
 /// @throws UsageError if the text has another form
 FrameRange parse_frames(const std::string& text);
-/// Prints a note if the requested frames extend beyond the end of a log or run.
+/// Prints a note if the log or run has fewer frames than requested.
 /// @param last number of the last frame of the log or run
 void note_frames_beyond(const FrameRange& range, int last, const std::string& where);
-/// Parses numbers separated by commas.
+/// Parses a list of numbers that are separated by commas.
 /// @throws UsageError that names the option
 std::vector<double> parse_list(const std::string& option, const std::string& text);
 std::vector<std::string> split(const std::string& text, char separator);
-std::string without_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends.
+std::string without_blanks(const std::string& text);  ///< Removes spaces and tabs at both ends of a text.
 
-std::string absolute_path(const std::string& path);  ///< Returns an empty path unchanged.
-/// Loads the log that config.dataset describes.
+/// Returns the absolute path. An empty path stays empty.
+std::string absolute_path(const std::string& path);
+/// Loads the log that the settings in config.dataset describe.
 /// @param most_scans see DatasetOptions::most_scans
 Sequence load_dataset(const Config& config, bool quiet = false, int most_scans = 0);
 

@@ -31,21 +31,22 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr std::chrono::milliseconds kLockLook{50};
-/// Time to wait for a lock. mpirun and batch systems may restart a job before the
-/// processes of the old job have ended.
+/// Longest time to wait for the lock of a folder. mpirun and batch systems may restart a
+/// job before the processes of the old job have ended.
 constexpr std::chrono::milliseconds kEndOfOthers{5000};
 
 constexpr const char* kLockFile = ".lock";
 
-/// Returns true for files that a killed process may leave behind: a lock file, which no
-/// process holds any more, or a half-written file.
+/// Returns true if a killed process may have left this file behind. Such a file is an
+/// unlocked lock file or a half-written file.
 bool is_left_over(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
 
-/// Returns true if a folder contains only files of killed processes, or nothing. An
-/// unreadable folder counts as empty; writing to it reports the error later.
+/// Returns true if a folder is empty or contains only files that killed processes have
+/// left behind. Also returns true if the folder cannot be read, because writing to it
+/// reports the error later.
 bool holds_nothing(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
@@ -71,15 +72,15 @@ void check_content(const fs::path& folder, Existing existing) {
                         folder.string()));
 }
 
-/// Removes half-written files of a killed process from a locked folder and from its
-/// checkpoint folders.
+/// Removes the half-written files of a killed process from a folder and from its
+/// checkpoint folders. The caller must hold the lock of the folder.
 void remove_half_written(const fs::path& folder) {
     for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)})
         remove_temporaries(in);
 }
 
-/// Returns true if the path still names the open file. Another process removes the file
-/// when it releases its lock.
+/// Returns true if the path still names the open file. The path may name another file,
+/// because a process removes the lock file when it releases the lock.
 bool is_same_file(int descriptor, const fs::path& file) {
     struct stat opened {
     }, named{};
@@ -89,11 +90,12 @@ bool is_same_file(int descriptor, const fs::path& file) {
 
 struct OpenLock {
     int descriptor;
-    bool exclusive;  ///< False if the file system does not support locks.
+    /// True if the file is locked. It is false if the file system does not support locks.
+    bool exclusive;
 };
 
 /// Opens and locks a file.
-/// @return no value if another process has locked the file
+/// @return no value if another process holds the lock
 std::optional<OpenLock> open_locked(const fs::path& file) {
     for (;;) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
@@ -118,7 +120,9 @@ OutputFolder::OutputFolder(const fs::path& path) : path_(path) {
 
 OutputFolder::~OutputFolder() {
     std::error_code failed;
-    if (!was_there_) fs::remove(path_, failed);  // Fails if the folder is not empty.
+    // Removes the new folder. This fails if the folder is not empty, and the failure is
+    // ignored.
+    if (!was_there_) fs::remove(path_, failed);
 }
 
 FolderLock::FolderLock(fs::path file, int descriptor) : file_(std::move(file)), descriptor_(descriptor) {}
@@ -154,14 +158,15 @@ bool FolderLock::is_held(const fs::path& folder) {
 }
 
 FolderLock::~FolderLock() {
-    // Removes the lock file while the lock is held, so that no other process can hold the
-    // removed file.
+    // Removes the file before the lock is released. Otherwise another process could lock
+    // the file and lose it.
     if (is_same_file(descriptor_, file_)) ::unlink(file_.c_str());
     ::close(descriptor_);
 }
 
 RunFolder::RunFolder(const fs::path& path, Existing existing) {
-    // Checks first, so that no file is written into a folder that is not a run.
+    // Checks the content before the folder is locked, because locking writes a file into
+    // the folder.
     if (!holds_run(path)) check_content(path, existing);
     folder_.emplace(path);
     lock_.emplace(path, existing == Existing::keep ? kEndOfOthers : std::chrono::milliseconds{});
@@ -170,7 +175,7 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
 
 namespace {
 
-/// Returns true if a folder contains only files that belong to a run.
+/// Returns true if a folder contains files of a run and no other files.
 bool holds_run_alone(const fs::path& folder) {
     static const std::set<std::string> kNames{"config.toml",
                                               "scene.json",
@@ -208,7 +213,8 @@ void NewRun::save(Run& run) const {
             run.folder = path_;
             return;
         } catch (const DataError&) {
-            // The folder is a mount point, or its parent folder is not writable.
+            // The folder cannot be renamed, because it is a mount point or its parent
+            // folder is not writable.
             run.folder = path_;
         }
     }
@@ -216,7 +222,8 @@ void NewRun::save(Run& run) const {
         remove_run_files(path_);
         remove_blocks(path_);
         std::error_code failed;
-        fs::remove_all(checkpoint_folder(path_), failed);  // A later training would resume from them.
+        // Removes the checkpoints. Otherwise a later training would resume from them.
+        fs::remove_all(checkpoint_folder(path_), failed);
     });
 }
 
@@ -250,7 +257,8 @@ fs::path network_checkpoint_folder(const fs::path& run) {
 void remove_network_checkpoints(const fs::path& run) {
     remove_checkpoints(network_checkpoint_folder(run));
     std::error_code failed;
-    // Fails if the folder still holds checkpoints of the scene.
+    // This fails if the folder still contains checkpoints of the scene, and the failure
+    // is ignored.
     fs::remove(checkpoint_folder(run), failed);
 }
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Output folders. They are checked before long work starts, and removed if the work fails
-// and leaves them empty.
+// Creates and locks output folders. A folder is checked before long work starts. It is
+// removed if the work fails and the folder is empty.
 #pragma once
 
 #include <chrono>
@@ -14,8 +14,8 @@ struct Run;
 
 namespace relidar::cli {
 
-/// Creates a folder and checks that it is writable. The destructor removes the folder if
-/// the constructor created it and it is still empty.
+/// Creates a folder and checks that it is writable. The destructor removes a new folder
+/// if it is still empty.
 class OutputFolder {
 public:
     /// Creates the folder if it does not exist.
@@ -32,25 +32,27 @@ private:
     bool was_there_;
 };
 
-/// Lock that lets only one process at a time write a folder. The system releases the lock
-/// when its process ends. On a file system without locks, the lock has no effect. The
-/// constructor removes half-written files that a killed process has left behind.
+/// Locks a folder, so that only one process at a time writes it. If a process ends, the
+/// system releases its lock. If the file system does not support locks, this class does
+/// nothing. The constructor removes half-written files that a killed process has left
+/// behind.
 class FolderLock {
 public:
     /// Locks a folder.
     /// @param patience longest time to wait for another process to release the lock
-    /// @throws DataError if another process still holds the lock after that time, or the
-    /// folder cannot be written
+    /// @throws DataError if another process still holds the lock after this time, or if
+    /// the folder cannot be written
     explicit FolderLock(const std::filesystem::path& folder, std::chrono::milliseconds patience = {});
     ~FolderLock();
     FolderLock(const FolderLock&) = delete;
     FolderLock& operator=(const FolderLock&) = delete;
 
     /// Locks a folder if no other process holds the lock. Does not wait.
-    /// @return a null pointer if another process holds the lock
+    /// @return null if another process holds the lock
     /// @throws DataError if the folder cannot be written
     static std::unique_ptr<FolderLock> take_if_free(const std::filesystem::path& folder);
-    /// Returns true if any process holds the lock. Writes nothing.
+    /// Returns true if a process holds the lock of the folder. Does not change the
+    /// folder.
     static bool is_held(const std::filesystem::path& folder);
 
 private:
@@ -60,7 +62,7 @@ private:
     int descriptor_;
 };
 
-/// An output folder that only this process may write.
+/// An output folder that is locked, so that no other process writes it.
 class LockedFolder {
 public:
     /// Creates the folder if it does not exist, and locks it.
@@ -72,39 +74,46 @@ public:
 
 private:
     OutputFolder folder_;
-    FolderLock lock_;  ///< Destroyed first, so that an empty folder can be removed.
+    /// Members are destroyed in reverse order. The lock file is removed first, so that an
+    /// empty folder can be removed.
+    FolderLock lock_;
 };
 
-/// Returns true if a folder holds a run, or the files of a training that was killed
-/// before it saved a scene.
+/// Returns true if a folder holds a run, or files of a training that was killed before it
+/// saved a scene.
 bool holds_run(const std::filesystem::path& folder);
 
-/// What a run's folder may contain before the run is written.
+/// States what the folder of a run may contain before the run is written.
 enum class Existing {
-    refuse,  ///< The folder must be empty.
-    keep,    ///< The folder may hold a run, which is continued.
-    replace  ///< The folder may hold a run, which is overwritten.
+    refuse,  ///< An error is thrown if the folder is not empty.
+    keep,    ///< The folder may hold a run. Training continues this run.
+    replace  ///< The folder may hold a run. The new run overwrites it.
 };
 
-/// A run's folder that only this process may write during the lifetime of this object.
+/// Folder of a run. It is locked during the lifetime of this object, so that no other
+/// process writes it.
 class RunFolder {
 public:
-    /// Checks the content of the folder, creates it if it does not exist, and locks it.
-    /// @throws UsageError if the folder holds anything that `existing` does not permit;
-    /// DataError if another process is writing the folder or it cannot be created
+    /// Checks the content of the folder, creates the folder if it does not exist, and
+    /// locks it.
+    /// @throws UsageError if the folder contains files that `existing` does not allow;
+    /// DataError if another process is writing the folder, or if it cannot be created
     RunFolder(const std::filesystem::path& path, Existing existing);
 
     const std::filesystem::path& path() const { return folder_->path(); }
 
 private:
     std::optional<OutputFolder> folder_;
-    std::optional<FolderLock> lock_;  ///< Destroyed first, so that an empty folder can be removed.
+    /// Members are destroyed in reverse order. The lock file is removed first, so that an
+    /// empty folder can be removed.
+    std::optional<FolderLock> lock_;
 };
 
-/// Saves a run as a folder. A new folder appears complete or not at all. An earlier run
-/// in the folder stays until all new files are written.
-/// @throws UsageError if the folder holds other files, or a run that must not be
-/// replaced; DataError if another process is writing the folder or it cannot be written
+/// Saves a run as a folder. If the folder is new, it appears only when it is complete. If
+/// it contains an earlier run, that run stays until all new files are written.
+/// @throws UsageError if the folder contains other files, or a run that must not be
+/// replaced; DataError if another process is writing the folder, or if it cannot be
+/// written
 class NewRun {
 public:
     NewRun(const std::filesystem::path& path, bool replace);
@@ -113,18 +122,20 @@ public:
 
 private:
     std::filesystem::path path_;
-    std::optional<RunFolder> earlier_;  ///< Lock on the folder if it exists already.
+    /// Lock of the folder. It has no value if the folder does not exist yet.
+    std::optional<RunFolder> earlier_;
 };
 
-/// Removes the files of an earlier run except its settings and checkpoints, so that they
-/// are not mistaken for results of this run.
+/// Removes the files of an earlier run, so that they are not mistaken for results of the
+/// new run. Keeps the settings and the checkpoints.
 void remove_run_files(const std::filesystem::path& folder);
-/// Removes all blocks of a long scene, finished or not.
+/// Removes the folders of all blocks of a long scene. Finished blocks are removed too.
 void remove_blocks(const std::filesystem::path& folder);
-/// Returns the folder of a run's blocks. Each block is a complete run.
+/// Returns the folder that contains the blocks of a run. Each block is stored as a
+/// complete run.
 std::filesystem::path blocks_folder(const std::filesystem::path& run);
-/// Returns the folder of a run's checkpoints. The next function returns the folder for
-/// the checkpoints of its ray-drop network.
+/// Return the folders of checkpoints: the first for the scene, the second for the
+/// ray-drop network.
 std::filesystem::path checkpoint_folder(const std::filesystem::path& run);
 std::filesystem::path network_checkpoint_folder(const std::filesystem::path& run);
 /// Removes the checkpoints of the ray-drop network.

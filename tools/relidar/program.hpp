@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs a program that consists of commands. Parses the command line, prints help, and
-// turns each failure into one line on stderr and an exit code (see error.hpp).
+// Runs a program that consists of several commands. Parses the command line and prints
+// help. If a command fails, it prints one line on stderr and returns an exit code (see
+// error.hpp).
 #pragma once
 
 #include <string>
@@ -9,11 +10,11 @@
 
 namespace relidar::cli {
 
-/// Describes a program with several commands: relidar or relidar-dev.
+/// Describes a program with several commands, for example relidar or relidar-dev.
 struct Program {
     std::string name;         ///< Name of the program as the user types it.
     std::string description;  ///< One-line description.
-    std::string footer;       ///< Text after the list of commands in the help.
+    std::string footer;       ///< Text below the list of commands in the help of the program.
     void (*add_commands)(CLI::App& app, Call& call);
 };
 

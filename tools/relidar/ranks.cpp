@@ -19,13 +19,14 @@
 namespace relidar::cli {
 namespace {
 
-/// Polls with pauses, because MPI_Wait would spin.
+/// Waits for a request by polling with pauses. MPI_Wait would use processor time while it
+/// waits.
 void sleep_until(MPI_Request request) {
     for (int done = 0; !done; std::this_thread::sleep_for(std::chrono::milliseconds(done ? 0 : 20)))
         MPI_Test(&request, &done, MPI_STATUS_IGNORE);
 }
 
-/// Returns the FNV-1a hash of the program file, which identifies the build. Returns 0 if
+/// Returns a hash (FNV-1a) of the program file, which identifies the build. Returns 0 if
 /// the file cannot be read.
 unsigned long long build_number() {
     std::ifstream program("/proc/self/exe", std::ios::binary);
@@ -37,8 +38,8 @@ unsigned long long build_number() {
     return program.bad() || !program.eof() ? 0 : hash;
 }
 
-/// Checks that all processes run the same build, because two builds may number settings
-/// and arrays differently.
+/// Checks that all MPI processes run the same build of the program. Two builds may number
+/// settings and arrays differently.
 /// @throws UsageError in a process whose build differs from the build of the first
 /// process
 void check_build(int rank) {
@@ -52,7 +53,7 @@ void check_build(int rank) {
                         rank));
 }
 
-/// Concatenates the texts of all processes and returns the result in every process.
+/// Concatenates the texts of all MPI processes. Every process receives the result.
 std::string gather_in_all(const std::string& text, int size) {
     const auto n = static_cast<unsigned long long>(text.size());
     std::vector<unsigned long long> sizes(static_cast<std::size_t>(size));
@@ -61,7 +62,8 @@ std::string gather_in_all(const std::string& text, int size) {
                    &request);
     sleep_until(request);
     const unsigned long long total = std::accumulate(sizes.begin(), sizes.end(), 0ull);
-    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))  // MPI counts in int.
+    // MPI counts bytes with the type int, so larger texts are rejected.
+    if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
         throw Error(ExitCode::bug,
                     "collecting results of several processes: found more than 2 GiB, expected at most 2 GiB");
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Replaces ranks.cpp in builds without MPI. Supports a single process only. Under mpirun,
-// the program stops with an error that names the missing package.
+// Replaces ranks.cpp in builds without MPI. Such a build runs as a single process. If
+// mpirun starts several processes, the program stops with an error that names the missing
+// package.
 #include "ranks.hpp"
 
 #include <relidar/base/error.hpp>

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The parser stores unexpected words in the command or subcommand that read them. The
-// first unexpected word is the user's mistake.
+// The parser stores each unexpected word in the command that read the word. The first
+// unexpected word is the mistake of the user.
 #include "usage.hpp"
 
 #include <vector>
@@ -29,7 +29,7 @@ std::vector<std::string> option_names(const CLI::App& command) {
     return names;
 }
 
-/// Rewrites the parser message "Could not convert: --device = x", the only parser message
+/// Rewrites the parser message "Could not convert: --device = x". It is the only message
 /// that does not name the expected value.
 std::string in_our_words(const std::string& what) {
     const std::string start = "Could not convert: ", middle = " = ";

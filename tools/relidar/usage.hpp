@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Builds the error message for a command line that cannot be parsed. The message is one
-// line and suggests the most similar command or option.
+// Creates the error message for an invalid command line. The message has one line and
+// suggests the most similar command or option.
 #pragma once
 
 #include <string>
@@ -11,9 +11,9 @@ class App;
 
 namespace relidar::cli {
 
-/// Returns the error message for a failed parse.
-/// @param app parser in the state after the failed parse
-/// @param what message of the parser
+/// Returns the error message for an invalid command line.
+/// @param app parser after it has failed
+/// @param what error message of the parser
 std::string usage_message(const CLI::App& app, const std::string& what);
 
 }  // namespace relidar::cli

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar-dev bench: measures kernel times, rays per second and memory of a training
-// iteration, on a fixed street or on a run.
+// The command `relidar-dev bench` measures a training iteration on a benchmark street or
+// on a run. It reports kernel times, rays per second and memory.
 #include <memory>
 #include <optional>
 
@@ -30,16 +30,16 @@ constexpr int kMaxRepeat = 100000;
 
 struct BenchOptions {
     BenchChoice choice;
-    bool describes_street = false;  ///< True if --scene, --surfels or --rays was given.
+    bool describes_street = false;  ///< True if the user gave --scene, --surfels or --rays.
     BenchSettings settings;
     bool no_backward = false;
     std::string json;
-    /// Numbers of actors, such as "1,10,100". Scenes with these actors are measured
-    /// instead.
+    /// Numbers of actors, such as "1,10,100". If it is not empty, scenes with these
+    /// numbers of actors are measured instead of the street.
     std::string actors;
     ServeBench service;
     ScanBench scans;
-    int n_steps = 0;  ///< Number of training steps. 0: not measured.
+    int n_steps = 0;  ///< Number of training steps to measure. 0 means that no steps are measured.
     DeviceChoice device;
 };
 
@@ -117,14 +117,15 @@ void run_bench(const BenchOptions& options, const std::string& command_line) {
     if (options.n_steps != 0) return bench_steps(options, device, command_line);
     const DevCase bench = make_case(options.choice);
     BenchResult result = measure(device, bench, settings);
-    // Measured after the memory of the case was freed.
+    // The copy bandwidth is measured after the memory of the case was freed.
     result.copy_bytes_per_s = copy_bytes_per_s(device);
     end_progress_line();
     if (!json.empty()) write_text(json, bench_json(bench, settings, result, device, command_line));
     if (!settings.quiet) print(bench_text(bench, result, device));
 }
 
-/// Adds the options of a training step except its forward pass.
+/// Adds options that affect only the losses, the backward pass and the optimizer of a
+/// training step.
 void add_training_options(CLI::App& command, BenchChoice& choice) {
     command
         .add_option("--keep-hits", choice.keep_hits,
@@ -140,8 +141,8 @@ void add_training_options(CLI::App& command, BenchChoice& choice) {
                      "gather gradients in a fixed order instead of adding them with atomics");
 }
 
-/// Adds the options for measurements of complete scans: with many actors, of a run or
-/// from a service.
+/// Adds options for measuring complete scans. These are scans with many actors, scans of
+/// a run, or scans of a service.
 void add_scan_options(CLI::App& command, BenchOptions& options) {
     command
         .add_option("--actors", options.actors,
@@ -181,7 +182,7 @@ void add_scan_options(CLI::App& command, BenchOptions& options) {
     command.add_option("--calls", service.calls, "of all of them together (default: 100)")->type_name("N");
 }
 
-/// Adds the options of ray tracing.
+/// Adds the options for ray tracing to the command.
 void add_trace_options(CLI::App& command, BenchChoice& choice) {
     command
         .add_option("--chunk", choice.chunk,

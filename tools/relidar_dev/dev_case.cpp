@@ -22,10 +22,10 @@
 namespace relidar::cli {
 namespace {
 
-// Limits. A channel number has 16 bits.
+// Maximum values of options. A channel number has 16 bits.
 constexpr long long kMaxSurfels = 50'000'000, kMaxRays = 100'000'000, kMaxRows = 65535;
 constexpr float kFaintLogit = -2.19722458f;  // Logit of opacity 0.1.
-// Elevations of the HDL-64E, as for the kitti rays.
+// Highest and lowest elevation of the HDL-64E. The kitti rays use the same elevations.
 constexpr double kTop_deg = 2.0, kBottom_deg = -24.9;
 
 struct ImageSize {
@@ -38,7 +38,8 @@ bool parse_count(const std::string& text, long long& value) {
     return error == std::errc() && stop == text.data() + text.size() && value >= 1;
 }
 
-/// Parses "64x1024". Returns no value for the name of a sensor.
+/// Parses an image size such as "64x1024". Returns no value if the text is the name of a
+/// sensor.
 std::optional<ImageSize> parse_rays(const std::string& text) {
     if (text == "waymo" || text == "kitti") return std::nullopt;
     const std::vector<std::string> words = split(text, 'x');
@@ -54,8 +55,8 @@ std::optional<ImageSize> parse_rays(const std::string& text) {
     return size;
 }
 
-/// Applies the options to the settings. Streets use the image model of the paper; a run
-/// has its own.
+/// Applies the options of the user to the settings. A benchmark street uses the image
+/// model of the paper, and a run uses its own image model.
 void apply(const BenchChoice& choice, Config& config) {
     if (!choice.chunk.empty()) set_key(config, "trace.chunk", choice.chunk);
     if (!choice.keep_hits.empty()) set_key(config, "trace.keep_hits", choice.keep_hits);
@@ -64,8 +65,8 @@ void apply(const BenchChoice& choice, Config& config) {
     if (!choice.sh.empty()) set_key(config, "image.sh_direction", choice.sh);
 }
 
-/// Returns the index of a word among the values of an option.
-/// @throws UsageError for an unknown word
+/// Returns the position of a word in the list of allowed values of an option.
+/// @throws UsageError if the word is not in the list
 std::size_t place_of(const char* option, const std::string& word, const std::vector<std::string>& words) {
     const auto match = std::find(words.begin(), words.end(), word);
     if (match == words.end())
@@ -74,8 +75,9 @@ std::size_t place_of(const char* option, const std::string& word, const std::vec
     return std::size_t(match - words.begin());
 }
 
-/// Parse the values of options. Their order is the order of Proxy, Walk and HitOrder.
-/// @throws UsageError for an unknown word
+/// These functions parse the values of options. The words are in the order of the
+/// enumerations Proxy, Walk and HitOrder.
+/// @throws UsageError if the word is unknown
 Proxy proxy_of(const BenchChoice& choice) {
     return choice.proxy.empty() ? Proxy::automatic
                                 : Proxy(place_of("--proxy", choice.proxy, {"auto", "triangles", "boxes"}));

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The scenes and rays that `relidar-dev bench` measures: a benchmark street, or a trained
-// run seen by its own sensor.
+// Creates the scenes and rays that `relidar-dev bench` measures. The scene is a benchmark
+// street, or a trained run that is seen by its own sensor.
 #pragma once
 
 #include <string>
@@ -11,39 +11,43 @@
 
 namespace relidar::cli {
 
-/// The case as given on the command line.
+/// Options of the command line that describe the case.
 struct BenchChoice {
-    /// Kind of street. A: the size of surfels does not depend on their number. B: more
-    /// surfels are smaller. C: as B, with opacity 0.1 for all surfels.
+    /// Kind of benchmark street. In "A", the size of the surfels does not depend on their
+    /// number. In "B", the surfels are smaller if there are more of them. "C" is like
+    /// "B", but all surfels have opacity 0.1.
     std::string street = "A";
     long long n_surfels = 100000;
     std::string rays = "64x1024";  ///< "waymo", "kitti" or "ROWSxCOLUMNS".
     std::string run;               ///< Run folder that replaces the street.
-    /// Settings that replace those of the case. Empty: unchanged.
+    /// Values that replace settings of the case. An empty text leaves the setting
+    /// unchanged.
     std::string chunk, proxy, walk, order, sh, keep_hits;
-    std::string likelihood;      ///< weight of this loss, likewise
-    bool deterministic = false;  ///< gradients are gathered, whatever the case says
+    std::string likelihood;  ///< Weight of the likelihood loss. An empty text leaves it unchanged.
+    /// If true, gradients are gathered instead of added by atomics, whatever the settings
+    /// of the case.
+    bool deterministic = false;
 };
 
-/// A case with options that no setting offers.
+/// A case with additional options that are not settings of a run.
 struct DevCase : BenchCase {
     Proxy proxy = Proxy::automatic;
     Walk walk = Walk::automatic;
     HitOrder order = HitOrder::automatic;
-    /// True: the number of stored hits grows beyond config.trace.keep_hits, as it does
-    /// during training.
+    /// If true, the number of stored hits per ray grows beyond config.trace.keep_hits.
+    /// The same happens during training.
     bool keeps_more_hits = true;
 };
 
-/// Options of the acceleration structure and of the traversal for rendering.
+/// Returns the options for building and traversing the acceleration structure.
 AccelOptions accel_of(const DevCase& bench);
 TraceOptions trace_of(const DevCase& bench);
 
-/// Checks every option without creating anything.
+/// Checks all options before a scene is created.
 /// @throws UsageError that names the first invalid option
 void check(const BenchChoice& choice);
 
-/// Creates the scene and rays of a choice.
+/// Creates the scene and the rays that the user has chosen.
 /// @throws DataError if the run cannot be read
 DevCase make_case(const BenchChoice& choice);
 

@@ -8,11 +8,12 @@
 namespace relidar::cli {
 namespace {
 
-// Sizes in bytes of the records that kernels exchange (shaders/shared).
+// Sizes in bytes of the data structures that kernels read and write (shaders/shared).
 constexpr double kRecord = 64, kGeometry = 4 * (3 + 4 + 2 + 1), kNode = 80, kRay = 24, kRendered = 36,
                  kTarget = 12, kUpstream = 20, kKeptHit = 16, kHit = 16, kHitRecord = 16, kRow = 4, kMark = 4;
 constexpr double kBox = 24, kCorners = 48, kKey = 8, kIndex = 4;
-// Minimum number of wide nodes per surfel: 8 children per node, 4 surfels per leaf.
+// Minimum number of tree nodes per surfel. Each node has 8 children, and each leaf has 4
+// surfels.
 constexpr double kFewestNodes = 1.0 / 28.0;
 // Counted in shaders/diff/traversal/software_bvh.glsl.
 constexpr double kNodeOperations = 150, kSurfelOperations = 40;
@@ -21,16 +22,18 @@ double sh(const FloorSizes& s) { return 4 * 3 * s.n_sh; }
 double sh_along_ray(const FloorSizes& s) { return s.sh_per_surfel ? 0.0 : sh(s); }
 double sh_a_surfel(const FloorSizes& s) { return s.sh_per_surfel ? sh(s) : 0.0; }
 
-/// Returns the minimum number of 8-bit digits of n different keys.
+/// Returns how many 8-bit digits are needed to number n different keys.
 double digits(double n) { return std::ceil(std::bit_width(static_cast<std::uint64_t>(n)) / 8.0); }
 
 double refit(const FloorSizes& s) {
     return s.n_surfels * (kBox + kIndex) + kFewestNodes * s.n_surfels * (28 + kNode + kBox);
 }
 
-/// Returns the bytes of a build. Reads boxes and writes keys. Sorts 39 bits plus the
-/// model: each digit reads keys twice and values once, and writes both. Writes the binary
-/// tree and reads its topology. Writes the leaf order and the wide nodes.
+/// Returns the number of bytes that building the tree must read and write. The build
+/// computes a key of 39 bits, plus the model, from each box and sorts the keys. For each
+/// 8-bit digit, the sort reads the keys twice and the values once, and writes both. Then
+/// the build writes the binary tree, reads its topology, and writes the leaf order and
+/// the wide nodes.
 double build(const FloorSizes& s) {
     const double bits = 39 + std::bit_width(static_cast<std::uint64_t>(s.n_models) - 1);
     const double sort = std::ceil(bits / 8) * (3 * kKey + 2 * kIndex);
@@ -45,15 +48,15 @@ double backward_trace(const FloorSizes& s) {
            s.n_touched * (kRecord + sh_along_ray(s)) + sums;
 }
 
-/// Returns the bytes of the activation's derivative. Reads record gradients and writes
-/// marks of the touched surfels. Reads the parameters of these surfels and writes their
-/// gradients.
+/// Returns the number of bytes for the derivative of the activation functions. The kernel
+/// reads the gradients of the records and marks the surfels with a gradient. For these
+/// surfels, it reads the parameters and writes their gradients.
 double activate_vjp(const FloorSizes& s) {
     return s.n_surfels * (kRecord + kMark) + s.n_touched * 2 * (kGeometry + sh_a_surfel(s));
 }
 
-/// Returns the bytes of Adam. Reads marks and nonzero gradients. Reads and writes values
-/// and both moments.
+/// Returns the number of bytes of an optimizer step (Adam). The kernel reads the marks
+/// and the nonzero gradients. It reads and writes the parameters and both moments.
 double adam(const FloorSizes& s) {
     const double updated = s.only_touched ? s.n_touched : s.n_surfels;
     return s.n_surfels * kMark + (s.n_touched + 6 * updated) * (kGeometry + sh(s));
@@ -67,8 +70,8 @@ struct Row {
     double (*bytes)(const FloorSizes&);
 };
 
-/// One row per kernel. Only surfels with a gradient are counted as hit, because other
-/// surfels need not be loaded.
+/// Table with one row per kernel. Only surfels with a gradient count as hit, because the
+/// kernels need not load other surfels.
 constexpr Row kFloorRows[] = {
     {"scene/activate", When::always,
      [](const FloorSizes& s) { return s.n_surfels * (kGeometry + sh(s) + kRecord); }},
@@ -131,9 +134,9 @@ std::map<std::string, double> cache_bytes(const FloorSizes& s) {
         bytes["diff/forward/trace"] = search + shading;
     }
     if (!s.training) return bytes;
-    // Share of the hits that are searched again.
+    // Share of the hits that are not stored and must be searched again.
     const double searched_again = s.n_hits > 0.0 ? 1.0 - s.n_hits_kept / s.n_hits : 0.0;
-    // 16 float atomics per hit.
+    // Without gathering, each hit adds 16 floats with atomic operations.
     const double sums = s.gather ? kHitRecord + kRow : kRecord + sh_along_ray(s);
     bytes["diff/backward/trace"] = searched_again * search + shading + s.n_hits * (kRecord + sums);
     return bytes;

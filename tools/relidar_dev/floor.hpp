@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Lower bound for the time of each kernel: the bytes that it must move once, divided by
-// the copy bandwidth of the device in the same run. Ignores latency, divergence, repeated
-// loads of a finite cache, and arithmetic. The bound shows which kernel has the most room
-// for improvement. A case that fits into the caches can be faster than its bound.
+// Computes a lower bound for the time of each kernel. The bound is the number of bytes
+// that the kernel must read or write once, divided by the measured copy bandwidth of the
+// device. It ignores latency, divergence, arithmetic, and repeated loads because of a
+// small cache. The kernel whose time is far above its bound can be improved most. If all
+// data fit into the caches, a kernel can be faster than its bound.
 #pragma once
 
 #include <cstdint>
@@ -11,39 +12,45 @@
 
 namespace relidar::cli {
 
-/// Sizes that determine the bytes of one repetition.
+/// Sizes of a case, from which the bytes of one repetition are computed.
 struct FloorSizes {
     double n_surfels = 0.0;
     double n_models = 1.0;
-    double n_touched = 0.0;  ///< Number of surfels with a gradient. 0 without a backward pass.
+    /// Number of surfels that receive a gradient. It is 0 if there is no backward pass.
+    double n_touched = 0.0;
     double n_rays = 0.0;
-    double n_hits = 0.0;          ///< Number of blended hits of all rays.
+    double n_hits = 0.0;          ///< Total number of blended hits of all rays.
     double n_hits_written = 0.0;  ///< Number of hits that the forward pass stores.
-    /// Number of stored hits that the backward pass reads instead of searching again.
+    /// Number of stored hits that the backward pass reads. Other hits are searched again.
     double n_hits_kept = 0.0;
-    double n_sh = 16.0;  ///< Active spherical harmonics per channel.
+    double n_sh = 16.0;  ///< Number of active spherical harmonics per channel.
     bool sh_per_surfel = true;
     bool training = true;
-    bool lists = false;   ///< True: the forward pass writes lists of hits.
-    bool gather = false;  ///< True: hit records replace atomics.
+    bool lists = false;  ///< If true, the forward pass writes lists of hits.
+    /// If true, gradients are gathered from hit records instead of added by atomics.
+    bool gather = false;
     bool only_touched = false;
-    bool boxes = true;          ///< True: proxies of surfels are boxes.
-    bool software = true;       ///< True: software traversal. The driver's structures are not modelled.
-    double nodes_opened = 0.0;  ///< Number of nodes opened by all rays of the forward pass. 0: unknown.
+    bool boxes = true;  ///< If true, surfels are represented by boxes in the acceleration structure.
+    /// True for ray traversal in software. For traversal in hardware, the tree of the
+    /// driver is unknown and not counted.
+    bool software = true;
+    /// Number of tree nodes that all rays visit in the forward pass. It is 0 if unknown.
+    double nodes_opened = 0.0;
     double surfels_tested = 0.0;
 };
 
-/// Returns, for each row of a benchmark, the bytes that must move once. They are reads of
-/// data that the kernel did not produce and writes that another kernel reads. Rows
-/// without a bound are left out: those of the driver, and those too small to matter.
+/// Returns the minimum number of bytes that each kernel must read and write. Reads are
+/// counted if another kernel has written the data. Writes are counted if another kernel
+/// reads the data. Kernels of the driver and very short kernels have no bound and are
+/// left out.
 std::map<std::string, double> floor_bytes(const FloorSizes& sizes);
 
-/// Returns the bytes that the tracing kernels load from the caches, counting every visit
-/// and every hit. Returns an empty map if visits are not counted.
+/// Returns the number of bytes that the tracing kernels load from the caches. Each visit
+/// of a node and each hit counts. Returns an empty map if visits were not counted.
 std::map<std::string, double> cache_bytes(const FloorSizes& sizes);
 
-/// Returns the number of arithmetic operations of the search in the forward pass, or 0 if
-/// visits are not counted.
+/// Returns the number of arithmetic operations for finding the hits in the forward pass.
+/// Returns 0 if visits were not counted.
 double search_operations(const FloorSizes& sizes);
 
 }  // namespace relidar::cli

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar-dev: measurements for developers of relidar. It is not installed.
+// The program relidar-dev measures performance for developers of relidar. It is not
+// installed.
 #include "commands.hpp"
 #include "program.hpp"
 

@@ -30,8 +30,8 @@ namespace {
 using Clock = std::chrono::steady_clock;
 using Samples = std::map<std::string, std::vector<double>>;
 
-/// Returns the warm-up time, because the first launches compile kernels and a GPU raises
-/// its clocks only under load.
+/// Returns how long the device is warmed up before measuring. The first launches compile
+/// kernels, and a GPU raises its clocks only under load.
 double warm_up_ms(const Device& device) { return device.info().type == "CPU" ? 200.0 : 2000.0; }
 
 constexpr const char* kOrder[] = {"scene/activate",
@@ -52,8 +52,9 @@ constexpr const char* kOrder[] = {"scene/activate",
                                   "scene/activate_vjp",
                                   "diff/optimizer/adam"};
 
-/// Returns the row of a kernel. Kernels of the software tree are grouped under the names
-/// of the driver's builds. Prefix sums and sorts are grouped too.
+/// Returns the table row to which a kernel belongs. Kernels that build the tree in
+/// software are grouped under the names of the driver's builds. Kernels of prefix sums
+/// and of sorts are grouped too.
 std::string row_of(const std::string& kernel, const std::string& phase) {
     if (kernel == "diff/accel/bvh_top") return "accel/top_level";
     if (kernel.starts_with("diff/accel/bvh_")) return phase == "rebuild" ? "accel/build" : "accel/refit";
@@ -76,7 +77,8 @@ RendererOptions training_options(const DevCase& bench, std::uint32_t keep_hits) 
     return options;
 }
 
-/// Returns the number of hits per ray that a training finally stores.
+/// Returns the number of hits per ray that are stored at the end of a training. It grows
+/// until only few rays have more hits.
 std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t>& hits) {
     auto keep = static_cast<std::uint32_t>(bench.config.trace.keep_hits);
     while (bench.keeps_more_hits) {
@@ -89,7 +91,7 @@ std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t
     return keep;
 }
 
-/// Returns the memory of each part of a case. Each part is created once to measure it.
+/// Measures the memory of each part of a case. For this, each part is created once.
 BenchMemory memory_of_parts(Device& device, const DevCase& bench, bool training) {
     auto since_last = [&device, last = device.allocated_bytes()]() mutable {
         return device.allocated_bytes() - std::exchange(last, device.allocated_bytes());
@@ -114,8 +116,8 @@ public:
           allocated_before_(device.allocated_bytes()),
           rays_(device, std::span<const DeviceRay>(to_device_rays(bench.rays)), "rays") {}
 
-    /// Renders the first image, and from it creates the targets and the state of a
-    /// training.
+    /// Renders the first image to count its hits. For a training, also creates the
+    /// targets from this image and sets up the training step.
     void prepare(bool training) {
         memory_ = memory_of_parts(device_, case_, training);
         image_ =
@@ -138,8 +140,8 @@ public:
                                            noisy_targets(rendering, case_.config.loss.normalised_depth));
     }
 
-    /// Runs one repetition: a rebuild, a complete iteration, and moving an instance away
-    /// and back.
+    /// Runs one repetition. It rebuilds the acceleration structure, runs a complete
+    /// training iteration, and moves an instance away and back.
     void repeat() {
         Renderer& r = renderer();
         Stream& stream = r.stream();
@@ -164,10 +166,10 @@ public:
         r.accel().move(stream, r.scene());
         stream.finish();
         take("move", rebuild_kernels_);
-        r.scene().place(stream, before);  // Takes effect in the next iteration.
+        r.scene().place(stream, before);  // The new pose takes effect in the next iteration.
     }
 
-    /// Runs only the forward pass between two waits, for devices without timestamps.
+    /// Measures only the forward pass by wall time. Used for devices without timestamps.
     void repeat_by_wall_clock() {
         Renderer& r = renderer();
         r.place(case_.placed, case_.view_origin_m);
@@ -191,8 +193,8 @@ private:
     const DevCase& case_;
     std::uint64_t allocated_before_;
     Array<DeviceRay> rays_;
-    BenchMemory memory_;               ///< Memory of each part.
-    std::unique_ptr<Renderer> image_;  ///< Only one of the two is used.
+    BenchMemory memory_;               ///< Device memory that each part of the case uses.
+    std::unique_ptr<Renderer> image_;  ///< Either this renderer or the training step is used, never both.
     std::unique_ptr<TrainingStep> training_;
     FloorSizes sizes_;
     Samples kernels_, rebuild_kernels_, phases_;
@@ -207,7 +209,7 @@ private:
                 training_ ? &training_->targets : nullptr};
     }
 
-    /// Sums the times since the last call for each kernel.
+    /// Adds the kernel times since the last call to the samples of a phase.
     void take(const std::string& phase, Samples& kernels) {
         double total = 0.0;
         std::map<std::string, double> sums;
@@ -242,7 +244,8 @@ BenchResult Bench::result() {
             fmt::format("tracing {} rays: {} reached the cap of passes or filled the traversal stack, "
                         "expected every ray to end",
                         rays_.size(), capped));
-    kernels_.merge(rebuild_kernels_);  // Adds the kernels that only a rebuild uses.
+    // Adds the kernels that run only when the acceleration structure is built.
+    kernels_.merge(rebuild_kernels_);
     BenchResult result;
     result.proxy = r.accel().proxy() == Proxy::boxes ? "boxes" : "triangles";
     result.kernels = rows_of(kernels_, {std::begin(kOrder), std::end(kOrder)});
@@ -267,7 +270,7 @@ BenchResult Bench::result() {
     return result;
 }
 
-/// Returns the sizes that determine the lower bounds of this case.
+/// Returns the sizes from which the lower bounds of this case are computed.
 FloorSizes Bench::sizes(const BenchResult& result) {
     FloorSizes s = sizes_;
     s.n_surfels = renderer().scene().size();

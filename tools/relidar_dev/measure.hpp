@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures the time of every kernel of a training iteration, of a rebuild and of moving
-// an instance. Uses only public interfaces.
+// Measures the time of each kernel of a training iteration, of building the acceleration
+// structure, and of moving an instance. Uses only public headers of the library.
 #pragma once
 
 #include <chrono>
@@ -25,48 +25,55 @@ struct Spread {
     double median = 0.0;
     double p90 = 0.0;
 };
-/// Computes the percentiles.
+/// Computes the percentiles of some samples.
 /// @param samples [n], at least one
 Spread spread_of(std::vector<double> samples);
 
-/// Returns the milliseconds since `start`.
+/// Returns the time since `start` in milliseconds.
 double ms_since(std::chrono::steady_clock::time_point start);
 
-/// Total time of all launches of a kernel, or of a group of kernels, in one repetition.
+/// Time of a kernel or of a group of kernels in one repetition. The time is the sum over
+/// all launches.
 struct BenchRow {
     std::string name;
     Spread ms;
 };
 
-/// Device memory in bytes.
+/// Device memory of each part in bytes.
 struct BenchMemory {
-    std::uint64_t scene = 0;     ///< Parameters and records of the surfels, and the instance table.
-    std::uint64_t accel = 0;     ///< Acceleration structures, proxies and scratch memory.
-    std::uint64_t training = 0;  ///< Gradients and moments of Adam.
-    std::uint64_t rays = 0;      ///< Rays, rendered values, targets and loss gradients.
-    std::uint64_t peak = 0;      ///< Peak since the device was opened.
+    /// Memory of the surfel parameters, the surfel records and the instance table, in
+    /// bytes.
+    std::uint64_t scene = 0;
+    std::uint64_t accel = 0;     ///< Memory of acceleration structures, proxies and scratch buffers.
+    std::uint64_t training = 0;  ///< Memory of the gradients and of the optimizer's moments (Adam).
+    std::uint64_t rays = 0;      ///< Memory of rays, rendered values, targets and gradients of the loss.
+    std::uint64_t peak = 0;      ///< Maximum device memory since the device was opened.
 };
 
-/// Mean number of nodes and surfels that a ray of the forward pass visits.
+/// Mean number of tree nodes and surfels that a ray visits in the forward pass.
 struct BenchVisits {
     double nodes = 0.0;
     double surfels = 0.0;
 };
 
 struct BenchResult {
-    bool device_clock = true;  ///< False: wall time of the forward pass only.
+    bool device_clock = true;  ///< If false, only the wall time of the forward pass was measured.
     std::string proxy;
-    std::vector<BenchRow> kernels;               ///< In the order of an iteration.
-    std::vector<BenchRow> phases;                ///< "rebuild", "iteration", "iteration_wall" and "move".
-    double forward_mrays_per_s = 0.0;            ///< From the median time of diff/forward/trace.
-    std::optional<double> backward_mrays_per_s;  ///< From the median time of diff/backward/trace.
-    double hits_per_ray = 0.0;                   ///< Mean number of blended hits.
-    std::uint32_t kept_hits = 0;                 ///< Number of hits stored per ray for the backward pass.
-    std::optional<BenchVisits> visits;           ///< No value for ray query.
+    std::vector<BenchRow> kernels;  ///< Times of the kernels, in the order of a training iteration.
+    /// Times of the phases "rebuild", "iteration", "iteration_wall" and "move".
+    std::vector<BenchRow> phases;
+    /// Million rays per second, from the median time of the kernel diff/forward/trace.
+    double forward_mrays_per_s = 0.0;
+    /// Million rays per second, from the median time of the kernel diff/backward/trace.
+    std::optional<double> backward_mrays_per_s;
+    double hits_per_ray = 0.0;    ///< Mean number of hits that are blended per ray.
+    std::uint32_t kept_hits = 0;  ///< Number of hits that are stored per ray for the backward pass.
+    /// Visited nodes and surfels. It has no value for traversal in hardware (ray query).
+    std::optional<BenchVisits> visits;
     BenchMemory memory;
     FloorSizes sizes;
-    /// Copy bandwidth, bytes read plus bytes written. It is a property of the device, so
-    /// measure() does not set it.
+    /// Bandwidth of copying, counted as bytes read plus bytes written. measure() does not
+    /// set it, because it depends on the device and not on the case.
     std::optional<double> copy_bytes_per_s;
 };
 
@@ -76,9 +83,9 @@ struct BenchSettings {
     bool quiet = false;
 };
 
-/// Warms up the device, then measures. Learning rates are 0, so that every repetition has
-/// the same scene.
-/// @throws DeviceError if a ray reaches the limit of passes
+/// Warms up the device and then measures all kernels. The learning rates are 0, so that
+/// every repetition uses the same scene.
+/// @throws DeviceError if a ray reaches the maximum number of passes
 BenchResult measure(Device& device, const DevCase& bench, const BenchSettings& settings);
 
 }  // namespace relidar::cli

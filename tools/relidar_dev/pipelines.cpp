@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar-dev pipelines: compiles every pipeline of the program on a device and prints
-// the statistics of the driver's compiler.
+// The command `relidar-dev pipelines` compiles all compute pipelines of the program on a
+// device. It prints the statistics of the driver's compiler.
 #include <memory>
 #include <set>
 
@@ -29,8 +29,8 @@ std::vector<PipelineStatistics> compiled(int index, Traversal traversal) {
     return device.pipelines();
 }
 
-/// Compiles for the requested traversals. "both" compiles for all traversals that the
-/// device supports. Lists each pipeline once.
+/// Compiles the pipelines for the requested ray traversal. "both" compiles them for all
+/// traversals that the device supports. Each pipeline is listed only once.
 std::vector<PipelineStatistics> all_compiled(const PipelinesOptions& options) {
     const DeviceInfo info = Device(from_environment({.index = options.device, .compile_only = true})).info();
     std::vector<PipelineStatistics> all;

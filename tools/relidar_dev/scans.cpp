@@ -20,10 +20,11 @@ namespace relidar::cli {
 namespace {
 
 constexpr int kMostInOneGo = 1'000'000;
-// Half of the limit, so that the device has work while finished scans are read.
+// Maximum number of scans that are submitted together. It is half the limit of the
+// renderer, so that the device can work on the next scans while finished scans are read.
 constexpr int kMostTogether = int(ScanRenderer::kScansInFlight) / 2;
 
-/// A sensor, or the sensors of a rig in turn, on the log's path.
+/// Moves a sensor along the path of the log. For a rig, its sensors take turns.
 class Drive {
 public:
     Drive(const Run& run, const ScanBench& bench) {
@@ -92,7 +93,8 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         }
         return end - first;
     };
-    for (int n = ask(0); n > 0; --n) renderer.take_points();  // The first scans allocate memory.
+    // The first scans are not measured, because they allocate memory.
+    for (int n = ask(0); n > 0; --n) renderer.take_points();
     ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
                      .n_scans = bench.n_scans,
                      .together = together,
@@ -107,8 +109,8 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         const auto begun = std::chrono::steady_clock::now();
         const int n_taken = n_asked;
         first += n_taken;
-        // Submits further scans, so that the device has work while the points of these
-        // are read.
+        // Submits the next scans before the points of finished scans are read, so that
+        // the device has work.
         n_asked = first < bench.n_scans ? ask(first) : 0;
         for (int i = 0; i < n_taken; ++i) {
             scan = renderer.take_points(std::move(scan.points));

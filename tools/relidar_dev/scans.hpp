@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar-dev bench --run RUN --scans N`: measures the scans per second of a simulation,
-// from poses to finished scans.
+// The command `relidar-dev bench --run RUN --scans N` measures how many scans per second
+// are simulated. The time includes all steps from the pose to the finished scan.
 #pragma once
 
 #include <string>
@@ -12,32 +12,40 @@ class Device;
 namespace relidar::cli {
 
 struct ScanBench {
-    int n_scans = 0;  ///< 0: scans are not measured.
-    /// Run folder; and sensor as a name of `relidar list sensors` or the file of a rig.
-    /// Empty sensor: the log's sensor.
+    int n_scans = 0;  ///< Number of scans to measure. 0 means that scans are not measured.
+    /// Run folder and sensor. The sensor is a name of `relidar list sensors` or the file
+    /// of a rig. An empty sensor means the sensor of the log.
     std::string run, sensor;
-    int together = 0;      ///< Number of scans that are submitted together. 0: one, or all scans of a rig.
-    bool sampled = false;  ///< True: scans are drawn with random seeds. False: the most likely scan.
+    /// Number of scans that are submitted together. 0 means one scan, or all scans of a
+    /// rig.
+    int together = 0;
+    /// If true, ray drops and noise are random. If false, the most likely scan is
+    /// computed.
+    bool sampled = false;
 };
 
 struct ScanTimes {
     std::string sensor;
     int n_scans = 0;
     int together = 1;
-    int side_by_side = 1;      ///< Number of those scans that the device renders in parallel.
-    double rays = 0.0;         ///< Mean number of rays per scan.
-    double points = 0.0;       ///< Mean number of returned points per scan.
-    double scans_per_s = 0.0;  ///< Rate over all scans, measured after their memory was allocated.
-    /// Median wall time of a group of submitted scans, divided by the size of the group.
+    /// Number of the scans submitted together that the device renders in parallel.
+    int side_by_side = 1;
+    double rays = 0.0;    ///< Mean number of rays per scan.
+    double points = 0.0;  ///< Mean number of returned points per scan.
+    /// Number of scans per second. The measurement starts after the memory of the scans
+    /// was allocated.
+    double scans_per_s = 0.0;
+    /// Median wall time of a group of scans that were submitted together, divided by
+    /// their number.
     double scan_ms = 0.0;
-    double device_ms = 0.0;  ///< Mean kernel time per scan. 0 without timestamps.
-    double host_ms = 0.0;    ///< Mean processor time of the calling thread per scan.
+    double device_ms = 0.0;  ///< Mean kernel time per scan. It is 0 if the device has no timestamps.
+    double host_ms = 0.0;    ///< Mean processor time per scan that the calling thread uses.
 };
 
-/// Moves a sensor or a rig along the log's path. Scan times are evenly spaced between the
-/// middle of the first and of the last sweep.
-/// @throws UsageError for numbers out of range; DataError if the run or the rig cannot be
-/// read
+/// Measures scans of a sensor or a rig that moves along the path of the log. The times of
+/// the scans are evenly spaced between the first and the last sweep.
+/// @throws UsageError if a number is out of range; DataError if the run or the rig cannot
+/// be read
 ScanTimes measure_scans(Device& device, const ScanBench& bench);
 
 std::string scans_text(const ScanTimes& times);

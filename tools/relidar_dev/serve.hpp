@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar-dev bench --serve`: measures the latency of a running service for its clients.
+// The command `relidar-dev bench --serve` measures how long clients of a running service
+// wait for a scan.
 #pragma once
 
 #include <string>
@@ -7,15 +8,15 @@
 namespace relidar::cli {
 
 struct ServeBench {
-    std::string address;  ///< Address of the service. Empty: no service is measured.
+    std::string address;  ///< Address of the service. If it is empty, no service is measured.
     std::string scene, sensor;
     int clients = 1;
     int calls = 100;
 };
 
-/// Prints latencies and scans per second.
-/// @throws UsageError if this program was built without the service; DataError if no
-/// server answers
+/// Measures a service and prints the latencies and the scans per second.
+/// @throws UsageError if this program was built without gRPC; DataError if no server
+/// answers
 void bench_service(const ServeBench& bench);
 
 }  // namespace relidar::cli

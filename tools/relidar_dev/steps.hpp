@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar-dev bench --run RUN --steps N`: measures training steps on batches of a run,
-// and the time between their kernels.
+// The command `relidar-dev bench --run RUN --steps N` measures training steps on batches
+// of frames of a run. It also measures the time between kernels.
 #pragma once
 
 #include <string>
@@ -9,9 +9,8 @@
 
 namespace relidar::cli {
 
-/// Runs and measures training steps.
-/// @param run run folder. Its log must still be at the path that the run was trained
-/// from.
+/// Runs training steps and measures them.
+/// @param run run folder. The log must be at the same path as when the run was trained.
 StepTimes measure_steps(Device& device, const std::string& run, int n_steps, bool quiet);
 
 std::string steps_text(const StepTimes& times, const Device& device);

@@ -33,7 +33,7 @@ std::string walk_name(const DevCase& bench) {
 std::string traversal_of(const Device& device) {
     return device.traversal() == Traversal::software ? "software" : "ray_query";
 }
-/// Returns the selected variant of the traversal.
+/// Returns a text that names the selected ray traversal and its variant.
 std::string search_of(const Device& device, const DevCase& bench, const BenchResult& result) {
     return device.traversal() == Traversal::software ? "walk " + walk_name(bench) : "proxy " + result.proxy;
 }
@@ -58,8 +58,8 @@ std::string memory_text(const BenchMemory& m, std::size_t n_surfels, std::size_t
         each(m.accel, n_surfels), each(m.training, n_surfels), each(m.rays, n_rays));
 }
 
-/// Returns the lower bound of each row in milliseconds. The bound of a phase is the sum
-/// over its kernels.
+/// Returns a lower bound for the time of each kernel, in milliseconds. The bound of a
+/// phase is the sum of the bounds of its kernels.
 std::map<std::string, double> floors_ms(const BenchResult& result) {
     std::map<std::string, double> floors;
     if (!result.copy_bytes_per_s) return floors;

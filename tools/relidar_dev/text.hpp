@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Formats a benchmark result as text and as JSON, with the same numbers.
+// Formats the result of a benchmark as text and as JSON. Both contain the same numbers.
 #pragma once
 
 #include <string>
@@ -16,8 +16,8 @@ struct BenchSettings;
 
 std::string bench_text(const DevCase& bench, const BenchResult& result, const Device& device);
 
-/// Returns the result as JSON.
-/// @param command_line command line as typed
+/// Returns the result of a benchmark as JSON.
+/// @param command_line command line as the user typed it
 std::string bench_json(const DevCase& bench, const BenchSettings& settings, const BenchResult& result,
                        const Device& device, const std::string& command_line);
 

@@ -26,10 +26,12 @@
 namespace relidar::serve {
 namespace {
 
-constexpr std::chrono::milliseconds kPause{50};  // Pause after the system has run out of descriptors.
-// Maximum number of descriptors of the process, including connections.
+// Time to wait after the system has no free file descriptor.
+constexpr std::chrono::milliseconds kPause{50};
+// Maximum number of open file descriptors of the process, including its connections.
 constexpr int kMostDescriptors = 16384;
-constexpr int kReservedDescriptors = 256;  // Descriptors reserved for files and the driver.
+// Number of file descriptors that are reserved for files and the driver.
+constexpr int kReservedDescriptors = 256;
 
 std::string message_of(int error) { return std::generic_category().message(error); }
 
@@ -72,7 +74,7 @@ void set_option(int socket, int level, int name, int value) {
 }
 
 /// Opens a socket that listens at an address.
-/// @return the listening socket, or -1 with errno set
+/// @return the socket, or -1 if it failed; errno then holds the reason
 int listen_at(const addrinfo& address) {
     const int listener = ::socket(address.ai_family, SOCK_STREAM | SOCK_NONBLOCK | SOCK_CLOEXEC, 0);
     if (listener < 0) return -1;
@@ -87,8 +89,9 @@ int listen_at(const addrinfo& address) {
     return -1;
 }
 
-/// Returns the first descriptor that a connection must not have. The system always
-/// assigns the lowest free descriptor.
+/// Returns the first descriptor number that is reserved for other purposes. A connection
+/// with this or a higher number is closed. The system always assigns the lowest free
+/// number, so the number shows how many are in use.
 int first_spare_descriptor() {
     rlimit limit{};
     const bool is_known =
@@ -109,7 +112,8 @@ Acceptor::Acceptor(const std::string& text) {
         const int listener = listen_at(*address);
         if (listener < 0) error = errno;
         if (listener < 0 && error == EADDRINUSE && host_port.port != 0) break;
-        if (listener < 0) continue;  // The machine does not support this address family.
+        // Skips this address, because the machine does not support its address family.
+        if (listener < 0) continue;
         listeners_.push_back(listener);
         port_ = port_of(listener);
     }
@@ -142,7 +146,7 @@ void Acceptor::stop() {
     const char any = 0;
     while (::write(wake_[1], &any, 1) < 0 && errno == EINTR) {}
     thread_.join();
-    // From here on the system refuses connections.
+    // After the sockets are closed, the system refuses new connections.
     for (const int listener : listeners_) ::close(listener);
     listeners_.clear();
 }

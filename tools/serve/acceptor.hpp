@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Listens and accepts connections for gRPC, because the listener of gRPC 1.51 stops
-// permanently when no file descriptor is free.
+// Accepts connections and passes them to gRPC. gRPC 1.51 is not used for this, because it
+// stops accepting permanently when no file descriptor is free.
 #pragma once
 
 #include <functional>
@@ -12,28 +12,29 @@ namespace relidar::serve {
 
 class Acceptor {
 public:
-    /// Receives a connection and takes ownership of its descriptor. Called on the
-    /// acceptor's thread.
+    /// Callback that receives a new connection and must close its descriptor. It runs on
+    /// the thread of the acceptor.
     using Receive = std::function<void(int listener, int connection)>;
 
-    /// Listens at all addresses of the host.
-    /// @param address HOST:PORT; port 0 selects a free port
-    /// @throws UsageError if the text is not HOST:PORT, or the address is not available
+    /// Listens at all network addresses of a host name.
+    /// @param address HOST:PORT. Port 0 selects a free port.
+    /// @throws UsageError if the text is not HOST:PORT, or if the address is not
+    /// available
     explicit Acceptor(const std::string& address);
     ~Acceptor();
     Acceptor(const Acceptor&) = delete;
     Acceptor& operator=(const Acceptor&) = delete;
 
     int port() const { return port_; }
-    /// Starts to accept connections. Closes new connections while few free descriptors
-    /// are left.
+    /// Starts to accept connections. While few file descriptors are free, new connections
+    /// are closed immediately.
     void start(Receive receive);
-    /// Stops accepting. Returns when no call of the callback is in progress.
+    /// Stops accepting connections. Waits until the callback has returned.
     void stop();
 
 private:
     std::vector<int> listeners_;
-    int wake_[2] = {-1, -1};  ///< Pipe that wakes the waiting thread.
+    int wake_[2] = {-1, -1};  ///< Pipe with which stop() wakes the thread that waits for connections.
     int port_ = 0;
     Receive receive_;
     std::thread thread_;

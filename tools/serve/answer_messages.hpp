@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts scans and scenes to messages.
+// Writes rendered scans and descriptions of scenes into Protobuf messages.
 #pragma once
 
 #include <relidar/run/run.hpp>
@@ -10,20 +10,20 @@
 
 namespace relidar::serve {
 
-/// Writes a scan.
-/// @param config settings of the run, which select the range of points
+/// Writes a scan into a message.
+/// @param config settings of the run, which define the range limits of points
 void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
                 v1::LidarScan& message);
-/// Writes a scan of points without an image.
+/// Writes a scan that has points but no range image.
 void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarScan& message);
 
-/// Writes the description of a scene.
+/// Writes the description of a scene into a message.
 /// @param run run without surfels
 void write_scene(const std::string& name, const Run& run, v1::Scene& message);
 
-/// Writes poses of the log in the dataset's world frame.
-/// @param actors names of actors; empty: all actors
-/// @throws Refusal for an unknown actor
+/// Writes the poses of the log's LiDAR and actors, in the dataset's world frame.
+/// @param actors names of actors; if it is empty, all actors are written
+/// @throws Refusal if an actor is unknown
 void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtrField<std::string>& actors,
                   v1::GetTracksResponse& message);
 

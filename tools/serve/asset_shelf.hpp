@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Catalogue of the assets that clients can insert into scenes.
+// Lists the assets (saved models of actors) that clients can insert into scenes.
 #pragma once
 
 #include <string>
@@ -9,13 +9,13 @@
 
 namespace relidar::serve {
 
-/// Catalogue of assets. It is immutable after construction, so that any thread may read
-/// it.
+/// List of assets by name. The list does not change after construction, so any thread may
+/// read it.
 class AssetShelf {
 public:
-    /// Reads only the descriptions of assets, because many are never used. The surfels
-    /// are read when an asset is inserted.
-    /// @param folders folders of `relidar assets`
+    /// Reads the description of each asset, but not its surfels. The surfels are read
+    /// when a client inserts the asset.
+    /// @param folders folders written by `relidar assets`
     /// @throws DataError if a folder cannot be read
     /// @throws UsageError if two assets have the same name
     explicit AssetShelf(const std::vector<std::string>& folders);
@@ -25,7 +25,7 @@ public:
         AssetFacts facts;
     };
     const std::vector<Entry>& entries() const { return entries_; }
-    /// Returns an asset, or null if the name is unknown.
+    /// Returns the asset with this name, or null if the name is unknown.
     const Entry* find(const std::string& name) const;
 
 private:

@@ -12,8 +12,10 @@ namespace relidar::serve {
 
 std::shared_ptr<grpc::Channel> connect(const std::string& address) {
     grpc::ChannelArguments arguments;
-    arguments.SetMaxReceiveMessageSize(-1);  // No limit: a scan of a million rays has 50 MB.
-    // Opens a separate connection, as another process would.
+    // Removes the size limit of messages, because a scan of a million rays has 50 MB.
+    arguments.SetMaxReceiveMessageSize(-1);
+    // Does not share the connection with other channels, as if the client were another
+    // process.
     arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
     return grpc::CreateCustomChannel(address, grpc::InsecureChannelCredentials(), arguments);
 }

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Client of a service, for tests and for `relidar-dev bench --serve`.
+// gRPC client of the scan service, used by tests and by `relidar-dev bench --serve`.
 #pragma once
 
 #include <memory>
@@ -11,11 +11,12 @@
 
 namespace relidar::serve {
 
-/// Opens a separate channel without TLS, with no limit on the size of scans.
+/// Opens a new gRPC channel without TLS. The channel does not limit the size of messages,
+/// because scans can be large.
 std::shared_ptr<grpc::Channel> connect(const std::string& address);
 
-/// Makes synchronous calls.
-/// @throws DataError with code and message if a status is not OK
+/// Client that waits for the answer of each call.
+/// @throws DataError with the gRPC code and message if a call fails
 class ScanClient {
 public:
     explicit ScanClient(std::string address);

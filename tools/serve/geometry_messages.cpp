@@ -10,9 +10,10 @@
 namespace relidar::serve {
 namespace {
 
-constexpr double kFarthest = 1e10;  // Limit in metres and seconds that ScanRenderer accepts.
-// A quaternion whose length is this close to 1 is not normalised, so that it is not
-// rounded.
+// Maximum position and time (metres, seconds) that ScanRenderer accepts.
+constexpr double kFarthest = 1e10;
+// A quaternion is normalised only if its length differs from 1 by more than this.
+// Normalising an exact unit quaternion would only add rounding errors.
 constexpr double kDoublePrecision = 1e-12;
 constexpr int kMostPoses = 100'000;
 

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts poses and times between messages and relidar's types. Messages are untrusted
-// input and are checked here.
+// Converts poses and times between Protobuf messages and relidar's types. Clients are not
+// trusted, so every value is checked.
 #pragma once
 
 #include <string>
@@ -13,21 +13,22 @@
 
 namespace relidar::serve {
 
-/// Tolerance for the length of a unit vector or quaternion, which may have been sent in
-/// single precision or rounded in a text.
+/// Tolerance for the length of a unit vector or quaternion. Clients may send values in
+/// single precision or rounded text.
 inline constexpr double kUnitSlack = 1e-3;
 
 /// Reads a pose.
-/// @param field name of the field in the request, for messages
-/// @throws Refusal for values that are not finite, too large, or not a unit quaternion
+/// @param field name of the field in the request, used in error messages
+/// @throws Refusal if a value is not finite or too large, or if the rotation is not a
+/// unit quaternion
 Pose read_pose(const v1::Pose& message, const std::string& field);
 /// Reads a track of poses.
-/// @throws Refusal as read_pose(), for no or too many poses, and for times that do not
-/// increase
+/// @throws Refusal if a pose is invalid, if the number of poses is 0 or too large, or if
+/// the times do not increase
 PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& messages,
                      const std::string& field);
-/// Returns a time after checking its value.
-/// @throws Refusal for a value that is not finite or exceeds 1e10
+/// Checks a time and returns it.
+/// @throws Refusal if the time is not finite or exceeds 1e10 s
 double read_time(double time_s, const std::string& field);
 
 void write_pose(const Pose& pose, v1::Pose& message);

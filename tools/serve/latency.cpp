@@ -26,7 +26,7 @@ struct Sample {
     std::size_t rays, points;
 };
 
-/// Returns the smallest value that this share of all values does not exceed.
+/// Returns the smallest value that is at least as large as the given share of all values.
 double percentile(std::vector<double> values, double share) {
     std::sort(values.begin(), values.end());
     const auto rank = std::size_t(std::ceil(share * double(values.size())));
@@ -39,8 +39,8 @@ Percentiles percentiles(const std::vector<Sample>& samples, double Sample::*valu
     return {percentile(values, 0.5), percentile(values, 0.99)};
 }
 
-/// Returns a request for the sweep between two successive poses of the log. After the
-/// last pose it starts again with the first.
+/// Returns a request for a sweep between two successive poses of the log. After the last
+/// pose of the log, the sweeps start again at the first pose.
 v1::RenderLidarRequest sweep(const LatencyOptions& options, const std::string& scene,
                              const v1::GetTracksResponse& tracks, int number) {
     v1::RenderLidarRequest request;
@@ -73,7 +73,8 @@ LatencyResult measure_latency(const LatencyOptions& options) {
     v1::GetTracksRequest which;
     which.set_scene(result.scene);
     const v1::GetTracksResponse tracks = first.get_tracks(which);
-    // The first call makes the rays of the sensor and allocates memory.
+    // The first call is not measured, because it makes the rays of the sensor and
+    // allocates memory.
     call(first, sweep(options, result.scene, tracks, 0));
 
     std::vector<Sample> samples;

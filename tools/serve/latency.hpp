@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Measures how long clients wait for scans of a service along the log's path. This header
-// uses no type of gRPC.
+// Measures how long the clients of a service wait for scans along the path of the log.
+// This header uses no gRPC types, so that its users do not need gRPC.
 #pragma once
 
 #include <cstddef>
@@ -9,11 +9,14 @@
 namespace relidar::serve {
 
 struct LatencyOptions {
-    std::string address;  ///< HOST:PORT of a service without TLS.
-    std::string scene;    ///< Name of the scene. Empty: the first scene.
-    std::string sensor;   ///< Name of the sensor. Empty: the sensor of the log.
-    int clients = 1;      ///< Number of clients. Each has a separate connection and makes one call at a time.
-    int calls = 100;      ///< Total number of calls of all clients.
+    std::string address;  ///< HOST:PORT of a service. The connection does not use TLS.
+    std::string scene;    ///< Name of the scene. If it is empty, the first scene is used.
+    /// Name of the sensor to simulate. If it is empty, the sensor of the log is used.
+    std::string sensor;
+    /// Number of clients. Each client has its own connection and waits for one call at a
+    /// time.
+    int clients = 1;
+    int calls = 100;  ///< Total number of calls of all clients.
 };
 
 /// Median and 99th percentile in milliseconds.
@@ -23,15 +26,15 @@ struct Percentiles {
 
 struct LatencyResult {
     std::string scene;
-    Percentiles latency_ms;   ///< Time from the call to its answer, as measured by the client.
-    Percentiles queued_ms;    ///< Part of this time spent waiting for the device.
-    Percentiles rendered_ms;  ///< Part of this time spent rendering.
+    Percentiles latency_ms;   ///< Time from sending a call until the client receives the answer.
+    Percentiles queued_ms;    ///< Part of the latency during which the call waited for the device.
+    Percentiles rendered_ms;  ///< Part of the latency during which the scan was rendered.
     double scans_per_s = 0.0;
     std::size_t rays = 0;  ///< Number of rays per scan.
     double points = 0.0;   ///< Mean number of points per scan.
 };
 
-/// Measures the latency.
+/// Measures the latency of a service.
 /// @throws DataError if the service does not answer or rejects a call
 LatencyResult measure_latency(const LatencyOptions& options);
 

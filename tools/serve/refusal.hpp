@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Errors of requests, as gRPC statuses.
+// Errors that a client receives as gRPC statuses.
 #pragma once
 
 #include <functional>
@@ -11,7 +11,7 @@
 
 namespace relidar::serve {
 
-/// A request that cannot be answered.
+/// Exception for a request that cannot be answered.
 class Refusal : public std::runtime_error {
 public:
     Refusal(grpc::StatusCode code, const std::string& message) : std::runtime_error(message), code_(code) {}
@@ -21,22 +21,22 @@ private:
     grpc::StatusCode code_;
 };
 
-/// Rejects an invalid field of a request.
+/// Rejects a request because one field has an invalid value.
 /// @throws Refusal always
 [[noreturn]] void refuse(const std::string& field, const std::string& found, const std::string& expected);
 
-/// Rejects an unknown name.
-/// @param known names that the message can suggest
+/// Rejects a request because it contains an unknown name.
+/// @param known valid names, of which the error message may suggest one
 /// @throws Refusal always
 [[noreturn]] void refuse_unknown(const std::string& field, const std::string& name,
                                  const std::vector<std::string>& known);
 
-/// Returns a text of a client for use in messages: on one line, and shortened if it is
-/// long.
+/// Quotes a text of a client for use in an error message. Removes line breaks and
+/// shortens long texts.
 std::string quoted(const std::string& word);
 
-/// Runs the function that answers a request. Converts its exceptions to a status with a
-/// one-line message.
+/// Runs the function that answers a request, and returns a gRPC status. An exception
+/// becomes an error status with a one-line message.
 grpc::Status answered(const std::function<void()>& answer);
 
 }  // namespace relidar::serve

@@ -10,8 +10,8 @@
 namespace relidar::serve {
 namespace {
 
-/// Interval at which a waiting call checks that its client is still connected. The check
-/// is repeated before its job starts.
+/// A waiting call checks at this interval that its client is still connected. It checks
+/// once more before its job starts.
 constexpr std::chrono::milliseconds kLook{10};
 
 }  // namespace
@@ -75,8 +75,9 @@ void RenderQueue::wait(Job& job, std::unique_lock<std::mutex>& lock) {
                      [&] { return job.state == Job::State::done || job.state == Job::State::unwanted; });
 }
 
-/// Returns the next job whose client still waits, or null.
-/// @param before only returns a job that may start immediately after this job
+/// Returns the next job whose client is still connected, or null if there is none.
+/// @param before if not null, only a job is returned that may start immediately after
+/// this job
 RenderQueue::Job* RenderQueue::next(const Job* before) {
     while (!line_.empty()) {
         Job* job = line_.front();
@@ -89,7 +90,8 @@ RenderQueue::Job* RenderQueue::next(const Job* before) {
     return nullptr;
 }
 
-/// Runs a part of a job. The job ends after its last part or with an exception.
+/// Runs one part of a job. The job ends after its last part, or if the part throws an
+/// exception.
 void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_last,
                           std::unique_lock<std::mutex>& lock) {
     lock.unlock();
@@ -111,15 +113,17 @@ void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_l
     job.changed.notify_one();
 }
 
-/// Starts a job and the following jobs that are submitted to the device together.
-/// @return jobs that have not ended
+/// Starts a job, and the following jobs that are submitted to the device together with
+/// it.
+/// @return all started jobs that still have a second part to run
 std::vector<RenderQueue::Job*> RenderQueue::begin(Job* job, std::unique_lock<std::mutex>& lock) {
     std::vector<Job*> begun;
     for (std::size_t n = 1; job; ++n) {
         Job* with_it = job->work.finish && n < together_ ? next(job) : nullptr;
         do_part(
             *job, [&] { job->work.begin(!with_it); }, !job->work.finish, lock);
-        // Otherwise the job has ended, and its waiting thread may have destroyed it.
+        // A job in another state has ended. The thread that waited for it may already
+        // have destroyed the job.
         if (job->state == Job::State::runs) begun.push_back(job);
         job = with_it;
     }

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A render thread that owns a device, and its queue. If the queue is full, requests fail
-// immediately. Jobs of disconnected clients are skipped.
+// Defines a queue of jobs for a render thread. The render thread is the only thread that
+// uses the device. If the queue is full, a request fails immediately. The job of a client
+// that has disconnected is skipped.
 #pragma once
 
 #include <condition_variable>
@@ -18,41 +19,44 @@ namespace relidar::serve {
 /// Result of a job.
 enum class WorkEnd { done, unwanted };
 
-/// A job in two parts: it submits work to the device, and continues when the work is
-/// done. While the device is busy, the next job of the same kind can start.
+/// A job in two parts. The first part submits work to the device. The second part runs
+/// after the device has finished this work. In between, the next job of the same kind can
+/// start.
 struct WorkInTwo {
-    /// is_last: true if no other job of this kind starts immediately afterwards to be
-    /// submitted together.
+    /// Submits the work. `is_last` is false if another job of the same kind starts
+    /// immediately afterwards, so that both jobs can be submitted together.
     std::function<void(bool is_last)> begin;
     std::function<void()> finish;
-    std::size_t kind = 0;  ///< Jobs of the same kind may start before earlier ones have finished.
+    std::size_t kind = 0;  ///< A job may start before earlier jobs of the same kind have finished.
 };
 
 class RenderQueue {
 public:
     /// Starts the render thread.
-    /// @param waiting maximum number of waiting requests, not counting the current one
+    /// @param waiting maximum number of waiting requests, in addition to the running one
     explicit RenderQueue(std::size_t waiting);
-    /// All Place objects must be destroyed first.
+    /// Waits until all jobs have ended. All slots must be released before.
     ~RenderQueue();
     RenderQueue(const RenderQueue&) = delete;
     RenderQueue& operator=(const RenderQueue&) = delete;
 
-    /// A place in the queue. Its owner can always run jobs. The destructor releases the
-    /// place.
+    /// A slot in the queue. A caller with a slot can always run jobs. The destructor
+    /// releases the slot.
     class Place {
     public:
         Place(Place&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }
         Place& operator=(Place&&) = delete;
         ~Place();
-        /// Runs a job on the render thread, in the order of calls, and waits for it.
-        /// @param is_wanted polled from time to time, never concurrently. If it returns
-        /// false before the job has started, the job is skipped. If the job has started,
-        /// this call waits until it is finished.
+        /// Runs a job on the render thread and waits until it ends. Jobs run in the order
+        /// of these calls.
+        /// @param is_wanted returns false if the client no longer waits. It is called
+        /// from time to time by one thread. If it returns false before the job has
+        /// started, the job is skipped. If the job has started, this call waits until the
+        /// job ends.
         /// @throws all exceptions of the job
         WorkEnd run(const std::function<void()>& work, const std::function<bool()>& is_wanted);
-        /// Runs a job in two parts. Both parts run in the order of all jobs of the same
-        /// kind.
+        /// Runs a job in two parts. The first parts of jobs of the same kind run in the
+        /// order of the calls, and so do the second parts.
         WorkEnd run(const WorkInTwo& work, const std::function<bool()>& is_wanted);
 
     private:
@@ -60,19 +64,19 @@ public:
         explicit Place(RenderQueue* queue) : queue_(queue) {}
         RenderQueue* queue_;
     };
-    /// Returns a place, or no value if the queue is full.
+    /// Returns a slot in the queue, or no value if the queue is full.
     std::optional<Place> enter();
     std::size_t places() const { return places_; }
-    /// Returns the error message after which the device became unusable, or no value
-    /// while it works.
+    /// Returns the error message of the driver if the device was lost. Returns no value
+    /// while the device works.
     std::optional<std::string> device_loss();
-    /// Sets the number of waiting jobs of one kind that are started together before any
-    /// of them is finished. Initially 1.
+    /// Sets how many waiting jobs of one kind may start before the first of them has
+    /// finished. The default is 1.
     void begin_together(std::size_t n);
 
 private:
     struct Job {
-        const WorkInTwo& work;  ///< Without `finish`, the job has only one part.
+        const WorkInTwo& work;  ///< If `finish` is empty, the job has only one part.
         const std::function<bool()>& is_wanted;
         enum class State { waits, runs, done, unwanted } state = State::waits;
         std::exception_ptr failure = {};
@@ -83,7 +87,8 @@ private:
     std::mutex mutex_;
     std::condition_variable more_;
     std::optional<std::string> device_loss_;
-    /// Waiting jobs. Each is stored on the stack of the thread that waits for it.
+    /// Waiting jobs. Each job is stored on the stack of the thread that waits for this
+    /// job.
     std::deque<Job*> line_;
     std::size_t taken_ = 0, together_ = 1;
     bool closed_ = false;

@@ -25,8 +25,8 @@ bool is_late(const grpc::ServerContext& context) {
     return std::chrono::system_clock::now() >= context.deadline();
 }
 
-/// Calls a function with the scene's renderer for a checked request. Errors are
-/// attributed to the run's folder.
+/// Calls a function with the renderer of the requested scene. Error messages name the
+/// folder of the run.
 SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted,
                    const std::function<void(ScanRenderer&)>& work) {
     try {
@@ -36,8 +36,8 @@ SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted,
     }
 }
 
-/// Makes a scan on the queue's thread.
-/// @param finish empty: the job has one part
+/// Renders a scan in a job on the render thread.
+/// @param finish second part of the job; if it is empty, the job has only one part
 template <class Scan>
 Timed<Scan> timed(RenderQueue::Place& place, const grpc::ServerContext& context,
                   const std::function<void(Scan&, bool is_last)>& begin,
@@ -91,8 +91,8 @@ Timed<std::vector<RenderedPoints>> render_points(RenderQueue::Place& place, Scen
     using Send = ScanRenderer::Send;
     std::size_t n_asked = 0;
     SceneSet::Load load{};
-    // An error is reported only after the earlier scans are read, because their results
-    // come first in the renderer's queue.
+    // If submitting a scan fails, the earlier scans are read first, because the renderer
+    // returns results in order. Only then is the error reported.
     std::exception_ptr failure;
     const auto begin = [&](std::vector<RenderedPoints>&, bool is_last) {
         try {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Renders scans for calls: gets a place in the queue, runs a job on the render thread,
-// and fails if the client has disconnected.
+// Renders the scans of gRPC calls. Each call reserves a slot in the queue and runs its
+// job on the render thread. The call fails if its client has disconnected.
 #pragma once
 
 #include <span>
@@ -15,36 +15,40 @@ namespace relidar::serve {
 
 class SceneSet;
 
-/// Returns false if the client has disconnected or the deadline has passed.
+/// Returns true if the client is still connected and the deadline of the call has not
+/// passed.
 bool is_wanted(const grpc::ServerContext& context);
-/// Ends a call whose client no longer waits.
+/// Ends a call after its client has disconnected or its deadline has passed.
 /// @throws Refusal always
 [[noreturn]] void give_up(const grpc::ServerContext& context);
 
-/// Returns a place in the queue.
+/// Reserves a slot in the queue of render jobs.
 /// @throws Refusal if the queue is full
 RenderQueue::Place enter(RenderQueue& queue);
 
-/// A scan with its waiting time and rendering time.
+/// A rendered scan, and how long it waited and rendered.
 template <class Scan>
 struct Timed {
     Scan scan;
     double queued_ms = 0.0, rendered_ms = 0.0;
 };
 
-/// Renders a scan on the queue's thread.
-/// @throws Refusal if the client no longer waits, or the folder of the run cannot be read
+/// Renders a scan on the render thread.
+/// @throws Refusal if the client no longer waits, or if the folder of the run cannot be
+/// read
 Timed<RenderedScan> render_scan(RenderQueue::Place& place, SceneSet& scenes, const WantedScan& wanted,
                                 const grpc::ServerContext& context);
 /// Maximum number of scans that one call submits to the device together.
 inline constexpr std::size_t kMostAtOnce = 8;
-/// Maximum number of calls whose scans are submitted together. Twice as many scans can be
-/// pending, because the next scans are submitted before these are read.
+/// Maximum number of calls whose scans are submitted to the device together. The device
+/// may hold twice as many scans, because the next scans are submitted before these are
+/// read.
 inline constexpr std::size_t kCallsTogether = 4;
 static_assert(2 * kCallsTogether * kMostAtOnce <= ScanRenderer::kScansInFlight);
 
-/// Renders only the points of several scans of one scene. The scans are submitted to the
-/// device together, possibly with scans of other calls.
+/// Renders several scans of one scene and returns only their points. The scans are
+/// submitted to the device together. They may be submitted together with scans of other
+/// calls.
 /// @param wanted at most kMostAtOnce scans
 Timed<std::vector<RenderedPoints>> render_points(RenderQueue::Place& place, SceneSet& scenes,
                                                  std::span<const WantedScan> wanted,

@@ -23,8 +23,8 @@ namespace {
 
 constexpr int kMostSensors = 64;                // Maximum number of sensors of a rig.
 constexpr std::size_t kLongestSpawnName = 200;  // Maximum length in bytes of the name of a spawned actor.
-// A sweep may begin before its path and end after it. A larger difference is an error of
-// the times.
+// Maximum time between a scan and the nearest end of the sensor's path, in seconds. A
+// sweep may begin before the path or end after it, but a larger difference is an error.
 constexpr double kBeyondPath_s = 1.0;
 
 bool is_far_beyond(double time_s, const PoseTrack& path) {
@@ -33,7 +33,7 @@ bool is_far_beyond(double time_s, const PoseTrack& path) {
            (time_s < path.time_s.front() - kBeyondPath_s || time_s > path.time_s.back() + kBeyondPath_s);
 }
 
-/// Reads a time on the sensor's path or slightly outside it.
+/// Reads a time and checks that the sensor's path covers it, with a small tolerance.
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
     if (is_far_beyond(time_s, path))
@@ -50,7 +50,8 @@ std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors)
 }
 
 /// Reads the actors of a request.
-/// @throws Refusal for poses that end long before the scan or begin long after it
+/// @throws Refusal if the poses of an actor end long before the scan or begin long after
+/// it
 std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s) {
     std::vector<ActorWish> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
@@ -129,7 +130,7 @@ std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::uploa
     return {handle, sensor};
 }
 
-/// Returns a sensor by name. Its rays are made only once.
+/// Returns the sensor with this name. Its rays are made only once and then cached.
 std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::string& name, std::size_t scene,
                                                                 int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, name);
@@ -165,7 +166,7 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish&
     return std::make_shared<const SensorChoice>(std::move(placed));
 }
 
-/// Returns the actors of the run and the spawned actors.
+/// Returns all actors of the run and all spawned actors of the scene.
 std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
     const Run& run = outlines_[scene];
     std::vector<PlacedActor> actors;
@@ -184,7 +185,7 @@ std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
 
 void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const {
     const std::vector<PlacedActor> known_placed = known_actors(wanted.scene);
-    // A map, because there may be thousands of actors.
+    // Uses a map for fast look-up, because a scene may have thousands of actors.
     std::map<std::string_view, const PlacedActor*> by_name;
     for (const PlacedActor& actor : known_placed) by_name.emplace(actor.name, &actor);
     ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
@@ -224,7 +225,7 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
         if (!spawn.has_actor()) refuse(field, "neither actor nor asset", "one of them");
         const auto actor = std::ranges::find(run_actors, spawn.actor());
         if (actor == run_actors.end()) refuse_unknown(field + ".actor", spawn.actor(), run_actors);
-        // The actors of the run come first.
+        // The actors of the run are at the beginning of the list.
         const PlacedActor& model = known[std::size_t(actor - run_actors.begin())];
         wishes.push_back({spawn.name(), {false, spawn.actor()}, model.size_m, model.surfels});
     }
@@ -263,7 +264,8 @@ std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message)
         refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()),
                fmt::format("1 to {}", kMostSensors));
     std::vector<WantedScan> scans;
-    std::set<std::string_view> names;  // Sensors without a name are identified by their order.
+    // A sensor without a name is identified by its position in the request.
+    std::set<std::string_view> names;
     for (int i = 0; i < message.sensors_size(); ++i) {
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Checks requests for scans and converts them to requests of a renderer. May be used from
-// any thread.
+// Checks the requests of clients for scans and converts them to requests of a renderer.
+// Any thread may use it.
 #pragma once
 
 #include <cstdint>
@@ -24,66 +24,70 @@ class SceneSet;
 class SpawnedActors;
 struct SpawnWish;
 
-/// An actor that a request places in the scene.
+/// An actor that is visible in the requested scan.
 struct PlacedActor {
-    std::string name;   ///< Name in the request.
-    std::string track;  ///< Track in the rendered scene.
+    std::string name;   ///< Name of the actor in the request.
+    std::string track;  ///< Name of its track in the rendered scene.
     glm::dvec3 size_m{0.0};
     std::size_t surfels = 0;
 };
 
-/// Name and poses of an actor in a request.
+/// Name and poses of an actor, as given in a request.
 struct ActorWish {
-    std::string field;  ///< Field of the actor's name, for messages.
+    std::string field;  ///< Field of the request that holds the actor's name. Error messages contain it.
     std::string name;
     PoseTrack dataset_from_actor;
 };
 
-/// A valid request for a scan.
+/// A request for a scan after all checks.
 struct WantedScan {
-    std::size_t scene = 0;  ///< Index into the outlines.
+    std::size_t scene = 0;  ///< Index of the scene in the list of runs.
     std::shared_ptr<const SensorChoice> sensor;
     ScanRequest request;
-    std::vector<PlacedActor> placed;  ///< The actors of request.dataset_from_actor.
+    /// Actors that are visible in the scan, in the order of the request.
+    std::vector<PlacedActor> placed;
     std::optional<std::uint64_t> sample;
-    std::optional<Weather> weather;  ///< No value: the weather that the server was started with.
+    /// Weather to simulate. Without a value, the weather with which the server was
+    /// started is used.
+    std::optional<Weather> weather;
     double points_at_s = 0.0;
     bool points = true, range_image = false, drop_probability = false;
 };
 
-/// Returns the tracks of the actors of a run, which are the names for clients.
+/// Returns the tracks of a run's actors. Clients use the names of the tracks as names of
+/// the actors.
 std::vector<std::string> actor_names(const Run& run);
 
-/// Reads requests. Stores no state of a request. The objects given to the constructor
-/// must outlive it.
+/// Reads requests. It keeps no state of a request, but it caches sensors. The objects
+/// that the constructor receives must outlive this object.
 class RequestReader {
 public:
     /// Creates a reader for the scenes of a device.
-    /// @param scenes only its thread-safe members are used
+    /// @param scenes only the members that any thread may call are used
     explicit RequestReader(SceneSet& scenes);
-    /// Creates a reader without a device.
+    /// Creates a reader for runs that are not loaded on a device.
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
                   const AssetShelf& assets, const SpawnedActors& spawned);
 
-    /// Returns the index of a scene.
-    /// @param field name of the field in the request, for messages
-    /// @throws Refusal for an unknown scene
+    /// Returns the index of the scene with this name.
+    /// @param field name of the field in the request, used in error messages
+    /// @throws Refusal if the scene is unknown
     std::size_t find_scene(const std::string& name, const std::string& field = "scene") const;
     int find_lidar(std::size_t scene, const std::string& name) const;
-    /// Stores a sensor that a client describes.
-    /// @return handle of the sensor, and the sensor
-    /// @throws Refusal for an invalid sensor
+    /// Stores the sensor that a client has described.
+    /// @return a handle for later requests, and the sensor
+    /// @throws Refusal if the description is invalid
     std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
-    /// Returns the actors to spawn in a scene.
-    /// @throws Refusal for invalid names, and for an unknown actor or asset
+    /// Reads a request to spawn actors. Returns the actors.
+    /// @throws Refusal if a name is invalid, or if an actor or asset is unknown
     std::vector<SpawnWish> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
     /// Reads a request for a scan.
     /// @throws Refusal that names an invalid field
     WantedScan read(const v1::RenderLidarRequest& message);
-    /// Returns one request for each sensor.
+    /// Reads a request for a rig and returns one scan request per sensor.
     std::vector<WantedScan> read(const v1::RenderRigRequest& message);
-    /// Sets the actors of a scan; all other actors are absent.
-    /// @throws Refusal for an unknown actor, or an actor that is given twice
+    /// Sets the actors that are visible in a scan. All other actors are absent.
+    /// @throws Refusal if an actor is unknown or is given twice
     void place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const;
 
 private:
@@ -101,9 +105,9 @@ private:
     std::shared_ptr<const SensorChoice> find_sensor(const SensorWish& wish, std::size_t scene, int lidar);
     std::shared_ptr<const SensorChoice> known_sensor(const std::string& name, std::size_t scene, int lidar);
     std::vector<PlacedActor> known_actors(std::size_t scene) const;
-    /// Reads a request for one sensor.
-    /// @param path_from_sensor mounting of the sensor in a rig. No value: the path
-    /// belongs to the sensor itself and is used without rounding.
+    /// Reads a scan request for one sensor.
+    /// @param path_from_sensor mounting of the sensor in a rig. Without a value, the path
+    /// is the path of the sensor and is used without rounding.
     WantedScan read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish,
                          const std::optional<Pose>& path_from_sensor);
 };

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Maps the names that clients use to the served runs.
+// Maps the scene names that clients use to the runs of the server.
 #pragma once
 
 #include <filesystem>
@@ -15,16 +15,16 @@ struct Run;
 
 namespace relidar::serve {
 
-/// A served run and its name for clients.
+/// A run of the server, and its name for clients.
 struct SceneSource {
     std::string name;
     std::filesystem::path folder;
-    /// Channels of its scans. No value: those of the run's settings.
+    /// Channels of the rendered scans. Without a value, the settings of the run apply.
     std::optional<std::string> channels = {};
-    Weather weather = {};  ///< Weather of scans whose request sets none.
+    Weather weather = {};  ///< Weather of a scan if the request does not set the weather.
 
-    /// Loads the run with these settings.
-    /// @throws as load_run(); UsageError for unknown channels
+    /// Loads the run and applies these settings.
+    /// @throws the exceptions of load_run(); UsageError if a channel is unknown
     Run load() const;
 };
 

@@ -14,15 +14,15 @@ namespace {
 
 constexpr double kMiB = 1024.0 * 1024.0;
 
-/// Returns the parts of a run that the service needs: everything except the large arrays.
+/// Returns a copy of the run without its large arrays.
 Run outline_of(Run run) {
     run.scene = layout_of(run.scene);
     run.drop_network = {};
     return run;
 }
 
-/// Returns a sensor with one forward ray. Rendering it at the start of the log uploads
-/// all data of a scan except its rays.
+/// Returns a sensor with a single ray. Rendering this ray uploads the complete scene to
+/// the device.
 SensorChoice one_ray() {
     return {.rays = {1, 1, {glm::vec3(0.0f)}, {{1.0f, 0.0f, 0.0f}}, {0.0f}, {0}}, .name = "one ray"};
 }
@@ -67,7 +67,7 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
         renderer.set_weather(weather.value_or(sources_[scene].weather));
         work(renderer);
     });
-    make_room(scene, 0);  // Arrays grow with the number of rays of a sensor.
+    make_room(scene, 0);  // Rendering may have allocated larger arrays for a sensor with more rays.
     return loaded_[scene].load;
 }
 
@@ -83,8 +83,8 @@ void SceneSet::attempt(std::size_t scene, const std::function<void(ScanRenderer&
     try {
         count_growth(scene, [&] { work(*loaded_[scene].renderer); });
     } catch (const DeviceError&) {
-        // The state of the renderer is unknown, so the next request loads the scene
-        // again.
+        // The state of the renderer is unknown after an error. The next request loads the
+        // scene again.
         loaded_[scene].renderer.reset();
         throw;
     }
@@ -100,7 +100,7 @@ void SceneSet::load(std::size_t scene, const Run& run) {
         loaded.renderer->render(one_ray(), first_pose(run));
     });
     const std::uint64_t left = memory_bytes_ - std::min(memory_bytes_, device_.allocated_bytes());
-    // Parallel copies of the scene must not displace another scene.
+    // Copies of the scene allow parallel rendering. They must not displace another scene.
     const std::uint64_t copies = left / std::max<std::uint64_t>(loaded.bytes, 1);
     const int side_by_side = loaded.renderer->side_by_side();
     loaded.renderer->side_by_side(int(std::min<std::uint64_t>(1 + copies, std::uint64_t(side_by_side))));
@@ -154,8 +154,8 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
                               wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
-/// Unloads the least recently used scenes except this one, until all scenes and the given
-/// number of bytes fit or no other scene is loaded.
+/// Unloads the least recently used scenes, but not this one. Stops when all scenes and
+/// the given number of bytes fit into memory.
 void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     while (device_.allocated_bytes() + bytes > memory_bytes_) {
         Loaded* oldest = nullptr;
@@ -167,7 +167,8 @@ void SceneSet::make_room(std::size_t scene, std::uint64_t bytes) {
     }
 }
 
-/// Adds the memory that some work allocates to the size of a scene.
+/// Measures how much device memory the function allocates, and adds it to the size of the
+/// scene.
 void SceneSet::count_growth(std::size_t scene, const std::function<void()>& work) {
     const std::uint64_t before = device_.allocated_bytes();
     work();

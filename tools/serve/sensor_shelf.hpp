@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Cache of sensors with their rays: uploaded sensors by handle, known sensors by name.
-// Its size is limited; the least recently used sensor is removed.
+// Caches sensors with their rays. An uploaded sensor is found by its handle, a built-in
+// sensor by its name. If the cache is full, the least recently used sensor is removed.
 #pragma once
 
 #include <cstdint>
@@ -15,18 +15,19 @@ struct SensorChoice;
 
 namespace relidar::serve {
 
-/// Cache of sensors. May be used from any thread.
+/// Cache of sensors with their rays. Any thread may use it.
 class SensorShelf {
 public:
     static constexpr std::size_t kMostSensors = 64;
-    /// Maximum number of rays of all sensors, about 120 MB.
+    /// Maximum number of rays of all cached sensors together (about 120 MB).
     static constexpr std::size_t kMostRays = std::size_t(1) << 22;
 
-    /// Adds an uploaded sensor.
-    /// @return a new handle
+    /// Adds a sensor that a client has uploaded.
+    /// @return a new handle for this sensor
     std::string add(SensorChoice sensor);
     std::shared_ptr<const SensorChoice> put(const std::string& key, SensorChoice sensor);
-    /// Returns a sensor, or null if it is unknown or was removed.
+    /// Returns the sensor for a name or handle. Returns null if the key is unknown or the
+    /// sensor was removed from the cache.
     std::shared_ptr<const SensorChoice> find(const std::string& key);
 
 private:

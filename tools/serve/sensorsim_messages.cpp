@@ -19,11 +19,11 @@ namespace {
 constexpr double kMicrosecond = 1e-6;
 constexpr std::uint64_t kLongestFrame_us = 60'000'000;
 
-/// Maps a LiDAR type of the messages to a sensor of relidar.
+/// Maps the name of a LiDAR type in sensorsim.proto to a sensor of relidar.
 struct WireLidar {
     sensorsim::LidarType type;
     const char* name;
-    double period_s;  ///< Period of its sweep, as in find_sensor().
+    double period_s;  ///< Time of one turn of the sensor in seconds, as in find_sensor().
 };
 constexpr WireLidar kLidars[] = {{sensorsim::PANDAR128, "Pandar128", 0.1}, {sensorsim::AT128, "AT128", 0.1}};
 
@@ -115,7 +115,7 @@ WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
                       read_time(double(end_us) * kMicrosecond, "frame_end_us"),
                       outlines_[wanted.scene].sequence.world_offset_m};
     wanted.sensor = sensor(message);
-    // Time 0 of the rays is the middle of the sweep.
+    // The firing times of the rays are relative to the middle of the sweep.
     wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     wanted.points_at_s = frame.end_s;

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads requests and writes answers of sensorsim.proto. Its world frame is relidar's
-// world near the log, because its numbers have single precision. The origin of the
-// dataset's world may be thousands of kilometres away.
+// Reads requests and writes answers of sensorsim.proto. Poses are in relidar's world
+// frame, whose origin is near the log. The dataset's world frame is not used because the
+// messages have single precision, and its origin may be thousands of kilometres away.
 #pragma once
 
 #include <memory>
@@ -19,22 +19,23 @@ namespace relidar::serve {
 
 namespace sensorsim = nre::grpc::protos::sensorsim;
 
-/// Reader for requests of sensorsim.proto. May be used from any thread.
+/// Reads requests of sensorsim.proto. Any thread may use it.
 class SensorsimReader {
 public:
     /// Creates a reader for the messages of sensorsim.proto.
-    /// @param outlines outlines of the scenes of `reader`; both must outlive this object
-    /// @param order order of rotation and translation in every pose
+    /// @param outlines runs without surfels, one per scene of `reader`. Both must outlive
+    /// this object.
+    /// @param order order in which a pose applies its rotation and translation
     SensorsimReader(const std::vector<Run>& outlines, const RequestReader& reader, PoseOrder order)
         : outlines_(outlines), reader_(reader), order_(order) {}
 
-    /// Returns the index of a scene.
-    /// @throws Refusal for an unknown scene
+    /// Returns the index of the scene with this name.
+    /// @throws Refusal if the scene is unknown
     std::size_t find_scene(const std::string& scene_id) const {
         return reader_.find_scene(scene_id, "scene_id");
     }
-    /// Reads a request. The sweep of the sensor fills the frame: its first ray is fired
-    /// at the start of the frame, its last ray at the end.
+    /// Reads a request for a scan. The sensor fires its first ray at the start of the
+    /// requested time interval and its last ray at the end.
     /// @throws Refusal that names an invalid field
     WantedScan read(const sensorsim::LidarRenderRequest& message);
 
@@ -54,12 +55,12 @@ private:
                          const std::string& field) const;
 };
 
-/// Writes the points of a scan that was rendered for a request of read().
+/// Writes the points of a rendered scan into the answer.
 void write_points(const Points& points, sensorsim::LidarRenderReturn& message);
 
 /// Writes the trajectories of the log's vehicle and of its LiDARs.
-/// @throws Refusal for a log that starts before time 0, which the messages cannot
-/// represent
+/// @throws Refusal if the log starts before time 0, because the messages cannot hold
+/// negative times
 void write_trajectories(const Run& run, PoseOrder order, sensorsim::AvailableTrajectories& message);
 
 }  // namespace relidar::serve

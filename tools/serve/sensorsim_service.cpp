@@ -11,7 +11,8 @@
 namespace relidar::serve {
 namespace {
 
-constexpr int kMostScans = 64;  // Maximum number of scans per call, the same as the sensors of a rig.
+// Maximum number of scans per call. It equals the maximum number of sensors of a rig.
+constexpr int kMostScans = 64;
 
 [[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
     throw Refusal(
@@ -94,7 +95,8 @@ grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
         if (request->lidar_size() > kMostScans)
             refuse("lidar", fmt::format("{} scans", request->lidar_size()),
                    fmt::format("at most {} in a call", kMostScans));
-        RenderQueue::Place place = enter(queue_);  // One place for all scans of the call.
+        // All scans of the call use the same slot in the queue.
+        RenderQueue::Place place = enter(queue_);
         std::vector<WantedScan> wanted;
         for (const sensorsim::LidarRenderRequest& lidar : request->lidar())
             wanted.push_back(reader_->read(lidar));

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the calls of sensorsim.proto on the render thread of relidar's own service.
+// Implements the gRPC calls of sensorsim.proto. Scans are rendered on the same thread as
+// the scans of render.proto.
 #pragma once
 
 #include <memory>
@@ -18,8 +19,8 @@ struct WantedScan;
 
 class SensorsimService final : public sensorsim::SensorsimService::Service {
 public:
-    /// Creates the service. The queue and the scenes must outlive it.
-    /// @param scenes used only on the queue's thread
+    /// Creates the service. The queue and the scenes must outlive the service.
+    /// @param scenes used only on the render thread
     SensorsimService(RenderQueue& queue, SceneSet& scenes, PoseOrder order);
     ~SensorsimService() override;
 

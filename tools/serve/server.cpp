@@ -25,14 +25,17 @@
 namespace relidar::serve {
 namespace {
 
-// Size in bytes of a sensor with the maximum number of rays, 30 bytes each, with some
-// margin.
+// Maximum size of a request in bytes. Allows a sensor with the maximum number of rays at
+// 30 bytes per ray, and some margin.
 constexpr int kLargestRequest = 40 << 20;
-// Threads for calls that do not render, in addition to those waiting in the queue.
+// Number of threads for calls that do not render. Each call in the queue has one more
+// thread.
 constexpr std::size_t kOtherThreads = 32;
-constexpr int kKeepalive_ms = 20'000;  // Time after which a vanished client is detected.
-constexpr int kHandshake_ms = 10'000;  // A connection that has not started gRPC by then is closed.
-// Idle connections are closed after this time. Clients reconnect when necessary.
+// Interval of keepalive pings, with which the server detects that a client has vanished.
+constexpr int kKeepalive_ms = 20'000;
+// A connection is closed if it has not started gRPC within this time.
+constexpr int kHandshake_ms = 10'000;
+// A connection without calls is closed after this time. A client then connects again.
 constexpr int kLongestIdle_ms = 600'000;
 
 std::string read_pem(const std::string& file) {
@@ -50,13 +53,14 @@ std::shared_ptr<grpc::ServerCredentials> credentials(const ServerOptions& option
     return grpc::SslServerCredentials(tls);
 }
 
-/// Turns off the log of gRPC, whose messages on stderr only repeat exceptions and
-/// statuses. Also turns off the log of Protobuf, which prints a line for each invalid
-/// UTF-8 text of a client. Any client could otherwise fill the disk.
+/// Turns off the log messages of gRPC and Protobuf on stderr. gRPC only repeats errors
+/// that are reported elsewhere. Protobuf prints a line for each invalid UTF-8 text, so
+/// any client could fill the disk.
 void silence_log() {
     if (std::getenv("GRPC_VERBOSITY")) return;
     gpr_set_log_function([](gpr_log_func_args*) {});
-#if GOOGLE_PROTOBUF_VERSION < 4022000  // Later versions log through absl, which is silent by default.
+// Later versions of Protobuf log through absl, which prints nothing by default.
+#if GOOGLE_PROTOBUF_VERSION < 4022000
     google::protobuf::SetLogHandler(nullptr);
 #endif
 }
@@ -76,7 +80,7 @@ struct ScanServer::Impl {
     std::optional<RenderService> service;
     std::optional<SensorsimService> sensorsim;
     std::optional<Acceptor> acceptor;
-    /// Connections of the server.
+    /// gRPC object that receives the connections of clients.
     std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;
     std::unique_ptr<grpc::Server> server;
 
@@ -131,7 +135,7 @@ void ScanServer::Impl::set_serving(bool serving) {
     grpc::HealthCheckServiceInterface& health = *server->GetHealthCheckService();
     health.SetServingStatus(v1::RenderService::service_full_name(), serving);
     if (sensorsim) health.SetServingStatus(sensorsim::SensorsimService::service_full_name(), serving);
-    // The empty name is the status of the complete server.
+    // In the health service, the empty name stands for the complete server.
     if (!serving) health.SetServingStatus("", false);
 }
 

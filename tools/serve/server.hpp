@@ -18,23 +18,24 @@ namespace relidar::serve {
 /// Order in which a pose of SensorsimService transforms a point p of the child frame to
 /// the parent frame.
 enum class PoseOrder {
-    rotation_first,     ///< R p + t, as everywhere else.
-    translation_first,  ///< R (p + t)
+    rotation_first,     ///< R p + t. The rotation is applied first, as in the rest of the program.
+    translation_first,  ///< R (p + t). The translation is applied first.
 };
 
 struct ServerOptions {
-    std::vector<std::string> runs;    ///< Runs, each as "RUN" or "NAME=RUN".
-    std::vector<std::string> assets;  ///< Folders of `relidar assets`.
+    std::vector<std::string> runs;    ///< Runs to serve. Each is written as "RUN" or "NAME=RUN".
+    std::vector<std::string> assets;  ///< Asset folders, as written by `relidar assets`.
     /// Channels of scans, which replace the setting render.channels of each run.
     std::optional<std::string> channels;
-    Weather weather = {};  ///< Weather of scans whose request sets none.
+    Weather weather = {};  ///< Weather of a scan if the request does not set the weather.
     /// Pose order of SensorsimService. No value: that service is not offered.
     std::optional<PoseOrder> sensorsim;
-    std::string listen = "127.0.0.1:50051";  ///< Port 0 selects a free port.
+    std::string listen = "127.0.0.1:50051";  ///< Address to listen on. Port 0 selects a free port.
     /// Device memory for all scenes together. 0: half of the device memory.
     std::uint64_t memory_mib = 0;
-    std::size_t waiting = 64;       ///< Maximum number of waiting requests, not counting the current one.
-    std::string tls_cert, tls_key;  ///< PEM files. Empty: no TLS.
+    std::size_t waiting = 64;  ///< Maximum number of waiting requests, not counting the current one.
+    /// PEM files with the TLS certificate and key. If they are empty, TLS is not used.
+    std::string tls_cert, tls_key;
     DeviceOptions device;
 };
 
@@ -44,7 +45,7 @@ public:
     /// @throws UsageError if the address is not available; DataError if a run or key
     /// cannot be read; DeviceError
     explicit ScanServer(const ServerOptions& options);
-    /// Stops immediately unless stop() was called.
+    /// Ends all calls immediately. Call stop() first to wait for pending calls.
     ~ScanServer();
     ScanServer(const ScanServer&) = delete;
     ScanServer& operator=(const ScanServer&) = delete;

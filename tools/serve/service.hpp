@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Implements the calls of render.proto. Each call reads its request, renders on the
-// render thread, and writes the answer. All steps except the rendering run on threads of
-// gRPC.
+// Implements the gRPC calls of render.proto. Each call reads its request, renders on the
+// render thread, and writes the answer. Requests are read and answers are written on
+// threads of gRPC.
 #pragma once
 
 #include <functional>
@@ -17,8 +17,8 @@ namespace relidar::serve {
 
 class RenderService final : public v1::RenderService::Service {
 public:
-    /// Creates the service. The queue and the scenes must outlive it.
-    /// @param scenes used only on the queue's thread
+    /// Creates the service. The queue and the scenes must outlive the service.
+    /// @param scenes used only on the render thread
     RenderService(RenderQueue& queue, SceneSet& scenes) : queue_(queue), scenes_(scenes), reader_(scenes) {}
 
     grpc::Status ListScenes(grpc::ServerContext* context, const v1::ListScenesRequest* request,

@@ -14,8 +14,8 @@
 namespace relidar::serve {
 namespace {
 
-// Maximum number of places that are added together. With image.sh_direction=surfel each
-// place has separate surfels.
+// Maximum number of slots that are added together. Slots can be expensive: with
+// image.sh_direction=surfel each slot has its own surfels.
 constexpr std::size_t kMostSpare = 8;
 
 using SpawnedPlaces = std::vector<SpawnWish>;
@@ -24,8 +24,8 @@ auto find_spawned(SpawnedPlaces& places, const std::string& name) {
     return std::ranges::find(places, name, &SpawnWish::name);
 }
 
-/// Returns a free place of the same source. If there is none, adds places and returns the
-/// first of them.
+/// Returns the index of a free slot with the same model. If no such slot is free, adds
+/// slots and returns the first new one.
 std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
     const auto is_free = [&](const SpawnWish& p) { return p.name.empty() && p.source == wish.source; };
     const auto free = std::ranges::find_if(places, is_free);
@@ -53,7 +53,7 @@ std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
     return instance->model;
 }
 
-/// Appends the model of an asset to a scene.
+/// Adds the model of an asset to the scene.
 std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
     const Run asset = load_run(folder);
     return append_model(scene, asset.scene, model_of_actor(asset.scene, only_track(asset)));
@@ -82,7 +82,7 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
                                                       const std::vector<SpawnWish>& wishes) {
     const std::lock_guard lock(mutex_);
-    SpawnedPlaces places = scenes_[scene];  // A copy, so that a rejected request changes nothing.
+    SpawnedPlaces places = scenes_[scene];  // Changes a copy, so that a rejected request changes nothing.
     std::vector<Place> new_places;
     for (const SpawnWish& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Actors that clients have spawned in scenes. May be used from any thread.
+// Stores the actors that clients have spawned in scenes. Any thread may use this class.
 #pragma once
 
 #include <cstdint>
@@ -17,7 +17,7 @@ namespace relidar::serve {
 
 class AssetShelf;
 
-/// Source of a spawned actor: an actor of the scene's run, or an asset.
+/// Model of a spawned actor. It is either an actor of the scene's run or an asset.
 struct SpawnSource {
     bool is_asset = false;
     std::string name;
@@ -25,7 +25,7 @@ struct SpawnSource {
     bool operator==(const SpawnSource&) const = default;
 };
 
-/// An actor to spawn.
+/// Describes an actor that a client wants to spawn.
 struct SpawnWish {
     std::string name;  ///< Name chosen by the client.
     SpawnSource source;
@@ -33,50 +33,54 @@ struct SpawnWish {
     std::size_t surfels = 0;
 };
 
-/// Places of spawned actors: instances that follow those of the scene's run. A place
-/// keeps its source during the lifetime of the server and is reused for the next actor of
-/// this source. Requests that were already read therefore stay valid, and a scene need
-/// not be loaded again for each actor.
+/// Assigns slots to spawned actors. A slot is an instance of a model in the scene, added
+/// after the instances of the run. A slot keeps its model as long as the server runs.
+/// After its actor is removed, the next actor of the same model reuses the slot.
+/// Therefore a scene need not be loaded again for each actor, and requests that were read
+/// earlier stay valid.
 class SpawnedActors {
 public:
-    static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of places per scene.
+    static constexpr std::size_t kMostPlaces = 4096;  ///< Maximum number of slots per scene.
 
     explicit SpawnedActors(std::size_t n_scenes) : scenes_(n_scenes) {}
 
-    /// A place and its index in the scene.
+    /// A slot for a spawned actor, and its index in the scene.
     struct Place {
         std::size_t position = 0;
-        SpawnWish actor;  ///< An empty name marks a free place.
+        SpawnWish actor;  ///< Actor in this slot. The name is empty if the slot is free.
     };
     std::vector<Place> places(std::size_t scene) const;
-    /// Returns the places in use.
+    /// Returns the slots that contain an actor.
     std::vector<Place> taken(std::size_t scene) const;
 
-    /// Assigns a place to each actor. If no place of its source is free, the number of
-    /// its places is doubled, but at most 8 places are added.
-    /// @return places in the order of the requests
-    /// @throws Refusal if a name is in use or the limit of places is reached; nothing is
-    /// changed then
+    /// Assigns a slot to each actor. If a model has no free slot, the number of its slots
+    /// is doubled, but at most 8 slots are added.
+    /// @return the slots in the order of the requests
+    /// @throws Refusal if a name is in use or the limit of slots is reached. Nothing is
+    /// changed then.
     std::vector<Place> take(std::size_t scene, const std::vector<SpawnWish>& wishes);
-    /// Releases the places of all named actors.
-    /// @throws Refusal for an unknown name; no place is released then
+    /// Releases the slots of all named actors.
+    /// @throws Refusal if a name is unknown. No slot is released then.
     void give_back(std::size_t scene, const std::vector<std::string>& names);
-    /// Reverts take(): frees the names and restores the previous number of places.
+    /// Reverts take(). Releases the names of the actors and removes the slots that take()
+    /// has added.
     void undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before);
     std::size_t count_places(std::size_t scene) const;
 
 private:
     mutable std::mutex mutex_;
-    std::vector<std::vector<SpawnWish>> scenes_;  ///< Places of each scene, indexed by scene and place.
+    /// Slots of each scene. The first index is the scene, the second index is the slot.
+    std::vector<std::vector<SpawnWish>> scenes_;
 };
 
-/// Returns the track of a place in the rendered scene. No track of a run has such a name.
+/// Returns the track name of a slot in the rendered scene. No track of a run has the same
+/// name.
 std::string track_of_place(std::size_t position);
 
-/// Adds an instance for each place to a run before it is rendered, and the model of each
-/// asset once.
-/// @throws DataError if an asset cannot be read, or its primitive differs from that of
-/// the run
+/// Adds an instance to the run for each slot. Adds the model of each asset once. Must be
+/// called before the run is rendered.
+/// @throws DataError if an asset cannot be read, or if its surfels have another primitive
+/// shape than those of the run
 void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets);
 
 }  // namespace relidar::serve

@@ -29,38 +29,45 @@ struct Frame;
 
 namespace relidar::view {
 
-/// Columns of one scan. Entry i of each array belongs to ray i. Probabilities and
-/// intensities are in steps of 1/255.
+/// Arrays of one scan. Element i of each array belongs to ray i. Probabilities and
+/// intensities are stored as integers from 0 to 255.
 struct ScanColumns {
-    int rows = 0, columns = 0;                 ///< Image size; rows = 1 if the rays do not form an image.
-    std::vector<glm::vec3> position_m = {};    ///< [n] end points of the rays, in relidar's world frame.
-    std::vector<float> range_m = {};           ///< [n] ranges; 0 if the ray has no return and hit nothing.
+    /// Size of the range image. `rows` is 1 if the rays do not form an image.
+    int rows = 0, columns = 0;
+    /// [n] end points of the rays in relidar's world frame, metres.
+    std::vector<glm::vec3> position_m = {};
+    /// [n] ranges in metres. The range is 0 if the ray has no return and hit nothing.
+    std::vector<float> range_m = {};
     std::vector<std::uint8_t> intensity = {};  ///< [n] intensities.
-    /// [n] drop probabilities. A measured scan has only the values 0 and 255.
+    /// [n] probability that the ray is dropped. In a measured scan each value is either 0
+    /// or 255.
     std::vector<std::uint8_t> drop = {};
-    /// [n] index into the instances that the header lists, 65535 for no instance. May be
-    /// empty.
+    /// [n] index of the hit instance in the list of the header. 65535 means that no
+    /// instance was hit. May be empty.
     std::vector<std::uint16_t> instance = {};
     std::vector<std::uint16_t> ring = {};  ///< [n] beam numbers.
-    /// Additional channels, [n] values each, sent as arrays "channel_NAME".
+    /// Additional channels with [n] values each. They are sent as arrays named
+    /// "channel_NAME".
     std::vector<ScanChannel> channels = {};
 };
 
-/// Returns the columns of a simulated scan.
-/// @param world_offset_m offset of the dataset's world, see Sequence
+/// Returns the arrays of a simulated scan.
+/// @param world_offset_m offset between relidar's world frame and the dataset's world
+/// frame, see Sequence
 ScanColumns simulated_columns(const RenderedScan& scan, const Config& config,
                               const glm::dvec3& world_offset_m);
-/// Returns the columns of a measured scan.
-/// @param frame frame with its scan
+/// Returns the arrays of a measured scan.
+/// @param frame frame of the sequence, with its scan
 ScanColumns measured_columns(const Sequence& sequence, const Frame& frame);
 
-/// Returns the 16 numbers of a matrix in column-major order, as WebGL expects them.
+/// Returns the 4x4 matrix of a pose as 16 numbers in column-major order, as WebGL
+/// expects.
 nlohmann::json matrix_json(const Pose& pose);
 
-/// Encodes a message.
-/// @param header JSON header of the scan, without "arrays"
-/// @param simulated, measured columns or null; names of the measured arrays begin with
-/// "real_"
+/// Encodes a message with a simulated scan, a measured scan, or both.
+/// @param header JSON header of the message, without "arrays"
+/// @param simulated, measured arrays of each scan, or null. The names of measured arrays
+/// begin with "real_".
 std::string encode_frame(nlohmann::json header, const ScanColumns* simulated, const ScanColumns* measured);
 
 }  // namespace relidar::view

@@ -18,7 +18,8 @@ namespace http = boost::beast::http;
 namespace {
 
 constexpr std::size_t kDrainedAtOnce = 65536;
-constexpr int kMaxDrains = 16;  // Maximum number of reads that discard data of a refused request.
+// Maximum number of reads that discard the remaining data of a refused request.
+constexpr int kMaxDrains = 16;
 constexpr std::chrono::milliseconds kDrainTime{500};
 
 std::string_view view(boost::beast::string_view text) { return {text.data(), text.size()}; }
@@ -29,7 +30,7 @@ std::string_view query_of(std::string_view target) {
     return mark == std::string_view::npos ? std::string_view{} : target.substr(mark + 1);
 }
 
-/// Returns the HTTP status for a request that could not be read, or no value if the
+/// Returns the HTTP status for a request that could not be read. Returns no value if the
 /// client has disconnected.
 std::optional<http::status> status_of(const boost::system::error_code& failed) {
     if (failed == http::error::body_limit || failed == http::error::unexpected_body)
@@ -47,7 +48,8 @@ std::optional<http::status> status_of(const boost::system::error_code& failed) {
 HttpSession::HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub)
     : hub_(hub), counted_(hub), stream_(std::move(socket)), timer_(hub.io) {}
 
-/// Starts the timer that cancels a slow read or write.
+/// Starts a timer. If the current read or write takes longer than this time, it is
+/// cancelled.
 void HttpSession::limit(std::chrono::milliseconds time) {
     late_ = false;
     timer_.expires_after(time);
@@ -62,7 +64,7 @@ void HttpSession::limit(std::chrono::milliseconds time) {
 void HttpSession::read() {
     parser_.emplace();
     parser_->header_limit(static_cast<std::uint32_t>(hub_.options.max_header_bytes));
-    parser_->body_limit(0);  // No request of this server has a body.
+    parser_->body_limit(0);  // Rejects requests with a body, because no request to this server needs one.
     limit(hub_.options.request_time);
     http::async_read(stream_, buffer_, *parser_,
                      [self = shared_from_this()](Error failed, std::size_t) { self->on_read(failed); });
@@ -75,8 +77,9 @@ void HttpSession::on_read(Error failed) {
     if (const std::optional<Status> status = status_of(failed)) refuse(*status);
 }
 
-/// Returns the reason to refuse a request. The checks are ordered so that an unauthorised
-/// client learns as little as possible.
+/// Returns the status with which a request is refused, or no value if the request is
+/// allowed. The order of the checks reveals as little as possible to an unauthorised
+/// client.
 std::optional<HttpSession::Status> HttpSession::objection(const Request& request) const {
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
@@ -96,7 +99,8 @@ void HttpSession::answer(const Request& request) {
     const std::string_view target = view(request.target()), path = path_of(target);
     if (path == kSocketPath) {
         if (!boost::beast::websocket::is_upgrade(request)) return refuse(Status::upgrade_required);
-        // The client has sent frames before the handshake was answered.
+        // Refuses a client that sent WebSocket frames before the server answered the
+        // handshake.
         if (buffer_.size() > 0) return refuse(Status::bad_request);
         std::make_shared<SocketSession>(std::move(stream_), std::move(counted_), hub_)->start(request);
         return;
@@ -112,15 +116,17 @@ void HttpSession::answer(const Request& request) {
                        hub_.cookie_name + "=" + hub_.options.token + "; Path=/; HttpOnly; SameSite=Strict");
     response_->body() = std::string(asset->body);
     response_->prepare_payload();
-    // The header still states the length of the body.
+    // A HEAD request receives no body, but its header still states the length of the
+    // body.
     if (request.method() == http::verb::head) response_->body().clear();
     response_->keep_alive(request.keep_alive());
     write();
 }
 
-/// Creates a response.
-/// @param host checked Host header. The security policy needs it for browsers that do not
-/// count ws: as 'self'. Empty: unknown.
+/// Creates an HTTP response.
+/// @param host value of the Host header after it was checked, or empty if it is unknown.
+/// It is written into the security policy, because some browsers do not allow WebSockets
+/// for 'self'.
 HttpSession::Response HttpSession::response(Status status, const std::string& host) const {
     Response response{status, 11};
     response.set(http::field::server, "relidar");
@@ -167,8 +173,8 @@ void HttpSession::write() {
     });
 }
 
-/// Reads and discards further data of a refused client for a short time. Closing a
-/// connection with unread data would discard the answer.
+/// Reads and discards the remaining data of a refused client for a short time. If a
+/// connection is closed with unread data, the client loses the answer.
 void HttpSession::drain() {
     buffer_.consume(buffer_.size());
     stream_.async_read_some(buffer_.prepare(kDrainedAtOnce),

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// One HTTP connection. Reads a request, checks access, and answers with an asset or an
-// error, or passes the connection to a SocketSession. Private to the server.
+// Serves one HTTP connection. Reads a request, checks access, and sends a file of the
+// page or an error. Passes WebSocket connections to a SocketSession. Only the server
+// includes this header.
 #pragma once
 
 #include <memory>
@@ -24,7 +25,7 @@ class HttpSession : public std::enable_shared_from_this<HttpSession> {
 public:
     HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub);
     void read();
-    /// Answers that the limit of connections is reached, and closes.
+    /// Tells the client that there are too many connections, and closes this connection.
     void turn_away();
 
 private:
@@ -46,7 +47,7 @@ private:
     Counted counted_;
     boost::beast::tcp_stream stream_;
     boost::asio::steady_timer timer_;
-    bool late_ = false;  ///< True if the timer has ended the current operation.
+    bool late_ = false;  ///< True if the timer has cancelled the current read or write.
     int n_drains_ = 0;
     boost::beast::flat_buffer buffer_;
     std::optional<boost::beast::http::request_parser<boost::beast::http::empty_body>> parser_;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// State that the sessions of a server share: options, clients, and the io_context of the
-// server's thread. Private to the server.
+// State that all connections of a server share: options, clients, and the io_context of
+// the server's thread. Only the server includes this header.
 #pragma once
 
 #include <map>
@@ -20,8 +20,8 @@ class SocketSession;
 struct Hub {
     ServerOptions options;
     Events events;
-    /// Name of the token's cookie. It is specific to this server, because browsers send
-    /// the cookies of a host to all its ports.
+    /// Name of the cookie that holds the access token. Each server has another name,
+    /// because a browser sends the cookies of a host to all ports of this host.
     std::string cookie_name;
     std::string own_name;  ///< Name of this machine.
     std::size_t n_connections = 0;
@@ -30,7 +30,8 @@ struct Hub {
     ClientId last_client = 0;
 };
 
-/// Counts a connection of the hub during its lifetime.
+/// Counts open connections. The constructor adds one connection, the destructor subtracts
+/// it.
 class Counted {
 public:
     explicit Counted(Hub& hub) : hub_(&hub) { ++hub.n_connections; }

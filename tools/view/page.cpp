@@ -7,7 +7,7 @@
 
 namespace relidar {
 
-// Defined in a file that cmake/Assets.cmake generates.
+// This function is defined in a file that cmake/Assets.cmake generates.
 std::span<const std::pair<std::string_view, std::string_view>> view_page_texts();
 
 namespace view {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The web page of `relidar view`, compiled into the program: tools/view/page and the
-// modules of src/score/report/points.
+// Files of the web page of `relidar view`, compiled into the program. They come from
+// tools/view/page and src/score/report/points.
 #pragma once
 
 #include <vector>
@@ -9,7 +9,7 @@
 
 namespace relidar::view {
 
-/// Returns all files of the page. Their texts live as long as the program.
+/// Returns all files of the page. Their texts are valid until the program ends.
 const std::vector<Asset>& page_assets();
 
 }  // namespace relidar::view

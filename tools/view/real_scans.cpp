@@ -43,7 +43,8 @@ void RealScans::load() {
         std::iota(all.begin(), all.end(), 0);
         attach_scans(*frames_, all, log);
         state_ = State::ready;
-        // An unreadable log is not an error of the viewer, whatever the reason.
+        // If the log cannot be read, the viewer works without measured scans. The reason
+        // is only shown.
     } catch (const std::exception& error) {
         why_ = error.what();
         state_ = State::missing;

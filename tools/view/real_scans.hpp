@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Reads the log's scans in the background, so that the page appears immediately. A run
-// whose log is missing can still be viewed.
+// Reads the scans of the log in a background thread, so that the page appears
+// immediately. If the log is missing, the run can still be viewed.
 #pragma once
 
 #include <atomic>
@@ -19,23 +19,24 @@ class RealScans {
 public:
     enum class State { loading, ready, missing };
 
-    /// Starts to read the log that the run was trained on.
+    /// Starts to read the log on which the run was trained.
     explicit RealScans(const Run& run);
-    /// Waits for the reader thread, which stops at its next step.
+    /// Stops the reader thread and waits for it.
     ~RealScans();
     RealScans(const RealScans&) = delete;
     RealScans& operator=(const RealScans&) = delete;
 
     State state() const { return state_; }
-    /// Returns a one-line reason why the scans are missing.
+    /// Returns the reason why the scans are missing, in one line.
     std::string why() const;
-    /// Returns the frames of the run with their scans, or null until they are loaded.
+    /// Returns the frames of the run with their measured scans. Returns null until the
+    /// scans are loaded.
     const Sequence* sequence() const;
 
 private:
     void load();
 
-    const std::unique_ptr<Run> frames_;  ///< Settings and sequence of the run, without its scene.
+    const std::unique_ptr<Run> frames_;  ///< Settings and frames of the run, without its surfels.
     std::string why_;
     std::atomic<State> state_ = State::loading;
     std::atomic<bool> stop_ = false;

@@ -14,14 +14,16 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Limit of positions and moves. Larger values are rejected as errors.
+// Maximum absolute value of positions and moves. Larger values are rejected as errors.
 constexpr double kFar_m = 10'000.0;
-constexpr double kFarAway_m = 1e6;  // Limit of positions in relidar's world frame.
+constexpr double kFarAway_m = 1e6;  // Maximum absolute value of positions in relidar's world frame.
 constexpr double kFast_mps = 200.0;
 constexpr double kLate_s = 1e10;
-constexpr std::size_t kMaxActors = 256;  // Maximum number of copied, moved, removed or hidden actors.
+// Maximum number of actors that are copied, moved, removed or hidden.
+constexpr std::size_t kMaxActors = 256;
 constexpr std::size_t kMaxName = 64;
-// Maximum length of a run's name, which is a path given to `relidar view`.
+// Maximum length of the name of a run. The name is the path on the command line of
+// `relidar view`.
 constexpr std::size_t kMaxRunName = 1024;
 
 [[noreturn]] void refuse(const std::string& what, const std::string& expected) {
@@ -53,10 +55,11 @@ std::string text(const Json& value, const char* what, std::size_t limit = kMaxNa
     return result;
 }
 
-/// Returns the name of the run that contains an actor. Empty: the displayed run.
+/// Returns the name of the run that contains an actor. An empty name means the displayed
+/// run.
 std::string run_name(const Json& value) { return value == "" ? "" : text(value, "from", kMaxRunName); }
 
-/// Reads the numbers of an array. Each number has its own limit.
+/// Reads an array of N numbers. The absolute value of each number has its own limit.
 template <std::size_t N>
 std::array<double, N> numbers(const Json& value, const char* what, const std::array<double, N>& limits) {
     if (!value.is_array() || value.size() != N) refuse(what, fmt::format("{} numbers", N));
@@ -115,8 +118,8 @@ ScanWish parse_scan(const Json& json) {
     return wish;
 }
 
-/// Returns a folder name that contains no path, so that it stays inside its parent
-/// folder.
+/// Returns the name of a new folder. A name that contains a path is rejected, so that the
+/// folder cannot be created elsewhere.
 std::string folder_name(const Json& value) {
     std::string name = text(value, "name");
     const auto plain = [](char c) {

@@ -26,58 +26,63 @@
 
 namespace relidar::view {
 
-/// Edits of the traffic. They take effect in this order: copies, moves, removals.
+/// Edits of the actors in a run. They are applied in this order: copies, moves, removals.
 struct ActorEdits {
     struct Copy {
         std::string of;
-        std::string from;  ///< Name of the run that contains the actor. Empty: the displayed run.
-        /// x, y, z in relidar's world frame, yaw_deg, pitch_deg, roll_deg, and speed_mps
-        /// straight ahead.
+        /// Name of the run that contains the actor. If it is empty, the displayed run
+        /// contains it.
+        std::string from;
+        /// Position x, y, z in relidar's world frame (metres), then yaw, pitch and roll
+        /// (degrees), then forward speed (m/s).
         std::array<double, 7> at{};
         bool operator==(const Copy&) const = default;
     };
     std::vector<Copy> copies;
-    /// Forward, left, up and yaw_deg in the actor's frame.
+    /// Move of each actor by track: forward, left and up in the actor's frame (metres),
+    /// and yaw (degrees).
     std::map<std::string, std::array<double, 4>> moves;
     std::set<std::string> removed;
-    std::set<std::string> hidden;  ///< Hidden only in the view. Saved runs contain these actors.
+    std::set<std::string> hidden;  ///< Actors that only the view hides. A saved run still contains them.
     bool operator==(const ActorEdits&) const = default;
 };
 
 struct ScanWish {
-    std::int64_t id = 0;  ///< The answer repeats this number.
+    std::int64_t id = 0;  ///< Number of the request. The answer contains the same number.
     double time_s = 0.0;
-    Pose sensor_offset;  ///< Pose of the sensor in the frame of the log's LiDAR.
+    Pose sensor_offset;  ///< Pose of the simulated sensor relative to the LiDAR of the log.
     std::string sensor = "native";
     int lidar = 0;
     Weather weather = {};
     bool simulate = true;
-    bool real = false;  ///< True: also send the log's scan that is nearest in time.
+    bool real = false;  ///< If true, the log's scan that is nearest in time is sent as well.
     ActorEdits edits;
 };
 
 struct SensorFile {
-    std::string name;  ///< File name as uploaded, for messages and for its extension.
+    /// Name of the file on the user's machine. It appears in messages, and its extension
+    /// selects the format.
+    std::string name;
     std::string text;
 };
 
-/// A clicked position at which an actor should be placed on the ground.
+/// Asks for the pose of an actor on the ground at the position that the user clicked.
 struct GroundWish {
     std::string of;
     std::string from;            ///< See ActorEdits::Copy.
-    std::array<double, 2> at{};  ///< x and y in relidar's world frame.
+    std::array<double, 2> at{};  ///< Clicked position x and y in relidar's world frame.
 };
 
 struct SaveWish {
-    std::string name;  ///< Name of a folder: letters, digits, -, _ and . only.
+    std::string name;  ///< Name of the new folder. It may contain only letters, digits, -, _ and .
     ActorEdits edits;
 };
 
 using Request = std::variant<ScanWish, SensorFile, SaveWish, GroundWish>;
 
-/// Parses a request.
-/// @throws UsageError that names a value that is missing, has another type or is out of
-/// bounds
+/// Parses a request of the page.
+/// @throws UsageError that names the first value that is missing, has a wrong type, or is
+/// out of bounds
 Request parse_request(const std::string& text);
 
 }  // namespace relidar::view

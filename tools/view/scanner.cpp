@@ -21,28 +21,30 @@ namespace {
 using Json = nlohmann::json;
 using Clock = std::chrono::steady_clock;
 
-// Maximum number of rays of a live scan, whose message has 28 MB.
+// Maximum number of rays of a live scan. A scan of this size is sent as a message of 28
+// MB.
 constexpr std::size_t kMaxRays = std::size_t(1) << 20;
 constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
-/// Returns the sensors that choose_sensor() accepts by name.
+/// Returns the names of sensors that choose_sensor() accepts.
 std::vector<std::string> known_sensors() {
     std::vector<std::string> names = sensor_names();
     names.insert(names.begin(), "native");
     return names;
 }
 
-/// Returns run and track of each copy, in order. They determine which surfels a scene
-/// contains.
+/// Returns the run and the track of each copied actor. A scene with the same list has the
+/// same surfels.
 std::vector<std::pair<std::string, std::string>> models_of(const std::vector<ActorEdits::Copy>& copies) {
     std::vector<std::pair<std::string, std::string>> models;
     for (const ActorEdits::Copy& copy : copies) models.emplace_back(copy.from, copy.of);
     return models;
 }
 
-/// Returns a hash (FNV-1a) of the run's folder. A page uses it to recognise its run after
-/// the program was restarted. The hash hides the path from clients.
+/// Returns a hash (FNV-1a) of the path of the run. After the program was restarted, a
+/// page compares the hash to detect whether the run is the same. The hash hides the path
+/// from clients.
 std::string identity_of(const Run& run) {
     std::uint32_t hash = 2166136261u;
     for (const char c : std::filesystem::absolute(run.folder).lexically_normal().string())
@@ -50,7 +52,7 @@ std::string identity_of(const Run& run) {
     return fmt::format("{:08x}", hash);
 }
 
-/// Returns the actors that can be copied.
+/// Returns a list of the actors that can be copied.
 Json actors_json(const Run& run) {
     Json actors = Json::array();
     for (const Instance& instance : run.scene.instances) {
@@ -70,11 +72,11 @@ bool is_identity(const Pose& pose) {
     return pose.translation == glm::dvec3(0.0) && std::abs(pose.rotation.w) == 1.0;
 }
 
-/// A file in a private temporary folder. The destructor removes both.
+/// A file in a private temporary folder. The destructor removes the file and the folder.
 class UploadedFile {
 public:
-    /// Writes a text to a new temporary file.
-    /// @param ending ".csv" or ".json"
+    /// Writes the text to a new temporary file.
+    /// @param ending extension of the file, ".csv" or ".json"
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
         if (mkdtemp(pattern.data()) == nullptr)
@@ -110,7 +112,8 @@ void check_size(const SensorChoice& sensor) {
 
 Json channels_json(const Config& config) {
     Json channels = Json::array();
-    // The channel `source` exists only in weather.
+    // Adds the channel `source`, which is not in the settings because it exists only in
+    // simulated weather.
     for (const ChannelInfo& channel : wanted_channels(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
@@ -165,7 +168,8 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     }
     const std::string key = fmt::format("{}/{}", wish.lidar, wish.sensor);
     if (!tab.sensor || tab.sensor->first != key) {
-        // Accepts only names, so that clients cannot read files of the server.
+        // Accepts only names of known sensors, so that clients cannot read files of the
+        // server.
         const std::vector<std::string> names = known_sensors();
         if (std::find(names.begin(), names.end(), wish.sensor) == names.end())
             throw UsageError(fmt::format("sensor: found \"{}\", expected a name of the list", wish.sensor));
@@ -183,7 +187,8 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     SensorChoice sensor;
     try {
         sensor = sensor_choice(find_sensor(upload.path(ending).string()));
-        // Replaces the temporary path in the message by the user's name of the file.
+        // Replaces the path of the temporary file in the error message by the name that
+        // the user knows.
     } catch (const Error& error) {
         std::string message = error.what();
         const std::string path = upload.path(ending).string();
@@ -197,12 +202,12 @@ Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     return sensor_json(*tab.file_sensor, 0.0);
 }
 
-/// Returns a renderer whose scene has these copies. Moves and removals only change poses,
-/// so that the renderer can be reused.
+/// Returns a renderer whose scene contains the copied actors. The last renderer is reused
+/// if only poses have changed, because moves and removals do not change the surfels.
 ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
     const auto models = models_of(traffic.edits().copies);
     if (!renderer_ || rendered_ != models) {
-        renderer_.reset();  // Frees its memory before the next renderer is created.
+        renderer_.reset();  // Frees the memory of the old renderer before a new one is created.
         if (traffic.edits().copies.empty()) {
             renderer_.emplace(device_, run_);
         } else {
@@ -217,7 +222,8 @@ ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
     return *renderer_;
 }
 
-/// Returns the log's frame of the requested LiDAR that is nearest to the requested time.
+/// Returns the log's frame that is nearest in time to the request, for the requested
+/// LiDAR.
 const Frame* Scanner::nearest_real(const ScanWish& wish) const {
     const Sequence* log = real_.sequence();
     if (!log || !wish.real) return nullptr;
@@ -241,8 +247,9 @@ RenderedScan Scanner::render(const Traffic& traffic, const ScanWish& wish, const
     return renderer.render(sensor, request);
 }
 
-/// Returns the time in milliseconds of the last launch of each kernel that has run since
-/// the previous call. The lists of times stop growing when they are full.
+/// Returns the time of the last launch of each kernel, in milliseconds. Kernels that have
+/// not run since the previous call are left out. If the list of times of a kernel is
+/// full, it does not grow any more.
 Json Scanner::kernel_times() {
     constexpr std::size_t kFull = 4096;
     Json times = Json::array();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Makes the scans that the page shows: simulated, measured, or both, with the actors and
-// other objects that the page draws.
+// Renders the scans that the page shows. The page can show a simulated scan, a measured
+// scan, or both, together with the boxes of actors.
 #pragma once
 
 #include <cstddef>
@@ -22,33 +22,34 @@
 
 namespace relidar::view {
 
-/// State that is kept for one browser tab between scans.
+/// State that is kept for one browser tab from one scan to the next.
 struct TabCache {
-    std::optional<SensorChoice> file_sensor = {};  ///< Sensor of the tab's uploaded sensor file.
+    /// Sensor in the file that the browser tab has uploaded.
+    std::optional<SensorChoice> file_sensor = {};
     std::optional<Traffic> traffic = {};
     /// Most recent sensor, with its key "lidar/name".
     std::optional<std::pair<std::string, SensorChoice>> sensor = {};
 };
 
-/// Renders scans of a run for the page. Must be used from one thread only.
+/// Renders scans of a run for the page. Only one thread may use it.
 class Scanner {
 public:
     /// Creates the scanner of a run.
-    /// @param others runs whose actors can be inserted
+    /// @param others other runs, whose actors can be inserted into this run
     Scanner(Run run, OtherRuns others, Device& device);
 
     const Run& run() const { return run_; }
     const OtherRuns& others() const { return others_; }
     const RealScans& real() const { return real_; }
-    /// Returns the data that the page needs once: run, frames, path, sensors, actors of
-    /// other runs, device.
+    /// Returns the data that the page needs only once: the run, its frames and path,
+    /// known sensors, actors of other runs, and the device.
     nlohmann::json describe() const;
-    /// Renders a scan and encodes it as described in frame.hpp.
-    /// @throws UsageError or DataError if the request cannot be rendered
+    /// Renders a scan and encodes it in the binary format of frame.hpp.
+    /// @throws UsageError or DataError if the requested scan cannot be rendered
     std::string scan(TabCache& tab, const ScanWish& wish);
-    /// Reads the sensor file of a tab.
+    /// Reads a sensor file that a browser tab has uploaded.
     /// @return a description of the sensor
-    /// @throws UsageError or DataError that names the error in the file
+    /// @throws UsageError or DataError that describes the error in the file
     nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
 
 private:
@@ -63,9 +64,9 @@ private:
     Device& device_;
     RealScans real_;
     std::optional<ScanRenderer> renderer_;
-    /// Run and track of each actor copy in the renderer's scene.
+    /// Run and track of each copied actor in the scene of the current renderer.
     std::vector<std::pair<std::string, std::string>> rendered_;
-    /// Number of launches of each kernel at the last query.
+    /// Number of launches of each kernel when the times were last queried.
     std::map<std::string, std::size_t> launches_;
 };
 

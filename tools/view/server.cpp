@@ -23,9 +23,9 @@ namespace {
 using boost::asio::ip::tcp;
 using ErrorCode = boost::system::error_code;
 
-// Pause after the system has run out of file descriptors.
+// Time to wait after the system has no free file descriptor.
 constexpr std::chrono::milliseconds kAcceptPause{50};
-// Interval at which close() checks for open connections.
+// Interval at which close() checks whether connections are still open.
 constexpr std::chrono::milliseconds kCloseLook{5};
 
 boost::asio::ip::address parse_address(const std::string& text) {
@@ -61,7 +61,7 @@ std::string machine_name() {
 
 struct Server::Impl {
     Hub hub;
-    /// Keeps the server's thread running when no connection is open.
+    /// Keeps the thread of the server running while no connection is open.
     boost::asio::executor_work_guard<boost::asio::io_context::executor_type> busy =
         boost::asio::make_work_guard(hub.io);
     tcp::acceptor acceptor;
@@ -112,7 +112,8 @@ void Server::close(std::chrono::milliseconds patience) {
     boost::asio::post(impl_->hub.io, [&impl = *impl_] {
         ErrorCode ignored;
         impl.acceptor.close(ignored);
-        // A copy, because a session that ends immediately modifies the hub's list.
+        // Copies the list, because a session that ends immediately removes itself from
+        // the list.
         const auto clients = impl.hub.clients;
         for (const auto& [id, client] : clients)
             if (const auto session = client.lock()) session->leave();

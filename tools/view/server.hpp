@@ -23,24 +23,25 @@
 
 namespace relidar::view {
 
-/// A file of the page. Clients request it by its exact path.
+/// A file of the page. A client receives it if the client requests exactly this path.
 struct Asset {
-    std::string_view path;  ///< Path such as "/main.js". "/" is the page itself.
+    std::string_view path;  ///< Path in the URL, such as "/main.js". The path "/" is the page.
     std::string_view type;  ///< Value of the header Content-Type.
     std::string_view body;
 };
 
 struct ServerOptions {
     std::string address = "127.0.0.1";  ///< Literal IPv4 or IPv6 address to listen on.
-    int port = 8080;                    ///< 0: any free port.
-    std::string token = {};  ///< Secret that every request must present. Empty: no token is needed.
+    int port = 8080;                    ///< Port to listen on. 0 selects a free port.
+    /// Access token that every request must contain. If it is empty, no token is needed.
+    std::string token = {};
     std::span<const Asset> assets = {};
     std::size_t max_connections = 64;
     std::size_t max_header_bytes = 8192;
-    /// Maximum size of a WebSocket message from a client.
+    /// Maximum size of a WebSocket message from a client, in bytes.
     std::size_t max_message_bytes = std::size_t(1) << 20;
-    std::chrono::milliseconds request_time{5000};  ///< Maximum time until a request is complete.
-    /// A WebSocket that answers no ping for this time is closed.
+    std::chrono::milliseconds request_time{5000};  ///< Maximum time to receive a complete request.
+    /// A WebSocket is closed if its client does not answer a ping within this time.
     std::chrono::milliseconds idle_time{30000};
 };
 
@@ -50,11 +51,12 @@ inline constexpr std::string_view kSocketPath = "/live";
 /// Identifies one open WebSocket during its lifetime.
 using ClientId = std::uint64_t;
 
-/// Callbacks for WebSocket events. They run on the server's thread, one at a time, and
-/// must not throw.
+/// Callbacks for events of WebSocket clients. They run on the thread of the server, one
+/// at a time. They must not throw.
 struct Events {
     std::function<void(ClientId)> opened;
-    /// Receives a text of at most max_message_bytes. Binary messages are refused.
+    /// Called for each text message of a client. Its size is at most max_message_bytes.
+    /// Binary messages are refused.
     std::function<void(ClientId, std::string)> message;
     std::function<void(ClientId)> closed;
 };
@@ -62,26 +64,28 @@ struct Events {
 class Server {
 public:
     /// Starts to listen and to answer requests.
-    /// @throws UsageError if the address or port is not available
+    /// @throws UsageError if the address or the port is not available
     Server(const ServerOptions& options, Events events);
-    /// Closes every connection immediately. Call close() first for an orderly shutdown.
+    /// Closes all connections immediately. Call close() first to send the queued
+    /// messages.
     ~Server();
     Server(const Server&) = delete;
     Server& operator=(const Server&) = delete;
 
     int port() const;
-    /// Returns the URL of the page for a browser on this machine, including the token.
+    /// Returns the URL of the page for a browser on this machine. It includes the access
+    /// token.
     std::string url() const;
 
-    /// Sends a text. May be called from any thread. Does nothing if the client has
-    /// disconnected.
+    /// Sends a text to a client. Does nothing if the client has disconnected. Any thread
+    /// may call it.
     void send_text(ClientId client, std::string text);
-    /// Sends a binary message and replaces an earlier one that is still queued, because
-    /// only the newest picture matters.
+    /// Sends a binary message to a client. If an earlier binary message is still queued,
+    /// it is replaced, because only the newest scan matters.
     void send_newest(ClientId client, std::string bytes);
-    /// Rejects new connections, and closes each WebSocket after its queued messages were
+    /// Rejects new connections. Closes each WebSocket after its queued messages were
     /// sent.
-    /// @param patience longest time to wait for this
+    /// @param patience longest time to wait until the messages are sent
     void close(std::chrono::milliseconds patience);
 
 private:
@@ -89,9 +93,8 @@ private:
     std::unique_ptr<Impl> impl_;
 };
 
-/// Checks the address that the server listens on.
-/// @throws UsageError if the text is not a literal IP address, as ServerOptions::address
-/// requires
+/// Checks the address at which the server will listen.
+/// @throws UsageError if the text is not an IP address
 void check_address(const std::string& address);
 
 /// Returns a random secret of 32 hexadecimal digits.

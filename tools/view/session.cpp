@@ -11,8 +11,8 @@ namespace {
 
 using Json = nlohmann::json;
 
-// Maximum number of queued sensor files, positions and saves of a tab. A person cannot
-// exceed it.
+// Maximum number of queued requests of a browser tab, except scans. A person cannot click
+// fast enough to exceed it.
 constexpr std::size_t kMaxWaiting = 4;
 
 const char* about(const Request& request) {
@@ -71,8 +71,8 @@ void Session::receive(TabId id, const std::string& message) {
     arrived_.notify_one();
 }
 
-/// Returns the next job of a tab in order of priority, or no value if the tab has none.
-/// The caller must hold the lock.
+/// Returns the most urgent job of a browser tab, or no value if the tab has no job. The
+/// caller must hold the lock.
 std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>& tab) {
     if (!tab->greeted) {
         tab->greeted = true;
@@ -111,7 +111,8 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
     return {};
 }
 
-/// Returns a job of the next tab after the one that was served last.
+/// Returns a job of the next browser tab that has one. Starts after the tab that was
+/// served last, so that all tabs are served in turn.
 std::optional<Session::Job> Session::next_job(std::chrono::milliseconds patience) {
     std::optional<Job> job;
     const auto look = [&] {
@@ -143,7 +144,9 @@ bool Session::work(std::chrono::milliseconds patience) {
     try {
         job->run();
     } catch (const DeviceError&) {
-        throw;  // Without a device, no tab can receive a scan.
+        // Without a device, no browser tab can receive a scan. The error therefore ends
+        // the viewer.
+        throw;
     } catch (const Error& error) {
         refuse(job->id, job->about, error.what());
     }
@@ -159,7 +162,7 @@ Json Session::answer(TabCache& cache, const Request& request) const {
 }
 
 Json Session::save(const SaveWish& wish) const {
-    // Throws before the folder is created.
+    // Throws an error for invalid edits before the folder is created.
     Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;

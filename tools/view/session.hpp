@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Connects many browser tabs to one renderer. Messages arrive on the server's thread. The
-// thread that calls work() renders, and only this thread uses the device. For each tab
-// only the newest requested scan is rendered, and tabs are served in turn.
+// Connects many browser tabs to one renderer. Messages arrive on the thread of the
+// server. The thread that calls work() renders, and only this thread uses the device. For
+// each tab, only the newest requested scan is rendered. Tabs are served in turn.
 #pragma once
 
 #include <chrono>
@@ -23,18 +23,19 @@ namespace relidar::view {
 
 using TabId = std::uint64_t;
 
-/// Receives the answers. Only work() calls it. Texts are JSON objects with a "kind":
-///   hello (Scanner::describe), log {state, why}, sensor {name, rows, columns, rays},
-///   ground {of, from, at}, saved {folder}, error {about, text}
+/// Callbacks that send answers to browser tabs. Only work() calls them. Texts are JSON
+/// objects with a "kind": hello (Scanner::describe), log {state, why}, sensor {name,
+/// rows, columns, rays}, ground {of, from, at}, saved {folder}, error {about, text}
 struct Answers {
     std::function<void(TabId, std::string)> text;
-    std::function<void(TabId, std::string)> frame;  ///< Receives a binary message, see frame.hpp.
+    /// Sends a binary message in the format of frame.hpp to a browser tab.
+    std::function<void(TabId, std::string)> frame;
 };
 
 class Session {
 public:
     /// Creates the session of a run.
-    /// @param others runs whose actors can be inserted
+    /// @param others other runs, whose actors can be inserted into this run
     /// @param save_folder folder in which edited runs are saved
     Session(Run run, OtherRuns others, Device& device, std::filesystem::path save_folder, Answers answers);
 
@@ -42,25 +43,26 @@ public:
     void close(TabId tab);
     void receive(TabId tab, const std::string& message);
 
-    /// Waits up to `patience` for a request of a tab and executes one request.
+    /// Executes one request of a browser tab. Waits at most `patience` for a request.
     /// @return true if a request was executed
     /// @throws DeviceError if the device has failed
     bool work(std::chrono::milliseconds patience);
-    /// Ignores further messages and executes all pending requests.
+    /// Executes all pending requests and ignores new messages.
     /// @throws DeviceError if the device has failed
     void finish();
 
 private:
     struct Tab {
         bool greeted = false;
-        /// State of the log that was last sent to the tab.
+        /// State of reading the log that was last sent to the browser tab.
         RealScans::State told = RealScans::State::loading;
-        std::optional<ScanWish> scan = {};  ///< Newest requested scan that is not rendered yet.
-        /// Requests other than scans: sensor files, positions on the ground and runs to
-        /// save.
+        /// Newest scan that the browser tab has requested and that is not rendered yet.
+        std::optional<ScanWish> scan = {};
+        /// Pending requests that are not scans: sensor files, positions on the ground,
+        /// and runs to save.
         std::deque<Request> others = {};
         std::optional<std::string> refused = {};  ///< Reason why the last message was invalid.
-        TabCache cache = {};                      ///< Used only by the rendering thread.
+        TabCache cache = {};                      ///< State of the tab that only the rendering thread uses.
     };
     struct Job {
         TabId id;
@@ -81,7 +83,7 @@ private:
     std::condition_variable arrived_;
     std::map<TabId, std::shared_ptr<Tab>> tabs_;
     TabId last_served_ = 0;
-    bool deaf_ = false;  ///< True after finish() was called.
+    bool deaf_ = false;  ///< True after finish() was called. New messages are then ignored.
 };
 
 }  // namespace relidar::view

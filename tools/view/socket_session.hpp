@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// One WebSocket connection. Receives texts and sends texts and binary messages, one write
-// at a time. Private to the server.
+// Serves one WebSocket connection. Receives texts, and sends texts and binary messages
+// one after the other. Only the server includes this header.
 #pragma once
 
 #include <cstdint>
@@ -21,7 +21,7 @@ namespace relidar::view {
 class SocketSession : public std::enable_shared_from_this<SocketSession> {
 public:
     SocketSession(boost::beast::tcp_stream stream, Counted counted, Hub& hub);
-    /// Answers the handshake, then reads messages until the client disconnects.
+    /// Answers the WebSocket handshake. Then reads messages until the client disconnects.
     void start(const boost::beast::http::request<boost::beast::http::empty_body>& upgrade);
     void send(std::string bytes, bool is_text, bool newest_only);
     /// Closes the connection after all queued messages were sent.
@@ -47,8 +47,10 @@ private:
     Counted counted_;
     boost::beast::websocket::stream<boost::beast::tcp_stream> stream_;
     boost::beast::flat_buffer incoming_;
-    std::deque<Message> outgoing_;  ///< The first message is being written.
-    ClientId id_ = 0;               ///< 0 before the handshake and after the connection was closed.
+    std::deque<Message> outgoing_;  ///< Queued messages. The first message is being written.
+    /// Id of the client. It is 0 before the handshake and after the connection was
+    /// closed.
+    ClientId id_ = 0;
     bool refused_ = false;
     bool leaving_ = false;
     bool said_goodbye_ = false;

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// The actors of a run with the edits of one browser tab.
+// Applies the edits of one browser tab to the actors of a run.
 #pragma once
 
 #include <map>
@@ -18,33 +18,34 @@ struct Run;
 
 namespace relidar::view {
 
-/// Runs whose actors can be inserted, by the names that the page uses.
+/// Other runs whose actors can be inserted. The key is the name of the run on the page.
 using OtherRuns = std::map<std::string, Run>;
 
-/// Adds copies of actors of this run and of other runs to a scene. Moves and removals
-/// need no change of the scene, because they change no surfel.
-/// @throws UsageError for an unknown run or track
+/// Adds copies of actors to a scene. The actors belong to this run or to other runs.
+/// Moves and removals are not applied here, because they do not change the surfels.
+/// @throws UsageError if a run or track is unknown
 DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
                          const std::vector<ActorEdits::Copy>& copies);
 
-/// Returns the copy of an actor on the ground at a clicked position.
-/// @throws UsageError if no ground is found, as start_on_ground()
+/// Returns a copy of an actor that stands on the ground at the clicked position.
+/// @throws UsageError if there is no ground at this position
 ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundWish& wish);
 
-/// The traffic of a run after some edits. Reads only tracks and instances, never surfels.
+/// The actors of a run after some edits. Uses only tracks and instances, not surfels.
 class Traffic {
 public:
     /// Applies the edits to the tracks of a run.
-    /// @throws UsageError for an unknown track, as the functions of
+    /// @throws UsageError if a track is unknown, like the functions of
     /// <relidar/run/edit.hpp>
     Traffic(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
     const ActorEdits& edits() const { return edits_; }
     const std::vector<Instance>& instances() const { return driving_.scene.instances; }
-    /// Returns the poses of visible actors at a time in the dataset's world frame, see
-    /// ScanRequest::dataset_from_actor.
+    /// Returns the poses of all visible actors at a time, in the dataset's world frame.
+    /// They have the format of ScanRequest::dataset_from_actor.
     ActorPoses placed(double time_s) const;
-    /// Returns all actors, visible or not, as [{track, category, size, present, pose}].
+    /// Returns a JSON list of all actors, including hidden ones: [{track, category, size,
+    /// present, pose}].
     nlohmann::json describe(double time_s) const;
 
 private:
@@ -52,11 +53,12 @@ private:
         return !edits_.removed.contains(box.id) && !edits_.hidden.contains(box.id);
     }
 
-    DrivingScene driving_;  ///< Scene and tracks after the edits, without surfels.
+    DrivingScene driving_;  ///< Scene and tracks after the edits. The scene has no surfels.
     ActorEdits edits_;
 };
 
-/// Returns the run with all edits except hiding. Its history lists the edits.
+/// Returns the run after all edits. Hidden actors are not removed. The history of the new
+/// run lists the edits.
 Run edited_run(const Run& run, const OtherRuns& others, const ActorEdits& edits);
 
 }  // namespace relidar::view

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar bench: prints a short report of a device's speed on a fixed street or on a run.
-// relidar-dev bench times every kernel.
+// The command `relidar bench` measures how fast a device is on a benchmark street or on a
+// run. It prints a short report. `relidar-dev bench` measures each kernel.
 #include <algorithm>
 #include <chrono>
 #include <memory>
@@ -28,7 +28,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-// Minimum and maximum number of repetitions, and number of rendered scans.
+// Minimum and maximum number of repetitions, and number of scans that are rendered.
 constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
 
@@ -37,13 +37,18 @@ struct BenchOptions {
     DeviceChoice device;
 };
 
-/// Medians of the wall times until the device is done.
+/// Median wall times in milliseconds. Each time includes waiting until the device is
+/// done.
 struct BenchTimes {
-    double build_ms = 0.0, refit_ms = 0.0;  ///< Times to build and to refit the acceleration structure.
+    /// Time to build the acceleration structure, and time to refit it.
+    double build_ms = 0.0, refit_ms = 0.0;
     double forward_ms = 0.0, backward_ms = 0.0;
-    double iteration_ms = 0.0;  ///< Refit, forward, losses, backward and Adam, submitted without a pause.
+    /// Time of one training iteration: refit, forward pass, losses, backward pass and
+    /// Adam, submitted to the device together.
+    double iteration_ms = 0.0;
     std::size_t repetitions = 0;
-    std::optional<double> scans_per_s;  ///< Empty unless a run is timed.
+    /// Rendered scans per second. It has a value only if a run is measured.
+    std::optional<double> scans_per_s;
 };
 
 double ms_since(Clock::time_point start) {
@@ -94,7 +99,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         stream.finish();
         time(backward, [&] { renderer.record_backward(); });
     };
-    // The first launches compile kernels, and a GPU raises its clocks only under load.
+    // Time to warm up the device. The first launches compile kernels, and a GPU raises
+    // its clocks only under load.
     const double warm_up_ms = device.info().type == "CPU" ? 200.0 : 2000.0;
     Clock::time_point start = Clock::now();
     do repeat();
@@ -106,8 +112,8 @@ BenchTimes measure(Device& device, const BenchCase& bench) {
         median(build), median(refit), median(forward), median(backward), median(iteration), build.size(), {}};
 }
 
-/// Renders scans of the log's sensor, evenly spaced along the sensor's recorded path. Two
-/// scans are pending at any time.
+/// Returns the number of scans per second. Renders scans of the log's sensor, evenly
+/// spaced along its recorded path. Two scans are in progress on the device at any time.
 double scans_per_second(Device& device, const Run& run) {
     ScanRenderer renderer(device, run);
     const SensorChoice sensor = choose_sensor("native", run.config, run.sequence);
@@ -118,7 +124,7 @@ double scans_per_second(Device& device, const Run& run) {
         renderer.ask_points(sensor, {time_s, path}, time_s);
     };
     request(0);
-    renderer.take_points();  // The first scan allocates memory, so that it is not timed.
+    renderer.take_points();  // The first scan is not timed, because it allocates memory.
     const Clock::time_point start = Clock::now();
     request(0);
     for (int scan = 1; scan <= kScans; ++scan) {

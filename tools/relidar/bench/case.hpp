@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Scenes and rays for benchmarks.
+// Creates scenes and rays for benchmarks.
 #pragma once
 
 #include <cstdint>
@@ -11,9 +11,11 @@
 
 namespace relidar::cli {
 
-/// A scene, the rays cast into it, and the settings of its kernels.
+/// A scene, the rays that are cast into it, and the settings of the kernels.
 struct BenchCase {
-    std::string name;  ///< "benchmark street", or the run's folder and the frame number.
+    /// Name in the report: "benchmark street", or the folder of the run and the frame
+    /// number.
+    std::string name;
     Scene scene;
     Config config;
     WorldRays rays;
@@ -27,8 +29,9 @@ struct BenchCase {
 /// @param refined see make_benchmark_street()
 BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable& rays);
 
-/// Creates a case from a run: its scene, seen by its sensor at the first held-out frame.
-/// @throws DataError for a run without frames or surfels
+/// Creates a case from the scene of a run. The rays are those of the run's sensor at the
+/// first held-out frame.
+/// @throws DataError if the run has no frames or no surfels
 BenchCase make_run_case(const Run& run);
 
 }  // namespace relidar::cli

@@ -13,11 +13,12 @@ namespace relidar::cli {
 
 struct BenchCase;
 
-/// Creates targets for the losses: a rendered image with uniform noise, so that no L1
-/// term has a zero gradient. A ray of low weight becomes a dropped ray.
+/// Creates target values for the losses by adding uniform noise to a rendered image.
+/// Without noise, the gradient of an L1 loss would be zero. A ray whose rendered weight
+/// is low becomes a dropped ray.
 std::vector<DeviceTarget> noisy_targets(const Rendering& rendering, bool normalised_depth);
 
-/// One training step. All learning rates are 0, so that the scene does not change.
+/// Runs one training step. All learning rates are 0, so that the scene does not change.
 class TrainingStep {
 public:
     TrainingStep(Device& device, const BenchCase& bench, const RendererOptions& options,
@@ -26,12 +27,15 @@ public:
     DifferentiableRenderer renderer;
     Array<DeviceTarget> targets;
 
-    void compare(const RayBatch& rays);  ///< Records the losses. Call it after record_forward().
-    void optimise();                     ///< Records Adam. Call it after record_backward().
+    /// Records the kernels of the losses. Must be called after record_forward().
+    void compare(const RayBatch& rays);
+    /// Records the kernel of the optimizer (Adam). Must be called after
+    /// record_backward().
+    void optimise();
 
 private:
     ImageLoss loss_;
-    std::optional<LikelihoodLoss> likelihood_loss_;  ///< if its weight is above 0
+    std::optional<LikelihoodLoss> likelihood_loss_;  ///< Loss that is used only if its weight is above 0.
     Adam adam_;
     Array<float> terms_;
     double n_returned_ = 0.0;

@@ -11,13 +11,14 @@ namespace {
 
 constexpr double kPixel_m = 0.02;
 constexpr double kWidest = 400.0;  // Maximum width of a view in pixels.
-constexpr double kAround_m = 0.3;  // Margin around the box.
+constexpr double kAround_m = 0.3;  // Width of the margin around the asset's box.
 constexpr int kGap = 8;            // Gap between views in pixels.
 constexpr std::uint8_t kBackdrop = 24;
-constexpr float kLeastWeight = 0.5f;  // Minimum weight of a pixel that shows a surface.
+// Minimum rendered weight (opacity) of a pixel. Pixels below it show no surface.
+constexpr float kLeastWeight = 0.5f;
 
-/// Directions of a view in the box frame: the viewing direction, and the right and up
-/// directions of the picture.
+/// Directions of one view in the frame of the asset's box: viewing direction, and the
+/// right and up directions of the picture.
 struct AssetView {
     glm::dvec3 along, right, up;
 };
@@ -32,7 +33,8 @@ double extent_m(const glm::dvec3& axis, const glm::dvec3& size_m) {
     return glm::dot(glm::abs(axis), size_m) + 2.0 * kAround_m;
 }
 
-/// Returns parallel rays in the box frame, one per pixel, row by row from the upper left.
+/// Returns one ray per pixel. All rays have the same direction. They are in the box frame
+/// and sorted row by row, starting at the upper left.
 RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double pixel_m) {
     RayTable rays;
     rays.rows = int(std::ceil(extent_m(view.up, size_m) / pixel_m));
@@ -51,8 +53,8 @@ RayTable parallel_rays(const AssetView& view, const glm::dvec3& size_m, double p
     return rays;
 }
 
-/// Returns the brightness of each pixel from 0 to 1, or a negative value if the pixel
-/// shows no surface.
+/// Returns the brightness of each pixel from 0 to 1. A negative value means that the
+/// pixel shows no surface.
 std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const glm::dquat& world_from_box,
                           float brightest) {
     std::vector<float> shade(scan.weight.size(), -1.0f);
@@ -67,7 +69,7 @@ std::vector<float> shades(const RenderedScan& scan, const AssetView& view, const
     return shade;
 }
 
-/// Returns the intensity that a twentieth of the visible pixels exceed.
+/// Returns the intensity that only 5 % of the visible pixels exceed.
 float bright_intensity(const std::vector<RenderedScan>& scans) {
     std::vector<float> values;
     for (const RenderedScan& scan : scans)
@@ -79,7 +81,7 @@ float bright_intensity(const std::vector<RenderedScan>& scans) {
     return std::max(*high, 1e-3f);
 }
 
-/// Draws one view into the canvas.
+/// Draws one view of the asset into the canvas.
 /// @param row, column upper left pixel of the view in the canvas
 void draw(Image& canvas, int row, int column, const RenderedScan& scan, const std::vector<float>& shade,
           const BoxSurface& surface) {

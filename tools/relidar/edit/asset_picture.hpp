@@ -8,10 +8,10 @@
 namespace relidar::cli {
 
 /// Renders an asset with parallel rays. The upper row shows it from the left, the right
-/// and above, the lower row from behind and from the front. Rays are 2 cm apart, or more
-/// for objects longer than 8 m. Brightness is the LiDAR intensity, shaded by the angle
-/// between ray and surface. Bluish parts were completed by the mirror image of the other
-/// side.
+/// and above. The lower row shows it from behind and from the front. The rays are 2 cm
+/// apart, or more if the asset is longer than 8 m. The brightness is the LiDAR intensity,
+/// reduced by the angle between ray and surface. Bluish parts were not seen, but copied
+/// from the other side by mirroring.
 Image asset_picture(Device& device, const Asset& asset, const BoxSurface& surface);
 
 }  // namespace relidar::cli

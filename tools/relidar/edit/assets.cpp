@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar assets: saves the actors of a run as a folder of assets, which can be inserted
-// into other runs and spawned by clients of the service.
+// The command `relidar assets` saves the actors of a run as a folder of assets. Assets
+// can be inserted into other runs and spawned by clients of the service.
 #include <filesystem>
 #include <memory>
 #include <set>
@@ -46,7 +46,8 @@ std::string sides_text(const AssetFacts& facts) {
     return text;
 }
 
-/// Returns the reason why an actor is skipped, or an empty text if it is kept.
+/// Returns the reason why an actor is not saved as an asset. Returns an empty text if it
+/// is saved.
 std::string reason_against(const AssetFacts& facts, const ActorSightings& sightings, double least) {
     if (sightings.points_m.empty()) return "no ray of the training frames hits it";
     if (facts.score() >= least) return "";
@@ -59,7 +60,8 @@ std::string reason_against(const AssetFacts& facts, const ActorSightings& sighti
 
 std::vector<std::string> actors_of(const Run& run) {
     std::vector<std::string> tracks;
-    // Models that are already listed, because copies of an actor give the same asset.
+    // Models that are already saved. A copy of an actor has the same model and is
+    // skipped.
     std::set<std::uint32_t> models;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
@@ -68,8 +70,8 @@ std::vector<std::string> actors_of(const Run& run) {
     return tracks;
 }
 
-/// Gives an asset a name that no other asset has. Names can collide because characters
-/// that are not allowed in folder names are replaced.
+/// Changes the name of an asset if another asset has the same name. Names can collide
+/// because characters that are not allowed in folder names are replaced.
 void make_unique(Asset& asset, std::set<std::string>& used_names) {
     const std::string stem = asset.facts.name;
     std::string name = stem;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar edit: writes a run as another run with its actors removed, moved, retimed or
-// copied, with actors of other runs, or with surfels read from a PLY file.
+// The command `relidar edit` writes an edited copy of a run. Actors can be removed,
+// moved, retimed, copied, or inserted from other runs. Surfels can be replaced by those
+// of a PLY file.
 #include <algorithm>
 #include <filesystem>
 #include <memory>
@@ -22,7 +23,9 @@ namespace {
 struct EditOptions {
     std::string run;
     std::string out;
-    std::string ply;               ///< Surfels that replace the surfels of the run. Empty: none.
+    /// PLY file with surfels that replace the surfels of the run. It is empty if the run
+    /// keeps its surfels.
+    std::string ply;
     std::vector<TypedEdit> edits;  ///< Edits in the order in which the user typed them.
     bool force = false;
     bool quiet = false;
@@ -42,7 +45,7 @@ bool is_same(const PoseTrack& a, const PoseTrack& b) {
     return a.time_s == b.time_s && std::ranges::equal(a.pose, b.pose, same);
 }
 
-/// Returns the tracks of actors that are new or whose poses have changed.
+/// Returns the track names of actors that are new or whose poses have changed.
 std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequence& before) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
@@ -54,7 +57,7 @@ std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequen
     return placed;
 }
 
-/// Returns one warning line for each placed actor that has too few surfels for its
+/// Returns one warning line for each new or moved actor that has too few surfels for its
 /// distance from the sensor.
 std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
     std::string text;

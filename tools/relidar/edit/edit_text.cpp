@@ -21,7 +21,8 @@
 namespace relidar::cli {
 namespace {
 
-constexpr double kFarOff_m = 1e6;  // Larger offsets or speeds are rejected as typing errors.
+// Maximum offset or speed. Larger values are rejected as typing errors.
+constexpr double kFarOff_m = 1e6;
 
 [[noreturn]] void refuse(const TypedEdit& edit, const std::string& expected) {
     throw UsageError(fmt::format("{}: found \"{}\", expected {}", edit.option, edit.value, expected));
@@ -34,7 +35,7 @@ const char* form_of(const TypedEdit& edit) {
         ->form;
 }
 
-/// Splits a text at a separator. Rejects the edit if either part is empty.
+/// Splits a text at a separator. Throws an error if one of the two parts is empty.
 std::pair<std::string, std::string> cut(const TypedEdit& edit, const std::string& text, std::size_t at) {
     if (at == std::string::npos || at == 0 || at + 1 == text.size()) refuse(edit, form_of(edit));
     return {text.substr(0, at), text.substr(at + 1)};
@@ -49,13 +50,14 @@ std::vector<double> numbers(const TypedEdit& edit, const std::string& text, std:
     return values;
 }
 
-/// Returns the pose of x, y, z and, if present, yaw, pitch and roll in degrees.
+/// Converts numbers to a pose: x, y, z, and optionally yaw, pitch and roll in degrees.
 Pose pose_of(const std::vector<double>& v) {
     const auto radians = [&](std::size_t i) { return i < v.size() ? v[i] * kPi / 180.0 : 0.0; };
     return {rotation_of(radians(3), radians(4), radians(5)), {v[0], v[1], v[2]}};
 }
 
-/// Parses "x,y,ground[,yaw_deg]". Returns no value if the third field is not "ground".
+/// Parses a position on the ground, "x,y,ground[,yaw_deg]". Returns no value if the third
+/// field is not "ground".
 std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string& text) {
     constexpr std::string_view kWord = ",ground";
     const std::size_t at = text.find(kWord);
@@ -72,10 +74,12 @@ std::optional<GroundPlace> ground_place(const TypedEdit& edit, const std::string
 struct SourceActor {
     const DrivingScene& owner;
     const std::string& track;
-    std::optional<double> clearance_m;  ///< Height of the box above the ground, if known.
+    /// Height of the bottom of the box above the ground, if it is known.
+    std::optional<double> clearance_m;
 };
 
-/// Parses "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
+/// Parses a start pose and an optional speed:
+/// "x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed]" or "x,y,ground[,yaw_deg][:speed]".
 Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScene& driving,
                const SourceActor& actor) {
     const std::size_t colon = text.find(':');
@@ -94,8 +98,8 @@ Start start_of(const TypedEdit& edit, const std::string& text, const DrivingScen
     return {pose_of(pose), speed_mps};
 }
 
-/// Returns position and tilt of an actor that was placed on the ground, because the user
-/// has not typed its height. Returns an empty text for other actors.
+/// Returns a text with the height and the tilt of an actor that was placed on the ground,
+/// because the user did not type them. Returns an empty text for other actors.
 std::string standing(const Start& start, const std::string& typed) {
     if (typed.find(",ground") == std::string::npos) return "";
     const glm::dvec3& p = start.dataset_from_box.translation;
@@ -118,7 +122,7 @@ AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
             ""};
 }
 
-/// Returns true if an actor is present at any frame of the log.
+/// Returns true if the actor is present in at least one frame of the log.
 bool is_ever_present(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
     return box && std::ranges::any_of(driving.sequence.frames,
@@ -126,7 +130,7 @@ bool is_ever_present(const DrivingScene& driving, const std::string& track) {
 }
 
 /// Returns a note if an edit makes an actor absent from frames of the log.
-/// @param before track before the edit; null for a new actor
+/// @param before track of the actor before the edit; null for a new actor
 std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
     if (!is_ever_present(driving, track))
         return fmt::format("track {} is present at no frame of the log: its times are outside the log",
@@ -136,7 +140,7 @@ std::string absence_note(const DrivingScene& driving, const std::string& track, 
 
 BoxTrack copy_of_box(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
-    return box ? *box : BoxTrack{};  // The edit itself rejects an unknown track.
+    return box ? *box : BoxTrack{};  // If the track is unknown, the edit itself throws an error later.
 }
 
 AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
@@ -163,7 +167,7 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
             ""};
 }
 
-/// An actor of another run, or the actor of an asset.
+/// An actor that comes from another run or from an asset.
 struct ExternalActor {
     std::string folder, track;
     Run run;
@@ -181,7 +185,7 @@ ExternalActor load_external_actor(const TypedEdit& edit, const std::string& what
     return {folder, track, std::move(run), std::move(owner)};
 }
 
-/// Returns a note if the actor's log was recorded by a different sensor.
+/// Returns a note if the log of the actor was recorded with another type of sensor.
 std::string sensor_note(const ExternalActor& actor, const DrivingScene& driving) {
     const SpinningSensor &actor_sensor = actor.run.sequence.lidars[0].sensor,
                          &run_sensor = driving.sequence.lidars[0].sensor;
@@ -217,7 +221,8 @@ glm::dvec3 size_of(const DrivingScene& driving, const std::string& track) {
     return box == driving.sequence.boxes.end() ? glm::dvec3(0.0) : box->size_m;
 }
 
-/// Parses the actors that take the place of scenario entities: "ENTITY=WHAT,ENTITY=WHAT".
+/// Parses "ENTITY=WHAT,ENTITY=WHAT". It assigns an actor (WHAT) to each entity of a
+/// scenario.
 std::map<std::string, std::string> roles_of(const TypedEdit& edit, const std::string& text) {
     std::map<std::string, std::string> roles;
     std::istringstream words(text);
@@ -232,8 +237,8 @@ void join_note(std::string& note, const std::string& more) {
     if (!more.empty()) note += (note.empty() ? "" : "; ") + more;
 }
 
-/// Moves an actor along the trajectory of a scenario entity. The actor is in the run, or
-/// is inserted from another run or an asset.
+/// Moves an actor along the trajectory of a scenario entity. If the actor is not in the
+/// run, it is inserted from another run or an asset.
 void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::string& what,
             AppliedEdit& applied) {
     DrivingScene& driving = applied.driving;
@@ -330,7 +335,8 @@ AppliedEdit apply(DrivingScene driving, const TypedEdit& edit) {
     try {
         return function->second(std::move(driving), edit);
     } catch (const UsageError& error) {
-        // Names the option and its value, because a command can have several edits.
+        // Adds the option and its value to the error message, because a command line can
+        // contain several edits.
         const std::string message = error.what();
         throw UsageError(message.starts_with(edit.option)
                              ? message

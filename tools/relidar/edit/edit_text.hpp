@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses the edits of a command line. Each option, such as "--move 0:0,3.5,0", calls a
+// Parses edits on the command line, such as "--move 0:0,3.5,0". For each edit it calls a
 // function of <relidar/run/edit.hpp>.
 #pragma once
 
@@ -16,7 +16,7 @@ struct TypedEdit {
     std::string value;   ///< For example "0:0,3.5,0".
 };
 
-/// Describes an option of `relidar edit`: its name, the form of its value, and its help
+/// Describes an option of `relidar edit` by its name, the form of its value, and its help
 /// text.
 struct EditOption {
     const char* option;
@@ -25,16 +25,16 @@ struct EditOption {
 };
 const std::vector<EditOption>& edit_options();
 
-/// Result of an edit.
+/// Result of applying an edit to a scene.
 struct AppliedEdit {
     DrivingScene driving;
     std::string said;  ///< One line that describes the edit.
-    std::string note;  ///< A remark for the user, or an empty text.
+    std::string note;  ///< Note that is printed for the user. It is empty if there is no note.
 };
 
 /// Applies an edit to a scene and its tracks.
-/// @throws UsageError naming option and value if the value is malformed or names no
-/// track; DataError if a file is malformed
+/// @throws UsageError that names the option and the value, if the value is malformed or
+/// its track does not exist; DataError if a file is malformed
 AppliedEdit apply(DrivingScene driving, const TypedEdit& edit);
 
 }  // namespace relidar::cli

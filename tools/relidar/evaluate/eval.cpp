@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar eval: renders the held-out frames of a run and scores them against the log. Can
-// also score a baseline, which needs only a log, and write the scores of several runs
-// into a table.
+// The command `relidar eval` renders the held-out frames of a run and compares them with
+// the log. It can also score a baseline, which needs only a log. It can also write the
+// scores of several runs into a table.
 #include <algorithm>
 #include <chrono>
 #include <cmath>
@@ -32,8 +32,8 @@ namespace relidar::cli {
 namespace {
 
 struct EvalOptions {
-    std::vector<std::string> targets;  ///< Runs or log that the user typed.
-    std::string target;                ///< The run or log to score.
+    std::vector<std::string> targets;  ///< Folders of runs or logs that the user typed.
+    std::string target;                ///< Run or log to score.
     std::vector<std::string> tables;
     std::string out;
     LogPart part;
@@ -54,10 +54,11 @@ void check_held_out(const Split& split, const std::string& where) {
             fmt::format("{}: no frame was held out, expected at least one held-out frame", where));
 }
 
-/// Output files and folders. The first process checks that they are writable before any
-/// process starts its work.
+/// Output files and folders. The first process checks that they can be written before any
+/// process starts to render.
 struct Output {
-    std::filesystem::path file, pictures;  ///< Output paths; an empty path is not written.
+    /// Output paths. If a path is empty, nothing is written there.
+    std::filesystem::path file, pictures;
     std::optional<OutputFolder> of_file;
     std::optional<LockedFolder> of_pictures;
 
@@ -92,14 +93,14 @@ double seconds_since(std::chrono::steady_clock::time_point start) {
     return std::chrono::duration<double>(std::chrono::steady_clock::now() - start).count();
 }
 
-/// Writes the scores as a web page next to the JSON file and opens it in a browser.
+/// Writes the scores as a web page and opens the page in a browser.
 void open_page(const std::filesystem::path& page, const Report& report, bool quiet) {
     write_report(page, report);
     if (!quiet) print("page     " + absolute_path(page.string()) + "\n");
     open_in_browser(absolute_path(page.string()));
 }
 
-/// Returns a note on how to read the scores of an edited run.
+/// Returns a note that explains how to read the scores of an edited run.
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
@@ -109,14 +110,14 @@ std::string edit_note(const Run& run) {
            "pixels do not measure the quality of the edit\n";
 }
 
-/// Adds the scores of the pixels that an edit changes.
-/// @param before scan of the street without the edit
+/// Adds metrics that cover only the pixels that an edit changes.
+/// @param before exact scan of the street without the edit
 void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& before) {
     frame.metrics.merge(evaluate_regions(frame.rendered.image, frame.real,
                                          {edited_region(frame.real, real_image(config, before))}));
 }
 
-/// Keeps only the frames that this process scores.
+/// Removes the frames that other processes score.
 void keep_share(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin),
@@ -124,7 +125,9 @@ void keep_share(std::vector<int>& positions, const Ranks& ranks) {
 }
 
 void score_run(const EvalOptions& options, const Ranks& ranks, const std::string& command_line) {
-    std::optional<FolderLock> lock;  // Locks the scored run, because metrics.json is written into it.
+    // Lock of the scored run. It is needed because metrics.json is written into the run's
+    // folder.
+    std::optional<FolderLock> lock;
     if (ranks.is_first() && options.out.empty() && is_run(options.target)) lock.emplace(options.target);
     std::vector<std::string> used = rendering_settings();
     used.insert(used.end(), {"dataset."});
@@ -173,14 +176,14 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     open_page(output.file.parent_path() / "evaluation.html", report, options.quiet);
 }
 
-/// Settings that change the scores of a baseline.
+/// Settings that affect the scores of a baseline.
 const std::vector<std::string> kBaselineSettings = {
     "dataset.sequence",        "dataset.lidars",      "dataset.frames_begin",  "dataset.frames_end",
     "dataset.test_every",      "dataset.poses",       "dataset.test_frames",   "dataset.poses_from",
     "dataset.skip_broken",     "dataset.min_range_m", "dataset.memory_mib",    "dataset.max_range_m",
     "dataset.waymo_intensity", "sensor.grid",         "sensor.rolling_shutter"};
 
-/// Scores a baseline on a log. Needs neither run nor device.
+/// Scores a baseline on a log. This needs neither a trained run nor a device.
 void score_log(const EvalOptions& options, const Ranks& ranks) {
     check_sets(options.sets, kBaselineSettings, "eval LOG --baseline");
     Config config = make_preset("default");
@@ -227,7 +230,8 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
         throw UsageError(fmt::format(
             "--open: found {} processes, expected one, because the page has pictures of all frames",
             ranks.size()));
-    // Rejects an unknown baseline before the log is read.
+    // Throws an error for an unknown baseline before the log is read, because reading
+    // takes long.
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open)
@@ -243,8 +247,8 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
     score_run(options, ranks, command_line);
 }
 
-/// Checks that --table is not combined with other options.
-/// @throws UsageError if --table is combined with an option for scoring
+/// Checks the options that are used together with --table.
+/// @throws UsageError if one of them is an option for scoring
 void check_table_options(const CLI::App& command) {
     for (const CLI::Option* option : command.get_options()) {
         if (option->count() == 0 || option->get_positional() || option->check_lname("table") ||

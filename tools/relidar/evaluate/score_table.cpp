@@ -25,11 +25,11 @@ namespace fs = std::filesystem;
 using Cells = std::vector<std::string>;
 
 struct ScoredRun {
-    std::string name;  ///< Path of the run as the user typed it.
+    std::string name;  ///< Path of the run, as the user typed it on the command line.
     std::string log;
     std::size_t n_frames = 0;  ///< Number of scored held-out frames.
     double training_s = 0.0;
-    MetricRow mean;  ///< Mean over these frames. Empty if the run has no scores.
+    MetricRow mean;  ///< Mean of each metric over these frames. It is empty if the run has no scores.
     nlohmann::json protocol;
 };
 
@@ -59,8 +59,8 @@ std::vector<MetricRow> scored_rows(const std::vector<ScoredRun>& runs) {
     return rows;
 }
 
-/// Returns the protocol keys whose values differ between runs, such as "grid, range".
-/// Scores of different protocols are not comparable.
+/// Returns the names of the protocol settings that differ between the runs, such as
+/// "grid, range". Scores are not comparable if their protocols differ.
 std::string protocol_differences(const std::vector<ScoredRun>& runs) {
     std::set<std::string> keys;
     const ScoredRun* first = nullptr;
@@ -80,7 +80,7 @@ std::string protocol_note(const std::vector<ScoredRun>& runs) {
                : fmt::format("Compare the runs with care, because their protocols differ in {}.", keys);
 }
 
-/// Returns the key metrics that at least one run has.
+/// Returns the names of the key metrics for which at least one run has a value.
 std::vector<std::string> table_metrics(const MetricRow& mean) {
     std::vector<std::string> names;
     for (const ReportKeyMetric& key : key_metrics())
@@ -164,8 +164,8 @@ void write_page(const fs::path& file, const std::vector<ScoredRun>& runs) {
     write_report(file, report);
 }
 
-/// Checks that all runs have scores.
-/// @throws DataError if a run has no scores
+/// Checks that each run has scores.
+/// @throws DataError that names a run without scores
 void check_scored(const std::vector<ScoredRun>& runs) {
     const auto missing =
         std::find_if(runs.begin(), runs.end(), [](const ScoredRun& run) { return run.mean.empty(); });

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// `relidar eval RUN RUN ... --table FILE`: the scores of several runs in one table.
+// The option `relidar eval RUN RUN ... --table FILE` writes the scores of several runs
+// into one table.
 #pragma once
 
 #include <string>
@@ -7,13 +8,14 @@
 
 namespace relidar::cli {
 
-/// Reads the metrics.json of each run and writes all scores into each file. Renders
-/// nothing and needs no device.
+/// Reads metrics.json of each run and writes the scores of all runs into each file.
+/// Renders nothing and needs no device. If a run has no scores, the files are written
+/// first, and then a DataError is thrown.
 /// @param runs run folders, in the order of the rows
-/// @param files names of the files: FILE.md receives the key metrics and their means,
-/// FILE.csv all metrics, and FILE.html both as a web page
-/// @throws UsageError for another extension; DataError if a folder holds no run. If a run
-/// has no scores, the files are still written, and then a DataError names the run.
+/// @param files output files: FILE.md receives the means of the key metrics, FILE.csv all
+/// metrics, and FILE.html both as a web page
+/// @throws UsageError if a file has another extension; DataError if a folder holds no run
+/// or a run has no scores
 void write_score_tables(const std::vector<std::string>& runs, const std::vector<std::string>& files);
 
 }  // namespace relidar::cli

@@ -15,12 +15,13 @@
 namespace relidar::cli {
 namespace {
 
-// Number of frames, and minimum mean number of points per frame.
+// Number of drawn frames, and minimum mean number of points of the actor per frame.
 constexpr std::size_t kFrames = 8, kFewestPoints = 20;
 constexpr double kPixels_per_m = 80.0, kBeside_m = 0.25, kWider_m = 0.5;
 constexpr int kDot = 3;
 
-/// Returns the rays of a frame that may hit a box, as a scan without image order.
+/// Returns the rays of a frame that may hit the box. The result is a list of rays, not an
+/// image.
 Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
     const Pose sensor =
         run.sequence.world_from_vehicle.at(frame.time_s, run.sequence.lidar_of(frame).vehicle_from_sensor);
@@ -39,7 +40,8 @@ Scan rays_about(const Run& run, const Frame& frame, const BoxTrack& box) {
     return scan;
 }
 
-/// Returns the frames of one LiDAR that have a scan and show the box, in order.
+/// Returns the frames of one LiDAR in which the box is present. Frames without a scan are
+/// skipped.
 std::vector<const Frame*> frames_of(const Run& run, const BoxTrack& box) {
     std::vector<const Frame*> frames;
     for (const Frame& frame : run.sequence.frames)
@@ -56,11 +58,12 @@ double distance_of(const Run& run, const Frame& frame, const BoxTrack& box) {
 struct Walk {
     const BoxTrack* box = nullptr;
     std::vector<const Frame*> frames;
-    double distance_m = std::numeric_limits<double>::max();  ///< Mean distance from the sensor.
+    /// Mean distance between the actor and the sensor.
+    double distance_m = std::numeric_limits<double>::max();
 };
 
-/// Finds the walking actor and the frames with the smallest mean distance, because near
-/// actors have the most points.
+/// Finds the walking actor that is nearest to the sensor, and the frames in which its
+/// mean distance is smallest. Near actors have the most points.
 Walk nearest_walk(const Run& run) {
     Walk nearest;
     for (const Instance& instance : run.scene.instances) {
@@ -78,8 +81,8 @@ Walk nearest_walk(const Run& run) {
     return nearest;
 }
 
-/// Draws panels side by side with one dot per point. Forward is to the right. The colour
-/// shows how far to the left a point is.
+/// Draws panels side by side, with one dot per point. Forward is to the right. The colour
+/// shows the position of the point from left to right.
 Image drawn(const std::vector<std::vector<glm::dvec3>>& panels, const glm::dvec3& size_m) {
     const int width = int((size_m.x + 2.0 * kBeside_m) * kPixels_per_m),
               rows = int((size_m.z + 2.0 * kBeside_m) * kPixels_per_m);

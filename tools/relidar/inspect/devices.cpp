@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list devices: lists every Vulkan device of the machine, its features, the
-// traversal that relidar would use, and why ray query is not available.
+// The command `relidar list devices` lists the Vulkan devices of the machine and their
+// features. It also prints which ray traversal relidar would use, and why ray queries are
+// not available.
 #include <memory>
 
 #include <fmt/format.h>
@@ -14,7 +15,7 @@
 namespace relidar::cli {
 namespace {
 
-/// Returns the name of the traversal that --traversal auto selects on a device.
+/// Returns the name of the ray traversal that `--traversal auto` selects on this device.
 std::string traversal_of(const DeviceInfo& info) {
     switch (best_traversal(info)) {
         case Traversal::ray_query:

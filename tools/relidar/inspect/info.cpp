@@ -30,7 +30,7 @@ void show_run(const InfoOptions& options) {
     print(options.json ? to_json(summary) : to_text(summary));
 }
 
-/// Prints the training progress of a run that has no scene yet.
+/// Prints how far the training of a run is, if the run has no scene yet.
 void show_unfinished(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
     print(fmt::format("{}: {} at iteration {} of {}, no scene yet; log {}\n", folder.string(),
@@ -41,7 +41,9 @@ void show_unfinished(const std::filesystem::path& folder) {
 }
 
 void show_log(const InfoOptions& options) {
-    constexpr std::size_t kMostScans = 64;  // Limit per LiDAR, because a one-hour bag has 36,000 scans.
+    // Maximum number of scans to read per LiDAR. A bag of one hour has 36,000 scans, and
+    // reading all of them would take long.
+    constexpr std::size_t kMostScans = 64;
     Config config = resolve(options.settings);
     config.dataset.path = options.path;
     apply_log_part(config, options.part);
@@ -49,7 +51,7 @@ void show_log(const InfoOptions& options) {
         summarise(load_dataset(config, false, options.all ? 0 : int(kMostScans)), config.init);
     const bool is_long =
         std::ranges::any_of(summary.lidars, [](const LidarSummary& l) { return l.n_frames > kMostScans; });
-    // Some readers ignore the limit and read all scans.
+    // Some readers ignore the limit, so this checks whether scans were really left out.
     summary.is_look = !options.all && is_long && summary.n_scans_read < summary.n_frames;
     print(options.json ? to_json(summary) : to_text(summary));
 }

@@ -36,13 +36,15 @@ std::string line(const std::string& name, const std::string& value) {
     return value.empty() ? "" : fmt::format("{:<12}{}\n", name, value);
 }
 
-/// Returns the class of a box, followed by the class that its size was guessed for.
+/// Returns the class of a box. If the size of the box was guessed, the class that was
+/// used for the guess follows.
 std::string class_text(const BoxSummary& b) {
     return b.size_guess.empty() ? b.category : fmt::format("{}, {}?", b.category, b.size_guess);
 }
 
-/// Returns one line for each kind of remark: actors whose tracks extend beyond their
-/// labels, and actors with guessed sizes. Returns an empty text if there are none.
+/// Returns notes about the boxes, one line per kind of note. Notes are about actors whose
+/// tracks extend beyond their labels, and about actors with guessed sizes. Returns an
+/// empty text if there are no notes.
 std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
@@ -174,7 +176,7 @@ LidarSummary summarise(const Sequence& sequence, int which) {
     const auto [low, high] = std::minmax_element(sensor.beams.begin(), sensor.beams.end(), lower);
     if (low != sensor.beams.end())
         l.bottom_deg = low->elevation_rad * 180.0 / kPi, l.top_deg = high->elevation_rad * 180.0 / kPi;
-    if (lidar.pattern) {  // Nominal rays of a sensor that does not spin.
+    if (lidar.pattern) {  // Uses the nominal rays if the sensor does not spin.
         const RayTable rays = nominal_rays(lidar, 0.0);
         const auto [lowest, highest] = std::ranges::minmax(rays.direction, {}, &glm::vec3::z);
         l.n_beams = std::size_t(rays.rows), l.columns = rays.columns, l.period_s = lidar.period_s();
@@ -253,7 +255,8 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
 RunSummary summarise(const Run& run) {
     RunSummary summary;
     summary.log = summarise(run.sequence, run.config.init);
-    // The list of edits already names the removed actors.
+    // Actors that were removed by edits are left out, because the list of edits names
+    // them.
     summary.log.masked =
         run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;

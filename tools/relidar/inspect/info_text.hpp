@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Summaries of a log or a run for `relidar info`, as numbers, text and JSON.
+// Summarises a log or a run for `relidar info`, and formats the summary as text and JSON.
 #pragma once
 
 #include <cstdint>
@@ -15,20 +15,24 @@ namespace relidar::cli {
 struct BoxSummary {
     std::string id, category;
     glm::dvec3 size_m{0.0};
-    std::size_t n_frames = 0;  ///< Number of the log's frames in which the box is present.
+    std::size_t n_frames = 0;  ///< Number of frames of the log in which the box is present.
     int first_frame = 0, last_frame = 0;
     double path_m = 0.0, mean_speed_mps = 0.0;
-    bool moves = false;       ///< See BoxTrack::moves().
-    glm::dvec3 start_m{0.0};  ///< Centre of the box when it first appears, in the dataset's world frame.
+    bool moves = false;  ///< See BoxTrack::moves().
+    /// Position of the box centre when the box first appears, in the dataset's world
+    /// frame.
+    glm::dvec3 start_m{0.0};
     double start_yaw_deg = 0.0;
-    /// Number of the actor in rendered labels. No value for a log, or if the actor has no
-    /// surfels.
+    /// Number of the actor in the labels of rendered scans. It has no value for a log, or
+    /// if the actor has no surfels.
     std::optional<std::size_t> instance;
     std::size_t n_surfels = 0;
-    /// Only for discovered boxes: the class whose typical size completed the visible
-    /// part. Empty if the measured size is used.
+    /// Class whose typical size was used because the box was only partly visible. Only
+    /// for boxes that were discovered without labels. It is empty if the measured size is
+    /// used.
     std::string size_guess;
-    /// Number of poses discovered before or after the labels of a labelled track.
+    /// Number of poses of a labelled track that were discovered before its first or after
+    /// its last label.
     std::size_t n_beside = 0;
 };
 
@@ -39,27 +43,30 @@ struct LidarSummary {
     double top_deg = 0.0, bottom_deg = 0.0;
     double period_s = 0.0, max_range_m = 0.0;
     std::size_t n_frames = 0;
-    /// Number of second and further returns in the scans that were read.
+    /// Number of second and later returns of rays in the scans that were read.
     std::size_t n_second_returns = 0;
 };
 
 struct LogSummary {
     std::string name, source, conventions;
-    std::vector<std::string> notes;  ///< Messages about data that the log lacks.
+    std::vector<std::string> notes;  ///< Notes about data that are missing in the log.
     std::vector<LidarSummary> lidars;
     bool rolling_shutter = false;
     std::size_t n_frames = 0;
     int first_frame = 0, last_frame = 0;
     double seconds = 0.0, path_m = 0.0;
-    std::optional<double> returns_share;  ///< No value if the scans are missing.
-    std::size_t n_scans_read = 0;         ///< Number of scans that returns_share is computed from.
-    bool is_look = false;                 ///< True if only a sample of the scans was read.
+    /// Share of rays with a return. It has no value if the scans are missing.
+    std::optional<double> returns_share;
+    std::size_t n_scans_read = 0;  ///< Number of scans from which returns_share is computed.
+    bool is_look = false;          ///< True if only some of the scans were read to make the summary.
     std::vector<BoxSummary> boxes;
-    std::string masked;  ///< Names of moving boxes that are masked out instead of being actors.
+    /// Names of moving boxes that do not become actors. Their points are masked out in
+    /// training.
+    std::string masked;
 };
 
 /// Summarises a log.
-/// @param options decides which boxes count as moving, and which moving boxes become
+/// @param options settings that decide which boxes are moving and which of them become
 /// actors
 LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options);
 
@@ -67,14 +74,15 @@ struct RunSummary {
     LogSummary log;
     std::string preset;
     int iterations = 0;
-    /// Number of parameters of the ray-drop network. 0: the run has none.
+    /// Number of parameters of the ray-drop network. It is 0 if the run has no network.
     std::size_t n_drop_parameters = 0;
-    std::string drop_image = {};  ///< Kind of image that the network reads.
+    std::string drop_image = {};  ///< Kind of image that the ray-drop network reads.
     std::size_t n_surfels = 0;
-    Primitive primitive = Primitive::surfel;  ///< Kind of the surfels.
+    Primitive primitive = Primitive::surfel;  ///< Shape of the surfels.
     /// Name and number of surfels of each model.
     std::vector<std::pair<std::string, std::size_t>> models;
-    /// Number of blocks of the background. 0: the background is stored in one piece.
+    /// Number of blocks that the background consists of. It is 0 if the background is not
+    /// divided into blocks.
     std::size_t n_blocks = 0;
     std::size_t n_instances = 0;
     std::vector<RunEdit> edits;

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list: lists the devices, sensors and settings that other commands accept by
-// name.
+// The command `relidar list` lists names that other commands accept: devices, sensors and
+// settings.
 #include <CLI/CLI.hpp>
 
 #include "command.hpp"

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list sensors: lists the sensors that can be simulated, with the sources of
-// their data, and draws their patterns.
+// The command `relidar list sensors` lists the built-in sensors and the sources of their
+// data. It can also draw the ray pattern of a sensor.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -23,7 +23,7 @@ struct SensorsOptions {
     double time_s = 0.0;
 };
 
-/// Angles in degrees that a ray table covers, and its number of rays.
+/// Range of angles (degrees) that the rays of a sensor cover, and the number of rays.
 struct Extent {
     std::size_t rays = 0;
     double left_deg = 0.0, right_deg = 0.0, top_deg = 0.0, bottom_deg = 0.0;

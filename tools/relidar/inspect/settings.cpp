@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar list settings: prints settings with their values and descriptions, as TOML that
-// --config reads.
+// The command `relidar list settings` prints settings with their values and descriptions.
+// The output is TOML, which the option --config reads.
 #include <memory>
 
 #include <CLI/CLI.hpp>

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parses --frames for commands that process frames of a run.
+// Parses the option --frames of commands that process the frames of a run.
 #pragma once
 
 #include <optional>
@@ -10,9 +10,9 @@
 
 namespace relidar::cli {
 
-/// Returns the positions of the selected frames: "first:end" by the dataset's frame
-/// numbers, "test", "train" or "all". Without a selection, returns the held-out frames,
-/// or all frames if none is held out.
+/// Returns the positions of the selected frames in the run. The selection is "first:end"
+/// (frame numbers of the dataset), "test", "train" or "all". Without a selection, the
+/// held-out frames are returned, or all frames if none is held out.
 /// @throws UsageError if no frame is selected
 std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet);
 

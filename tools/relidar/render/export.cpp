@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar export: writes the surfels of a run as a PLY file that tools for 3D Gaussian
-// splatting can open, or one such file per frame, or the path of the sensor. relidar edit
-// --from-ply reads the file again.
+// The command `relidar export` writes the surfels of a run as a PLY file that tools for
+// 3D Gaussian splatting can open. It can also write one PLY file per frame, or the path
+// of the sensor. `relidar edit --from-ply` reads the PLY file again.
 #include <memory>
 #include <optional>
 
@@ -33,13 +33,13 @@ std::string sizes(const Scene& scene) {
                        scene.models.size() == 1 ? "" : "s");
 }
 
-/// Returns the path of the log's first sensor in the dataset's world frame.
+/// Returns the path of the first LiDAR of the log in the dataset's world frame.
 PoseTrack sensor_path(const Sequence& sequence) {
     return shifted_track(sequence.world_from_sensor(0), sequence.world_offset_m);
 }
 
-/// Writes the scene of each frame to FOLDER/000010.ply, in relidar's world frame. The
-/// time is when the sensor head faces forward.
+/// Writes one file per frame, such as FOLDER/000010.ply. Each file contains the scene in
+/// relidar's world frame at the time when the sensor head faces forward.
 void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);

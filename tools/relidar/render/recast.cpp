@@ -17,14 +17,15 @@ namespace {
 constexpr float kSameRange_m = 0.01f;
 constexpr const char* kKind = "synthetic:";
 
-/// Returns the folder of the street. Its path may begin with the kind of the dataset.
+/// Returns the folder of the synthetic street. The prefix for the kind of the dataset is
+/// removed from its path.
 std::filesystem::path street_folder(const Run& run) {
     const std::string& path = run.config.dataset.path;
     return path.starts_with(kKind) ? path.substr(std::string(kKind).size()) : path;
 }
 
-/// Returns the car of a model. A model keeps the name of the car that it was trained
-/// from, wherever it is placed.
+/// Returns the index of the car from which a model was trained. Wherever the model is
+/// placed, it keeps the name of this car.
 std::size_t car_of(const Model& model, const std::string& track) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar render: renders scans of a run to files. The sensor is at its recorded poses,
-// shifted from them, or on a user's path. It may be the log's sensor or another one.
+// The command `relidar render` renders scans of a run to files. The sensor is at its
+// recorded poses, at shifted poses, or on a path of the user. It may be the sensor of the
+// log or another sensor.
 #include <algorithm>
 #include <cmath>
 #include <memory>
@@ -53,11 +54,11 @@ struct RenderOptions {
     bool quiet = false;
 };
 
-// Larger offsets are rejected as typing errors. Beyond this distance float positions lose
-// millimetres.
+// Maximum offset of the sensor. Larger offsets are rejected as typing errors. At larger
+// distances, float positions are less exact than a millimetre.
 constexpr double kFarthestOffset_m = 10'000.0;
 
-/// Parses "x,y,z,yaw_deg" in the sensor's frame.
+/// Parses an offset "x,y,z,yaw_deg" in the sensor's frame.
 Pose parse_offset(const std::string& text) {
     if (text.empty()) return {};
     const std::vector<double> v = parse_list("--offset", text);
@@ -77,7 +78,7 @@ Pose parse_offset(const std::string& text) {
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
 }
 
-/// Parses a list such as "npz,ply", in upper or lower case, with or without spaces.
+/// Parses a list of formats such as "npz,ply". Accepts upper and lower case, and spaces.
 std::vector<std::string> parse_formats(const std::string& list) {
     const std::vector<std::string> known_formats = scan_formats();
     std::vector<std::string> formats;
@@ -99,8 +100,8 @@ PointFrame parse_point_frame(const std::string& name) {
         "--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
 }
 
-/// Removes the boxes of actors that are not rendered, so that recordings do not contain
-/// them.
+/// Removes the boxes of actors that are not rendered. Recordings then contain only the
+/// boxes of visible actors.
 void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std::string>& only) {
     if (only.empty()) return;
     const std::vector<bool> shown = select_instances(run.scene, only);
@@ -112,7 +113,7 @@ void leave_out_hidden(ScanFormat& format, const Run& run, const std::vector<std:
 }
 
 /// Returns the format of the output files.
-/// @param name name of the sensor in a rig; empty for a single sensor
+/// @param name name of the sensor in a rig; empty if there is only one sensor
 ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const SensorChoice& sensor,
                             const Pose& offset, const std::string& name) {
     ScanFormat format = scan_format(run, sensor);
@@ -130,9 +131,9 @@ ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const 
     return format;
 }
 
-/// Checks that no other files in the output folder are lost.
-/// @throws UsageError if an earlier rendering would be overwritten without --force, or
-/// the folder is a run
+/// Checks that writing to the output folder destroys no other files.
+/// @throws UsageError if --force is missing and the folder contains an earlier rendering,
+/// or if the folder is a run
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
     if (holds_run(folder))
         throw UsageError(
@@ -147,8 +148,8 @@ void check_empty(const std::filesystem::path& folder, const RenderOptions& optio
     }
 }
 
-/// Checks the options.
-/// @throws UsageError for invalid options that can be detected before the run is loaded
+/// Checks all options that can be checked before the run is loaded.
+/// @throws UsageError if an option is invalid
 void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks) {
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
@@ -171,8 +172,8 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
     if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
 }
 
-/// A scan to render: its number in file names, and the time when the sensor head faces
-/// forward.
+/// A scan to render. It has a number for its file name, and the time at which the sensor
+/// head faces forward.
 struct Sweep {
     int number;
     double time_s;
@@ -200,10 +201,12 @@ std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, co
     return sweeps;
 }
 
-/// A simulated sensor and its mounting, which replaces the log's sensor or follows a
-/// path.
+/// A sensor to simulate, and where it is mounted. It replaces the sensor of the log or
+/// follows a path of the user.
 struct TargetSensor {
-    std::string folder;  ///< Subfolder for its files. Empty: the output folder itself.
+    /// Subfolder for the files of this sensor. If it is empty, the files are written into
+    /// the output folder.
+    std::string folder;
     SensorChoice sensor;
     Pose mounting;
 };
@@ -220,7 +223,7 @@ std::vector<TargetSensor> list_target_sensors(const RenderOptions& options, cons
     return targets;
 }
 
-/// Returns the format for the merged files of all sensors of a rig.
+/// Returns the format of files that contain the merged scans of all sensors of a rig.
 ScanFormat merged_format(const RenderOptions& options, const Run& run,
                          const std::vector<TargetSensor>& targets, const Pose& offset) {
     SensorChoice rig = targets.front().sensor;
@@ -232,8 +235,9 @@ ScanFormat merged_format(const RenderOptions& options, const Run& run,
     return scan_file_format(options, run, rig, offset, "");
 }
 
-/// Output folders: one per sensor, or one for merged scans. For a rig with a folder per
-/// sensor, also the recordings of all sensors.
+/// Output folders of a rendering. There is one folder per sensor, or one folder for
+/// merged scans. If a rig has a folder per sensor, recordings of all sensors are written
+/// too.
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
@@ -267,7 +271,7 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
     return output;
 }
 
-/// Writes the indices of all scans of all processes, and finishes the recordings.
+/// Writes a list of the scans of all processes, and completes the recordings.
 void finish(Output& output, const Ranks& ranks, bool quiet) {
     if (output.recordings) output.recordings->finish();
     for (ScanFolder& folder : output.folders) {
@@ -281,7 +285,7 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
     }
 }
 
-/// Renders and writes scans, one sweep after the other.
+/// Renders scans and writes them to files, one sweep after the other.
 class SweepRenderer {
 public:
     SweepRenderer(ScanRenderer& renderer, const RenderOptions& options,
@@ -307,9 +311,9 @@ public:
         if (output.recordings) output.recordings->write(scans);
     }
     bool drives() const { return !options_.trajectory.file.empty(); }
-    /// Returns a one-line summary of the rendering.
-    /// @param n_sweeps number of sweeps of this process
-    /// @param n_all number of sweeps of all processes
+    /// Returns a one-line summary for the user.
+    /// @param n_sweeps number of sweeps that this process has rendered
+    /// @param n_all number of sweeps that all processes have rendered
     std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
         const double n = double(n_sweeps);
         return fmt::format(
@@ -355,7 +359,8 @@ void run_render(const RenderOptions& typed_options) {
     const PoseTrack track =
         drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
-    // The destructor removes the folder if it is empty. Only the first process may do so.
+    // Only the first process creates this object, because its destructor removes the
+    // folder if the folder is empty.
     if (ranks.is_first()) folder.emplace(options.out);
     check_sets(options.sets, rendering_settings(), "render");
     Run run = load_run(options.run);
@@ -413,7 +418,8 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
         ->type_name("FIRST:LAST:STEP");
 }
 
-/// Adds the options for content and reference frame of the files.
+/// Adds the options that select the content of the files and the frame of their
+/// coordinates.
 void add_file_options(CLI::App& command, RenderOptions& options) {
     command
         .add_option("--format", options.formats,

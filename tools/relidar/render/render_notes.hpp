@@ -10,21 +10,22 @@
 
 namespace relidar::cli {
 
-/// Prints a note if scans of the log's sensor have no rolling shutter because the log is
-/// motion-compensated.
+/// Prints a note if the log is motion-compensated. Rendered scans of the log's sensor
+/// then have no rolling shutter.
 void note_compensated(const Run& run, const SensorChoice& sensor);
 
-/// Prints a note if the run's ray-drop network does not fit the scans of a sensor.
+/// Prints a note if the ray-drop network of the run cannot be used for the scans of this
+/// sensor.
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor);
 
-/// Prints a note if sampled intensities have no noise, because the run does not know how
-/// the intensities of the LiDAR scatter.
+/// Prints a note if sampled intensities have no noise. The reason is that the noise of
+/// the LiDAR's intensities was not measured.
 void note_unscattered(const Run& run, int lidar);
 
-/// Prints a note about assumed sensor properties in simulated weather.
+/// Prints a note that lists the sensor properties that the simulation of weather assumes.
 void note_weather(const Weather& weather);
 
-/// Prints a note about scans that look into space that the log has not seen.
+/// Prints a note about scans in which many rays cross space that the log has not seen.
 /// @param entries entries of scans.json
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder);
 

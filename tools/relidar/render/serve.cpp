@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar serve: renders scans of runs for simulators through gRPC, until Ctrl-C.
+// The command `relidar serve` renders scans of runs for simulators. Simulators connect
+// through gRPC. Ctrl-C ends the command.
 #include <chrono>
 #include <memory>
 #include <optional>
@@ -36,13 +37,15 @@ struct ServeOptions {
 };
 
 constexpr int kLongestQueue = 10'000;
-constexpr std::chrono::seconds kPatience{30};  // Maximum time for pending calls to finish after Ctrl-C.
+// Maximum time to wait after Ctrl-C until pending calls have finished.
+constexpr std::chrono::seconds kPatience{30};
 constexpr std::chrono::milliseconds kLook{100};
-// Time for clients to receive the error when the device is lost.
+// Maximum time to wait after the device is lost until the clients have received the
+// error.
 constexpr std::chrono::seconds kFarewell{2};
 
-/// Returns the pose order of the sensorsim interface, or no value if that interface is
-/// not offered.
+/// Returns the order of rotation and translation in poses of the sensorsim interface.
+/// Returns no value if the user did not enable this interface.
 std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
     const bool offered = options.api == "sensorsim";
     if (!offered && !options.api.empty())
@@ -75,9 +78,10 @@ serve::ServerOptions server_options(const ServeOptions& options) {
     return server;
 }
 
-/// Makes all threads share one heap. gRPC starts and ends threads, and glibc gives each
-/// thread a heap. Scans allocated on one thread and freed on another leave gaps in each
-/// heap, so that the process would grow for hours (docs/service.md).
+/// Makes all threads share one heap. By default, glibc gives each thread its own heap,
+/// and gRPC starts and ends threads all the time. Scans are allocated on one thread and
+/// freed on another, which leaves gaps in each heap. The memory of the process would grow
+/// for hours (docs/service.md).
 void share_one_heap() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
@@ -101,7 +105,9 @@ void run_serve(const ServeOptions& options) {
     if (!options.quiet) {
         print(fmt::format("serving {} at {}:{} on {}\n", fmt::join(server.scenes(), ", "), host,
                           server.port(), server.device_name()));
-        std::fflush(stdout);  // For programs that wait for this line through a pipe.
+        // Other programs may wait for this line through a pipe, so it must be written
+        // immediately.
+        std::fflush(stdout);
     }
     while (!interrupted()) {
         if (const std::optional<std::string> loss = server.device_loss()) {

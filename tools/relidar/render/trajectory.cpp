@@ -15,8 +15,10 @@ namespace relidar::cli {
 namespace {
 
 constexpr double kMostScans = 1e6;
-constexpr double kFar_m = 50.0;  // Distance from the log's path beyond which most of the scene is unseen.
-// Tolerance as a fraction of a step, so that the last time of 0:1:0.1 is 1.
+// Distance from the path of the log in metres. At a larger distance, the log has not seen
+// most of the scene.
+constexpr double kFar_m = 50.0;
+// Rounding tolerance as a fraction of a step. With it, the last time of 0:1:0.1 is 1.
 constexpr double kSlack = 1e-6;
 
 struct Steps {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Handles --trajectory: a user's path of the sensor, and the times at which scans are
-// taken on it.
+// Reads the options of --trajectory: the path of the sensor, and the times of the scans
+// on this path.
 #pragma once
 
 #include <optional>
@@ -17,20 +17,23 @@ namespace relidar::cli {
 
 /// Values of --trajectory, --rate and --times.
 struct TrajectoryChoice {
-    std::string file;  ///< Empty: the path of the log.
-    /// Scans per second, from the first pose to the last. Default: the rate of the log's
-    /// sensor.
+    std::string file;  ///< File with the trajectory. If it is empty, the path of the log is used.
+    /// Number of scans per second between the first and the last pose. Without a value,
+    /// the rate of the log's sensor is used.
     std::optional<double> rate_hz;
-    std::string times;  ///< "first:last:step" in seconds of the log. Empty: computed from the rate.
+    /// Times of the scans as "first:last:step" in seconds of the log. If it is empty, the
+    /// times follow from the rate.
+    std::string times;
 };
 
-/// Returns the times of the scans.
-/// @throws UsageError if the rate or the times are invalid, or the times are outside the
+/// Returns the times of the scans on a trajectory.
+/// @throws UsageError if the rate or the times are invalid, or if a time is outside the
 /// trajectory
 std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& track, double log_rate_hz);
 
-/// Prints notes about a trajectory that is far from the log's path, or has times after
-/// the end of the log, when no actors exist.
+/// Prints notes about a trajectory. A note is printed if the trajectory is far from the
+/// path of the log. Another one is printed if it has times after the end of the log,
+/// because no actors exist then.
 void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<double>& times_s);
 
 }  // namespace relidar::cli

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar view: shows a run in the browser and re-simulates it live.
+// The command `relidar view` shows a run in the browser. It renders scans while the user
+// changes the scene.
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
@@ -28,7 +29,7 @@ namespace {
 
 struct ViewOptions {
     std::string run;
-    std::vector<std::string> inserts;  ///< Other runs whose actors can be inserted from the page.
+    std::vector<std::string> inserts;  ///< Folders of other runs. The page can insert their actors.
     std::string save_to;
     std::string address = "127.0.0.1";
     int port = 8080;
@@ -40,19 +41,19 @@ struct ViewOptions {
     bool quiet = false;
 };
 
-// Interval at which Ctrl-C is checked.
+// Interval at which the program checks for Ctrl-C.
 constexpr std::chrono::milliseconds kViewPatience{50};
-// Maximum time for slow browser tabs to receive pending data at exit.
+// Maximum time to wait at exit until slow browser tabs have received their data.
 constexpr std::chrono::seconds kGoodbye{5};
 
-/// Returns the folder in which edited runs are saved.
+/// Returns the folder in which the page saves edited runs.
 std::filesystem::path save_folder(const ViewOptions& options, const Run& run) {
     const std::filesystem::path folder =
         options.save_to.empty() ? run.folder / ".." : std::filesystem::path(options.save_to);
     return std::filesystem::absolute(folder).lexically_normal();
 }
 
-/// Loads the other runs, with the names that the user typed.
+/// Loads the other runs. The page shows them under the names that the user typed.
 view::OtherRuns other_runs(const std::vector<std::string>& folders) {
     view::OtherRuns runs;
     for (const std::string& folder : folders) runs.emplace(folder, load_run(folder));
@@ -74,7 +75,7 @@ view::ServerOptions server_options(const ViewOptions& options) {
 
 void run_view(const ViewOptions& options) {
     raise_descriptor_limit();
-    // Rejects a wrong address before the run is read.
+    // Checks the address before the run is loaded, because loading takes long.
     const view::ServerOptions server_settings = server_options(options);
     check_sets(options.sets, rendering_settings(), "view");
     Run run = load_run(options.run);
@@ -82,12 +83,12 @@ void run_view(const ViewOptions& options) {
     run.config = with_farthest(std::move(run.config), run.sequence);
     if (options.channels) set_key(run.config, "render.channels", *options.channels);
     if (options.no_refine) run.config.refine.enabled = false;
-    std::optional<OutputFolder> made;  // Removed at exit if no run was saved.
+    std::optional<OutputFolder> made;  // The folder is removed at exit if no run was saved in it.
     if (!options.save_to.empty()) made.emplace(options.save_to);
     const std::filesystem::path folder = save_folder(options, run);
     Device device(device_options(options.device));
-    // The server calls the session. It is created after the session, so that it is
-    // destroyed before it.
+    // Server that sends the answers of the session. The server calls the session, so it
+    // must be destroyed before the session.
     view::Server* out = nullptr;
     view::Session session(
         std::move(run), other_runs(options.inserts), device, folder,
@@ -97,7 +98,7 @@ void run_view(const ViewOptions& options) {
                         {[&](view::ClientId tab) { session.open(tab); },
                          [&](view::ClientId tab, std::string text) { session.receive(tab, text); },
                          [&](view::ClientId tab) { session.close(tab); }});
-    out = &server;  // Set before work() is called, because only work() sends answers.
+    out = &server;  // The pointer is set before answers are sent, because only work() sends answers.
     catch_interrupts();
     print(server.url() + "\n");
     std::fflush(stdout);

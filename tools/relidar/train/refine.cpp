@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar refine: trains only the ray-drop network of a run and scores its effect on the
-// held-out frames.
+// The command `relidar refine` trains only the ray-drop network of a run. It scores the
+// held-out frames with and without the network.
 #include <memory>
 #include <optional>
 
@@ -30,7 +30,7 @@ struct RefineOptions {
     bool quiet = false;
 };
 
-/// Loads the checkpoint to resume from.
+/// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
 std::optional<Checkpoint> find_start(const RefineOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
@@ -56,8 +56,8 @@ std::string resume_command(const RefineOptions& options) {
     return command;
 }
 
-/// Trains the network and saves it. After an interruption, the error message contains the
-/// command that resumes the training.
+/// Trains the ray-drop network and saves it. If the user interrupts the training, the
+/// error message contains the command that resumes it.
 void train_network(Device& device, Run& run, const RefineOptions& options, const Checkpoint* start) {
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
@@ -71,7 +71,8 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     save_run(run);
 }
 
-/// Scores the held-out frames with or without the network.
+/// Scores the held-out frames of a run.
+/// @param refined true: scores with the ray-drop network; false: without it
 Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
@@ -80,7 +81,8 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
                            shown_until_interrupted(progress));
 }
 
-/// Scores the run without and with the network, prints both and writes metrics.json.
+/// Scores the run without and with the ray-drop network. Prints both scores and writes
+/// metrics.json.
 void score_both(Device& device, const Run& run, const RefineOptions& options) {
     const Evaluation before = score(device, run, false, options.quiet),
                      after = score(device, run, true, options.quiet);
@@ -113,8 +115,8 @@ void run_refine(const RefineOptions& options) {
 
     train_network(device, run, options, start ? &*start : nullptr);
     if (!options.no_eval && !run.split.test.empty()) score_both(device, run, options);
-    // Removed last, so that --resume does not repeat finished steps if this process is
-    // killed earlier.
+    // Removes the checkpoints last. If this process is killed earlier, --resume can use
+    // them and does not train again.
     remove_network_checkpoints(run.folder);
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar train: trains a run on a log, or resumes a run. Checks settings, LPIPS weights,
-// output folder, checkpoint and device before it reads the log, so that errors appear
-// early.
+// The command `relidar train` trains a run on a log, or resumes the training of a run. It
+// checks the settings, LPIPS weights, output folder, checkpoint and device before it
+// reads the log. Errors then appear early.
 #include <memory>
 #include <optional>
 #include <string_view>
@@ -36,11 +36,11 @@ struct TrainOptions {
     Settings settings;
     DeviceChoice device;
     std::string seed;
-    std::string blocks;         ///< Length of a block, such as "60m".
+    std::string blocks;         ///< Length of the blocks into which the log is divided, such as "60m".
     std::string resume_folder;  ///< Argument of --resume.
     bool resume = false;
-    /// True if --preset or --config was given. The settings then start from these instead
-    /// of from the run.
+    /// True if the user gave --preset or --config. In this case the settings of a resumed
+    /// run are not used.
     bool from_preset = false;
     bool force = false;
     bool no_eval = false;
@@ -54,8 +54,8 @@ bool is_file(const fs::path& path) {
     return fs::is_regular_file(path, failed);
 }
 
-/// Decides which arguments are the log and the run folder, because `--resume` may precede
-/// either.
+/// Decides which argument is the log and which is the run folder. `--resume` may come
+/// before either of them.
 TrainOptions sorted_out(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
@@ -72,7 +72,8 @@ TrainOptions sorted_out(TrainOptions options) {
     return options;
 }
 
-/// Returns the settings of the run if it is resumed without --preset or --config.
+/// Returns the settings from which a training starts. A run that is resumed without
+/// --preset or --config keeps its settings.
 Config start_settings(const TrainOptions& options) {
     const fs::path saved = fs::path(options.out) / kConfigFile;
     if (!options.resume || options.from_preset || !is_file(saved)) return resolve(options.settings);
@@ -85,7 +86,7 @@ Config config_of(const TrainOptions& options) {
     Config config = start_settings(options);
     if (const fs::path saved = fs::path(options.out) / kConfigFile;
         options.resume && config.dataset.max_range_m == 0.0 && is_file(saved))
-        // Replaces the value 0 by the length that training used.
+        // If the maximum range is 0 (automatic), uses the range of the earlier training.
         config.dataset.max_range_m = load_saved_config(saved).dataset.max_range_m;
     if (!options.dataset.empty()) config.dataset.path = absolute_dataset(options.dataset);
     if (config.dataset.poses != kNoPoses) config.dataset.poses = absolute_path(config.dataset.poses);
@@ -98,14 +99,14 @@ Config config_of(const TrainOptions& options) {
     return config;
 }
 
-/// Returns true if a run has all files of a finished training with at least the requested
-/// number of iterations.
+/// Returns true if a run contains all files of a finished training, and its training had
+/// at least the requested number of iterations.
 bool is_finished(const fs::path& folder, const Config& config) {
     return is_file(folder / "scene.json") && is_file(folder / "report.html") &&
            last_logged_iteration(folder) >= config.train.iterations;
 }
 
-/// Returns true if all settings of a group are equal.
+/// Returns true if two configurations have equal values for all settings of a group.
 bool same_group(const Config& a, const Config& b, std::string_view group) {
     const std::vector<ConfigKey> x = config_keys(a), y = config_keys(b);
     for (std::size_t i = 0; i < x.size(); ++i)
@@ -113,8 +114,8 @@ bool same_group(const Config& a, const Config& b, std::string_view group) {
     return true;
 }
 
-/// Checks the settings for a finished run.
-/// @throws UsageError if a setting differs from the training's settings
+/// Compares the current settings with those of a finished run.
+/// @throws UsageError if the run was trained with other values
 void check_unchanged(const fs::path& folder, const Config& config) {
     const Config trained = load_saved_config(folder / kConfigFile);
     std::string key = differing_setting(trained, config);
@@ -129,9 +130,9 @@ void check_unchanged(const fs::path& folder, const Config& config) {
             folder.string(), key));
 }
 
-/// Returns true if a run has a scene from these settings and this log, but later steps
-/// are missing. These are the placement of held-out scans, the scatter of intensities,
-/// the network, the scores and the report.
+/// Returns true if a run has a scene that was trained with these settings on this log,
+/// but some later steps are missing. Later steps are the placement of held-out scans, the
+/// noise of intensities, the ray-drop network, the scores and the report.
 bool has_scene(const fs::path& folder, const Config& config) {
     if (!is_file(folder / "scene.json") || is_file(folder / "report.html") ||
         last_logged_iteration(folder) < config.train.iterations)
@@ -141,7 +142,7 @@ bool has_scene(const fs::path& folder, const Config& config) {
     return log_of(trained.dataset) == log_of(config.dataset) && differing_setting(trained, config).empty();
 }
 
-/// Loads the checkpoint to resume from.
+/// Loads the checkpoint from which training resumes.
 /// @return no value if training starts from the beginning
 std::optional<Checkpoint> find_start(const TrainOptions& options) {
     const fs::path folder = options.out;
@@ -172,8 +173,8 @@ std::string resume_command(const TrainOptions& options) {
     return command;
 }
 
-/// Trains the scene. If training fails, the error message names the remaining checkpoint
-/// and the command that resumes it.
+/// Trains the scene. If training fails, the error message names the last checkpoint and
+/// the command that resumes the training.
 TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& options,
                           const Checkpoint* start, StageTimes& stages) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
@@ -191,21 +192,23 @@ TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& op
     }
 }
 
-/// Returns the error for an interruption after the scene was saved.
+/// Returns the error that is reported if the user interrupts a step after the scene was
+/// saved.
 Error interrupted_while(const char* what, const Run& run, const TrainOptions& options) {
     return Error(ExitCode::interrupted,
                  fmt::format("interrupted while {}; {} holds the scene; continue with: {}", what,
                              run.folder.string(), resume_command(options)));
 }
 
-/// Completes a trained scene before its network is trained.
+/// Runs the steps between the training of the scene and the training of its ray-drop
+/// network.
 void complete_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     if (!complete_scene_shown(device, run, options.quiet, stages))
         throw interrupted_while("held-out scans were placed and scatter was learnt", run, options);
 }
 
 /// Scores the held-out frames and writes metrics.json.
-/// @return an empty evaluation if no frame is held out
+/// @return an empty evaluation if the log has no held-out frames
 Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     if (run.split.test.empty() || options.no_eval) return {};
     ScanRenderer renderer(device, run);
@@ -226,7 +229,8 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     return evaluation;
 }
 
-/// Writes the report and, unless training was interrupted, the scores.
+/// Writes the report. Unless training was interrupted, also computes and writes the
+/// scores.
 void finish(Device& device, const Run& run, const TrainResult& result, const TrainOptions& options,
             const std::string& command_line, StageTimes& stages) {
     stages.begin("report");
@@ -258,8 +262,9 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
                       stages_text(stages), absolute_path((run.folder / "report.html").string())));
 }
 
-/// Loads the checkpoint from which training of the network resumes. A checkpoint of
-/// another scene or other settings is ignored with a note.
+/// Loads the checkpoint from which training of the ray-drop network resumes. If the
+/// checkpoint belongs to another scene or other settings, it is ignored and a note is
+/// printed.
 std::optional<Checkpoint> find_network_start(const Run& run) {
     try {
         std::optional<Checkpoint> start = load_newest_checkpoint(network_checkpoint_folder(run.folder), note);
@@ -271,8 +276,9 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
     }
 }
 
-/// Trains the ray-drop network of a saved scene and saves it. Only prints a note if the
-/// log has no suitable training data or the device cannot run the network's layers.
+/// Trains the ray-drop network of a saved scene and saves the network. If the log has no
+/// suitable training data, or if the device cannot run the network, only a note is
+/// printed.
 void refine_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     const std::optional<Checkpoint> start = find_network_start(run);
     if (!start) remove_network_checkpoints(run.folder);
@@ -289,7 +295,8 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
                            .stages = &stages}))
             throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
-        remove_network_checkpoints(run.folder);  // Resuming would end with the same error.
+        // The checkpoints have no use, because resuming would end with the same error.
+        remove_network_checkpoints(run.folder);
         return leave_out(error);
     } catch (const DeviceError& error) {
         return leave_out(error);
@@ -298,7 +305,7 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
     remove_network_checkpoints(run.folder);
 }
 
-/// Reads the training result from the log of a run.
+/// Reads the result of an earlier training from the log file of the run.
 TrainResult logged_result(const fs::path& folder) {
     TrainResult result;
     result.log = read_log(folder);
@@ -308,7 +315,8 @@ TrainResult logged_result(const fs::path& folder) {
     return result;
 }
 
-/// Resumes a run whose scene is trained, and runs the missing later steps.
+/// Resumes a run whose scene is already trained. Runs only the later steps that are
+/// missing.
 void finish_scene(const TrainOptions& options, const Config& config, const std::string& command_line) {
     const RunFolder folder(options.out, Existing::keep);
     Run run = load_run(options.out);
@@ -326,7 +334,8 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     }
     catch_interrupts();
     if (!run.held_out_placed) complete_or_tell(device, run, options, stages);
-    // An earlier process may have been killed before it removed these checkpoints.
+    // The checkpoints still exist if an earlier process was killed before it removed
+    // them.
     if (has_network) remove_network_checkpoints(run.folder);
     else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
@@ -334,13 +343,15 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
     finish(device, run, result, options, command_line, stages);
 }
 
-/// Prepares the folder of a run for a new or a resumed training.
+/// Removes old files from the folder of a run before a training starts or resumes.
 void clear_folder(const fs::path& folder, const Config& config, bool keeps_blocks, bool keeps_checkpoints) {
     remove_run_files(folder);
     remove_network_checkpoints(folder);
     if (!keeps_checkpoints) remove_checkpoints(checkpoint_folder(folder));
     if (!keeps_blocks) remove_blocks(folder);
-    write_text(folder / kConfigFile, to_toml(config));  // A killed run is resumed with these settings.
+    // Saves the settings, so that the run can be resumed with them if the process is
+    // killed.
+    write_text(folder / kConfigFile, to_toml(config));
 }
 
 void check_ranks(const Ranks& ranks, bool in_blocks) {

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains blocks. A finished block has a scene.json, an interrupted block has a
-// checkpoint. Resuming needs no other state.
+// Trains the blocks of a long scene. A finished block has a scene.json, and an
+// interrupted block has a checkpoint. No other files are needed to resume the training.
 #include "train/train_blocks.hpp"
 
 #include <algorithm>
@@ -24,9 +24,10 @@ namespace {
 namespace fs = std::filesystem;
 using Clock = std::chrono::steady_clock;
 
-/// Returns true for settings that do not affect the surfels of a block.
+/// Returns true if a setting may differ between a trained block and the current settings.
 bool is_free(const std::string& key) {
-    // The actor settings differ, because each block lists the actors that it contains.
+    // The settings of actors differ between blocks, because each block lists only its own
+    // actors.
     constexpr std::array kFree{"dataset.path",           "dataset.memory_mib", "train.log_every",
                                "train.frame_memory_mib", "init.actor_classes", "init.actor_tracks"};
     constexpr std::array kFreeGroups{"train.checkpoint_minutes", "render.", "refine.", "trace.", "blocks."};
@@ -35,8 +36,8 @@ bool is_free(const std::string& key) {
                        [&](const char* group) { return key.starts_with(group); });
 }
 
-/// Checks that a trained block has the current settings.
-/// @throws DataError if a block was trained with other settings
+/// Compares the settings of a trained block with the current settings.
+/// @throws DataError if the block was trained with other settings
 void check_settings(const fs::path& block, const Config& trained, const Config& config) {
     const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
     for (std::size_t i = 0; i < is.size(); ++i)
@@ -47,8 +48,8 @@ void check_settings(const fs::path& block, const Config& trained, const Config& 
                             block.string(), is[i].key, was[i].value, is[i].value));
 }
 
-/// Checks that a trained block has the current frames.
-/// @throws DataError if a block was trained on other frames
+/// Compares the frames of a trained block with the current frames.
+/// @throws DataError if the block was trained on other frames
 void check_frames(const Run& trained, const BlockLog& log) {
     const auto is_same = [](const Frame& a, const Frame& b) {
         return a.index == b.index && a.lidar == b.lidar;
@@ -63,7 +64,7 @@ void check_frames(const Run& trained, const BlockLog& log) {
                         is.front().index, is.back().index));
 }
 
-/// Accumulates sums and means over blocks.
+/// Sums and averages the results of the blocks.
 class Total {
 public:
     void add(const std::vector<TrainProgress>& log) {
@@ -119,7 +120,7 @@ public:
                 blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
                 how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
         std::vector<fs::path> folders;
-        std::vector<std::size_t> others;  // Blocks that other processes train.
+        std::vector<std::size_t> others;  // Numbers of the blocks that other processes are training.
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
             folders.push_back(blocks_folder(run_.folder) / fmt::format("{:03}", k));
             if (!train(k, folders.back())) others.push_back(k);
@@ -135,12 +136,12 @@ public:
     }
 
 private:
-    /// Trains block `k` unless another process trains it or has trained it.
-    /// @return true if this call trained the block; false if it was trained before or
-    /// another process trains it
+    /// Trains block `k` in the given folder. Does nothing if the block is already trained
+    /// or if another process trains it.
+    /// @return true if this call has trained the block
     bool train(std::size_t k, const fs::path& folder) {
         std::error_code failed;
-        // Errors are ignored here, because locking the folder reports them.
+        // An error is ignored here, because locking the folder reports the same error.
         fs::create_directories(folder, failed);
         const std::unique_ptr<FolderLock> lock = FolderLock::take_if_free(folder);
         if (!lock) return false;
@@ -188,7 +189,7 @@ private:
         end_progress_line();
     }
 
-    /// Returns an error message that adds how to resume the training.
+    /// Appends to an error message how the user can resume the training.
     std::string kept(const std::string& what) const {
         return fmt::format("{}; trained blocks are kept, continue with: {}", what, how_.resume);
     }

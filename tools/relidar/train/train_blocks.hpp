@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Trains a long log block by block.
+// Divides the training of a long log into blocks.
 #pragma once
 
 #include <string>
@@ -13,23 +13,24 @@ namespace relidar::cli {
 
 /// Options for training in blocks.
 struct BlockTraining {
-    const Ranks& ranks;  ///< Processes that share the work. The first free process trains the next block.
+    /// Processes that share the training. A process that is free trains the next block.
+    const Ranks& ranks;
     bool quiet = false;
-    std::string resume;  ///< Command that resumes the training, for messages.
+    std::string resume;  ///< Command that resumes the training. Error messages contain it.
 };
 
-/// Trains all untrained blocks of a prepared log. Each block becomes a run in
-/// RUN/blocks/NNN. When all blocks are trained, the first rank joins their scenes and
-/// poses into the run.
-/// @return over all blocks: the mean of their logs, the sums of their times, and the
+/// Trains all blocks of a log that are not yet trained. Each block is saved as a run in
+/// RUN/blocks/NNN. When all blocks are trained, the first process joins their surfels and
+/// poses into one run.
+/// @return over all blocks: the mean of the training logs, the sum of the times, and the
 /// largest memory peak
 /// @throws Error with exit code 130 after Ctrl-C; DataError if a block was trained with
 /// other settings or frames
 TrainResult train_blocks(Device& device, Run& run, const BlockTraining& how);
 
-/// Checks that the existing blocks of a run can be joined with blocks trained with these
-/// settings.
-/// @throws DataError for the first block that cannot
+/// Checks that the trained blocks of a run fit the current settings, so that blocks
+/// trained now can be joined with them.
+/// @throws DataError that names the first block that does not fit
 void check_trained_blocks(const std::filesystem::path& run, const Config& config);
 
 }  // namespace relidar::cli

@@ -40,8 +40,8 @@ std::string log_text(const std::vector<TrainProgress>& lines) {
     return text;
 }
 
-/// Writes log.jsonl line by line during training. A full disk is reported once. finish()
-/// then tries to write the complete file.
+/// Writes the lines of log.jsonl during training. If the disk is full, a note is printed
+/// only once. At the end, finish() tries to write the complete file again.
 class LogFile {
 public:
     LogFile(fs::path path, const std::vector<TrainProgress>& before) : path_(std::move(path)) {
@@ -69,8 +69,8 @@ private:
     bool lost_ = false;
 };
 
-/// Calls place_held_out() with a progress line and prints how far the scans moved. After
-/// Ctrl-C the scans keep their poses.
+/// Places the held-out scans, shows the progress, and prints how far the scans moved.
+/// After Ctrl-C the scans keep their previous poses.
 void place_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
@@ -123,7 +123,8 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 
 namespace {
 
-/// Calls learn_scatter() with a progress line. After Ctrl-C the scatter is unknown.
+/// Measures the noise of intensities and shows the progress. After Ctrl-C the noise
+/// remains unknown.
 void learn_scatter_shown(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
     run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Edits of the traffic: actors are hidden, moved, copied, placed on the ground, removed,
-// and saved as a run. All edits are one object, described in tools/view/request.hpp.
+// Edits the actors of the scene. Actors can be hidden, moved, copied, placed on the
+// ground and removed. The result can be saved as a run. All edits are stored in one
+// object, which tools/view/request.hpp describes.
 import { instanceColour } from './colours.js';
 import { headingOf, transform } from './matrix.js';
 

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Stores the state of the page in the fragment of its URL, so that a reload, a bookmark
-// or a link restores it.
+// Stores the state of the page in the fragment of its URL. A reload, a bookmark or a link
+// then restores the same state.
 
-const LONGEST = 30000;   // Maximum length of a fragment that all browsers and mail programs preserve.
+// Maximum length of a URL fragment. All browsers and mail programs preserve fragments of
+// this length.
+const LONGEST = 30000;
 const MODES = ['simulated', 'real', 'both'];
 const CAMERAS = ['follow', 'orbit', 'fly'];
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the beams that are shown. A beam is the ring of a point; ring 0 is the highest.
+// Lets the user select the beams that are shown. Each point has the number of its beam
+// (ring). Ring 0 is the highest beam.
 
 export class Beams {
   constructor(onChange) {

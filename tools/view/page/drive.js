@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Moves the sensor with keys. Each key moves the sensor at a constant speed while it is
-// pressed. A shorter key press than a person can make (a tap, a screen keyboard) counts
-// as SHORTEST_MS, which is half a metre.
+// Moves the sensor with keys. While a key is pressed, the sensor moves at a constant
+// speed. Very short key presses, for example of a screen keyboard, count as SHORTEST_MS.
+// This moves the sensor by half a metre.
 
 /** Direction of each key: ahead, left, up, turn. */
 const DIRECTIONS = {
@@ -17,8 +17,8 @@ const SHORTEST_MS = 100;
  */
 export class Held {
   constructor() {
-    // {from, done, until}: times when the key was pressed, was last counted, and was
-    // released.
+    // {from, done, until} for each key: the times when the key was pressed, when its
+    // motion was last applied, and when the key was released.
     this.keys = new Map();
     this.isFast = false;
     this.moved = [0, 0, 0, 0];
@@ -44,7 +44,8 @@ export class Held {
 
   count(time) {
     for (const [key, held] of this.keys) {
-      // Can be before `done` if a picture was drawn between a key press and its event.
+      // The time can be before `done` if a picture was drawn between the key press and
+      // its event.
       const until = Math.max(held.from, Math.min(time, held.until));
       const seconds = ((until - held.done) * (this.isFast ? FASTER : 1)) / 1000;
       DIRECTIONS[key].forEach((way, i) => { this.moved[i] += way * SPEEDS[i] * seconds; });
@@ -76,7 +77,9 @@ export function makeDriver(onMove) {
     if (isTicking) requestAnimationFrame(tick);
   };
   const stop = () => held.stop();
-  window.addEventListener('blur', stop);   // Without focus, no event reports the release of a key.
+  // If the page has no focus, it is not notified when a key is released. Therefore all
+  // keys count as released.
+  window.addEventListener('blur', stop);
   document.addEventListener('visibilitychange', stop);
   return {
     keys: Object.keys(DIRECTIONS),

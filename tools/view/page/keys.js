@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides whether a key press belongs to the page or to the focused list, field or
-// button.
+// Decides who handles a key press: the page, or the list, field or button that has the
+// focus.
 
 const OWN_KEYS = { range: ['arrowup', 'arrowdown', 'arrowleft', 'arrowright'], button: [' '], checkbox: [' '], file: [' '] };
 
@@ -21,7 +21,7 @@ export function bindKeys(bindings, driver) {
   document.addEventListener('keydown', (event) => {
     const key = event.key.toLowerCase();
     driver.shift(event);
-    // A browser shortcut, whose release event may never arrive.
+    // Ignores browser shortcuts, because the release of their keys may not be reported.
     if (event.ctrlKey || event.metaKey || event.altKey) return driver.stop();
     if (needs(event.target, key)) return undefined;
     if (driver.keys.includes(key)) {
@@ -50,7 +50,7 @@ export function giveBackFocus(view) {
   document.addEventListener('keydown', ({ target, key }) => {
     if (!isOne(target)) return;
     isBrowsing = key !== 'Enter' && key !== 'Escape';
-    // Waits until the list is closed and has reported its choice.
+    // Waits until the list is closed and its choice was applied.
     if (!isBrowsing) setTimeout(() => view.focus());
   }, true);
   document.addEventListener('focusin', ({ target }) => { if (isOne(target)) isBrowsing = false; });

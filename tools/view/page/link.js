@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// The WebSocket to the program. Only one scan is requested at a time. If the state
-// changes before the scan arrives, the newest state is requested next. After a lost
-// connection the page reconnects with growing pauses.
+// WebSocket connection to the program. Only one scan at a time is requested. If the state
+// of the page changes before the scan arrives, a scan of the newest state is requested
+// next. If the connection is lost, the page connects again after pauses of increasing
+// length.
 import { decodeFrame } from './frame.js';
 
 const FIRST_PAUSE_S = 0.5;
@@ -26,9 +27,9 @@ export class Link {
     clearTimeout(this.timer);
     this.timer = null;
     this.waiting = false;   // True while a requested scan is pending.
-    this.stale = false;     // True if the state has changed since the last request.
+    this.stale = false;  // True if the state of the page has changed since the last scan was requested.
     this.asked = null;
-    this.socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/live`);
+    this.socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}:  // ${location.host}/live`);
     this.socket.binaryType = 'arraybuffer';
     this.socket.onmessage = ({ data }) => (typeof data === 'string' ? this.heard(JSON.parse(data)) : this.received(data));
     this.socket.onclose = () => this.lost();
@@ -75,7 +76,8 @@ export class Link {
   received(data) {
     const { asked } = this;
     this.waiting = false;
-    // Requests the next scan before drawing, so that it is rendered at the same time.
+    // Requests the next scan before this scan is drawn, so that the program renders while
+    // the page draws.
     if (this.stale) this.ask();
     this.on.frame(decodeFrame(data), asked);
   }

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Connects the parts of the page and reacts to their changes. Link requests the simulated
-// scans; this file draws them.
+// Connects the parts of the page and reacts to their changes. This file draws the scans
+// that link.js requests.
 import { Actors } from './actors.js';
 import { readAddress, writeAddress } from './address.js';
 import { Beams } from './beams.js';
@@ -21,22 +21,24 @@ import * as shapes from './shapes.js';
 import { Strip } from './strip.js';
 import { Timeline } from './timeline.js';
 
-// Height of the log's sensor above the ground, where the grid is drawn: the roof of a
-// car.
+// Assumed height of the log's sensor above the ground in metres, on the roof of a car.
+// The grid is drawn at the height of the ground.
 const SENSOR_HEIGHT_M = 1.8;
 const SHORTEST_ERROR_M = 0.1;     // Minimum length of an error line.
 const GRID_REACH_M = 80;
-// Smaller size of real points, so that they do not hide the simulated points.
+// Size of real points. They are smaller than simulated points, so that they do not hide
+// them.
 const REAL_SIZE = 0.6;
-// Minimum time between changes of the URL, because browsers reject more than a few per
-// second.
+// Minimum time between two changes of the URL. Browsers reject more than a few changes
+// per second.
 const ADDRESS_PAUSE_MS = 500;
 const NOWHERE = [0, 0, 0, 0, 0, 0];
 const DARK = matchMedia('(prefers-color-scheme: dark)');
 const element = (id) => document.getElementById(id);
 
 let hello = null;
-// True while several values change together. The scan is requested after all changes.
+// True while several values are being changed. The scan is requested only after the last
+// change.
 let isSettling = false;
 let frame = null;                 // The most recent scan.
 let drawn = false;                // True if the picture shows the current state.
@@ -311,8 +313,8 @@ giveBackFocus(element('view'));
 DARK.addEventListener('change', show);
 new ResizeObserver(redraw).observe(element('view'));
 window.addEventListener('pagehide', writeHash);
-// Fires for a typed URL or a link, but not for replaceState(). Before it fires,
-// writeHash() may have replaced the typed fragment.
+// This event fires if the user types a URL or follows a link. It does not fire after
+// replaceState(). writeHash() may already have replaced the typed fragment.
 window.addEventListener('hashchange', ({ newURL }) => { if (hello) settle(() => restore(new URL(newURL).hash)); });
 window.addEventListener('beforeunload', (event) => {
   writeHash();
@@ -320,8 +322,8 @@ window.addEventListener('beforeunload', (event) => {
   event.preventDefault();
   event.returnValue = true;   // For browsers from before 2024.
 });
-// Removes the token from the URL, because the cookie now holds it and other people may
-// see the screen.
+// Removes the access token from the URL, because other people may see the screen. The
+// token is now stored in a cookie.
 if (location.search) history.replaceState(null, '', `/${location.hash}`);
 drawn = true;
 redraw();

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Converts a click into a position on the ground. Its height is that of the visible
-// background point nearest to the click.
+// Converts a mouse click into a position on the ground. The height of the position is
+// that of the visible background point nearest to the click.
 
 /**
  * @param x,y position of the click, -1..1, up positive

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Selects the sensor, the weather, and the pose of the sensor relative to the log's
-// sensor. Its six numbers can be typed, or changed with keys and mouse.
+// Lets the user select the sensor, the weather, and the pose of the sensor relative to
+// the log's sensor. The six numbers of the pose can be typed, or changed with keys and
+// mouse.
 
 const FIELDS = [['x', 'forward m', 0.5], ['y', 'left m', 0.5], ['z', 'up m', 0.25], ['yaw', 'turn °', 5], ['pitch', 'pitch °', 1],
   ['roll', 'roll °', 1]];

@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Draws a scan as an image with one row per beam, the highest beam on top and the forward
-// direction in the middle.
+// Draws a scan as an image. Each beam is one row, with the highest beam on top. The
+// forward direction is in the middle.
 
 export class Strip {
   /** @param onPoint (text) called with a description of the point under the mouse */

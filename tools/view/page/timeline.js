@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The timeline: plays, drags, or steps from frame to frame.
+// Timeline of the log. The user can play the log, drag the position, or step from frame
+// to frame.
 
 export class Timeline {
   /** @param onChange (time_s) */
