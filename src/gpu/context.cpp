@@ -389,7 +389,8 @@ Device::Impl::~Impl() {
         if (made.wait_for(std::chrono::seconds(0)) == std::future_status::deferred) continue;
         try {
             vkDestroyPipeline(device, made.get().pipeline, nullptr);
-            // Ignores the error, because the launch of the kernel has already reported it.
+            // Ignores the error, because the launch of the kernel has already reported
+            // it.
         } catch (const Error&) {}
     }
     pipeline_cache.reset();

@@ -30,8 +30,8 @@ struct MountedSensor;
 /// the sensor's frame at the firing time of that ray.
 struct RenderedScan {
     /// Range image. The setting `render.range` selects the kind of range. `drop_prob` is
-    /// computed from the two drop logits, as their softmax. It is 1 if the ray hit nothing
-    /// within the sensor's range limits.
+    /// computed from the two drop logits, as their softmax. It is 1 if the ray hit
+    /// nothing within the sensor's range limits.
     RangeImage image;
     /// [n] Median range along the ray, in metres: the distance at which the transmittance
     /// T falls below 0.5. If T never falls below 0.5, it is the range of the image.
