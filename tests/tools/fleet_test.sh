@@ -43,7 +43,7 @@ score_tables() {
     for text in "scored/a" "scored/b|c" "2 of 2 runs have scores" "Typical range error"; do has t.html "$text"; done
     run d '[{}]' kitti360 '"strict/depth_medae_m": 1'
     good eval scored/a scored/d --table t.md
-    has t.md "Compare the runs with care: their protocols differ in grid."
+    has t.md "Compare the runs with care, because their protocols differ in grid."
     bad 2 "RUN: found 2 runs, expected one, or --table" eval scored/a scored/d
     bad 2 "table: found t.txt, expected a file that ends in .md, .csv or .html" eval scored/a --table t.txt
     bad 2 "--set: found it with --table, which only reads existing scores" eval scored/a --table t.md --set render.range=median
