@@ -29,7 +29,7 @@ export class Link {
     this.waiting = false;   // True while a requested scan is pending.
     this.stale = false;  // True if the state of the page has changed since the last scan was requested.
     this.asked = null;
-    this.socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}:  // ${location.host}/live`);
+    this.socket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/live`);
     this.socket.binaryType = 'arraybuffer';
     this.socket.onmessage = ({ data }) => (typeof data === 'string' ? this.heard(JSON.parse(data)) : this.received(data));
     this.socket.onclose = () => this.lost();
