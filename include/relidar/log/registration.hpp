@@ -135,7 +135,7 @@ struct ActorRegistration {
     double moved_m = 0.0;  ///< median correction of the registered tracks
 };
 
-/// Corrects the poses of each moving box of at least 2.5 m, from the points inside it.
+/// Corrects the poses of each moving box of at least 1.2 m, from the points inside it.
 /// The points of all training frames then lie on common planes in the frame of the box.
 /// The function minimises the error of register_scans(), with a prior that keeps
 /// corrections small and slow. The mean correction is zero. Poses without points, for

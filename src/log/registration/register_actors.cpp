@@ -15,9 +15,8 @@
 namespace relidar {
 namespace {
 
-// Minimum length of a box. Shorter objects are people and cyclists, which change their
-// shape.
-constexpr double kSmallest_m = 2.5;
+// Minimum length of a box in metres. Smaller boxes hold too few points for planes.
+constexpr double kSmallest_m = 1.2;
 // ignores points of a box below this height, because they are on the ground
 constexpr double kAboveGround_m = 0.25;
 constexpr std::size_t kFewestActorPoints = 200, kFewestPosePoints = 10, kFewestPoses = 4;
