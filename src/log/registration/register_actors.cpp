@@ -4,7 +4,6 @@
 #include <relidar/log/registration.hpp>
 
 #include <algorithm>
-#include <array>
 #include <cmath>
 
 #include <Eigen/QR>
@@ -15,7 +14,8 @@
 namespace relidar {
 namespace {
 
-// Minimum length of a box in metres. Smaller boxes hold too few points for planes.
+// Minimum length of a box in metres. Most shorter boxes are people on foot, who change
+// their shape.
 constexpr double kSmallest_m = 1.2;
 // ignores points of a box below this height, because they are on the ground
 constexpr double kAboveGround_m = 0.25;
@@ -47,38 +47,43 @@ struct ActorPoints {
     std::vector<std::size_t> n_of_pose;  ///< [poses] number of points
 };
 
-/// Collects the returns of training frames that lie inside a labelled box.
-ActorPoints collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
-                           const BoxTrack& box) {
-    const PoseTrack& track = box.world_from_box;
-    std::vector<std::vector<ThinPoint>> of_frame(train_positions.size());
-    const double reach_m = 0.5 * glm::length(box.size_m) + kMoverMargin_m;
+/// Collects the returns of training frames that lie inside labelled boxes. Places each
+/// return in the world once, because a log can have many boxes.
+/// @return [boxes] points in the order of the frames and rays, sorted by pose
+std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vector<int>& train_positions,
+                                        const std::vector<BoxTrack*>& boxes) {
+    std::vector<std::vector<std::vector<ThinPoint>>> of_frame(train_positions.size());  // [frames][boxes]
     parallel_for(static_cast<int>(train_positions.size()), [&](int i) {
         const Frame& frame = sequence.frames[std::size_t(train_positions[std::size_t(i)])];
-        if (!box.present(frame.time_s)) return;
-        for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
+        of_frame[std::size_t(i)].resize(boxes.size());
+        std::vector<std::size_t> present;
+        for (std::size_t b = 0; b < boxes.size(); ++b)
+            if (boxes[b]->present(frame.time_s)) present.push_back(b);
+        for (std::size_t ray = 0; ray < frame.scan.range_m.size() && !present.empty(); ++ray) {
             if (!(frame.scan.range_m[ray] > 0.0f)) continue;
-            const WorldReturn seen = world_return(sequence, frame, ray);
-            const Pose world_from_box = track.at(seen.time_s);
-            if (glm::distance(seen.point_m, world_from_box.translation) > reach_m ||
-                !box.holds(seen.point_m, seen.time_s, kMoverMargin_m))
-                continue;
-            const glm::dvec3 local_m = inverse(world_from_box) * seen.point_m;
-            if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
-            const TrackPlace at = track.place(seen.time_s);
-            const std::size_t pose = at.s < 0.5 ? at.left : at.left + 1;
-            of_frame[std::size_t(i)].push_back({glm::vec3(local_m), static_cast<float>(at.s),
-                                                static_cast<std::uint32_t>(at.left),
-                                                static_cast<std::uint32_t>(pose)});
+            const WorldReturn measured = world_return(sequence, frame, ray);
+            for (const std::size_t b : present) {
+                const BoxTrack& box = *boxes[b];
+                if (!box.holds(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
+                const glm::dvec3 local_m = inverse(box.world_from_box.at(measured.time_s)) * measured.point_m;
+                if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
+                const TrackPlace at = box.world_from_box.place(measured.time_s);
+                of_frame[std::size_t(i)][b].push_back(
+                    {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
+                     static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});
+            }
         }
     });
-    ActorPoints actor;
-    actor.n_of_pose.assign(track.pose.size(), 0);
-    for (const std::vector<ThinPoint>& points : of_frame)
-        actor.points.insert(actor.points.end(), points.begin(), points.end());
-    std::ranges::stable_sort(actor.points, {}, &ThinPoint::pose);
-    for (const ThinPoint& point : actor.points) ++actor.n_of_pose[point.pose];
-    return actor;
+    std::vector<ActorPoints> actors(boxes.size());
+    for (std::size_t b = 0; b < boxes.size(); ++b) {
+        ActorPoints& actor = actors[b];
+        for (const auto& frame : of_frame)
+            actor.points.insert(actor.points.end(), frame[b].begin(), frame[b].end());
+        std::ranges::stable_sort(actor.points, {}, &ThinPoint::pose);
+        actor.n_of_pose.assign(boxes[b]->world_from_box.pose.size(), 0);
+        for (const ThinPoint& point : actor.points) ++actor.n_of_pose[point.pose];
+    }
+    return actors;
 }
 
 /// Interpolates one pose of a track. Fits a parabola through the nearest poses that have
@@ -138,13 +143,7 @@ bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vecto
     for (const Pose& pose : track.pose)
         if (glm::distance(pose.translation, middle.translation) > kStanding_m) return false;
     std::vector<ThinPoint> still = actor.points;
-    for (ThinPoint& point : still) {
-        const Pose world_from_box =
-            track.pose.size() == 1
-                ? track.pose.front()
-                : interpolate(track.pose[point.left], track.pose[point.left + 1], double(point.s));
-        point.point_m = glm::vec3(inverse(middle) * (world_from_box * glm::dvec3(point.point_m)));
-    }
+    for (ThinPoint& point : still) point.point_m = glm::vec3(inverse(middle) * place(track, point).point_m);
     const PlaneAdjustment adjustment = adjustment_of(identity_track(track), still, has_points);
     return share_on_planes(adjustment, still) >= registered_share - kGain;
 }
@@ -211,12 +210,14 @@ ActorRegistration register_actors(Sequence& sequence, const std::vector<int>& tr
                                   const Progress& progress) {
     ActorRegistration result;
     std::vector<double> moved_m;
-    for (std::size_t i = 0; i < sequence.boxes.size(); ++i) {
-        if (progress) progress("registering actors", double(i) / double(sequence.boxes.size()));
-        BoxTrack& box = sequence.boxes[i];
-        if (!box.moves() || std::max(box.size_m.x, box.size_m.y) < kSmallest_m) continue;
-        ++result.n_actors;
-        register_actor(box, collect_points(sequence, train_positions, box), result, moved_m);
+    std::vector<BoxTrack*> boxes;
+    for (BoxTrack& box : sequence.boxes)
+        if (box.moves() && std::max(box.size_m.x, box.size_m.y) >= kSmallest_m) boxes.push_back(&box);
+    const std::vector<ActorPoints> actors = collect_points(sequence, train_positions, boxes);
+    result.n_actors = boxes.size();
+    for (std::size_t i = 0; i < boxes.size(); ++i) {
+        if (progress) progress("registering actors", double(i) / double(boxes.size()));
+        register_actor(*boxes[i], actors[i], result, moved_m);
     }
     result.moved_m = median_of(std::move(moved_m));
     return result;
