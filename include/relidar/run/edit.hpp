@@ -17,13 +17,19 @@
 
 namespace relidar {
 
-/// Initial pose and speed of a new actor. The actor moves straight ahead along x of the
-/// box frame at constant speed.
+/// Initial pose and speed of a new actor. The actor moves at constant speed along x of its
+/// initial box frame, or along a path.
 struct Start {
     /// Pose of the box centre at the start of the log. The dataset's world frame is
     /// relidar's world frame shifted by world_offset_m.
     Pose dataset_from_box;
     double speed_mps = 0.0;
+    /// Poses of the box centre at the times of the log's frames, in the dataset's world
+    /// frame. If the path is empty, the actor moves straight ahead.
+    PoseTrack dataset_path = {};
+    /// Length of the path below which the log has not seen any ground, metres. On this
+    /// part the actor keeps the mean slope of its path.
+    double unseen_m = 0.0;
 };
 
 /// Position, heading and speed of an actor on the ground.
@@ -51,14 +57,15 @@ struct DrivingView {
 /// @throws UsageError if no instance has this track
 std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track);
 
-/// Computes the pose of an actor on the ground of the background. The actor is tilted
-/// like the plane through the level surfels below its box. The actor gets the same height
+/// Computes the pose of an actor on the ground of the background. A moving actor gets a
+/// path that is straight in x and y and follows the ground. The actor is tilted like the plane through the level surfels below its box. The actor gets the same height
 /// above this plane that it has above the ground in `owner`. If `owner` has no ground
 /// below the box, the bottom of the box is placed on the plane. Bridges and trees are not
 /// ground. Therefore, surfels higher than the log's sensor plus a quarter of the distance
 /// to it are ignored.
 /// @param owner scene that contains the actor
-/// @throws UsageError naming the position if the background has no level surface below it
+/// @throws UsageError naming the position if the background has no level surface below
+/// the start
 Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
                       const std::string& track);
 

@@ -149,7 +149,9 @@ PoseTrack refined(const PoseTrack& track, double step_s) {
 
 /// Adds an instance of a model to the scene, with a new track.
 void add_instance(DrivingScene& driving, std::uint32_t model, BoxTrack box, const Start& start) {
-    box.world_from_box = straight_track(driving.sequence, start);
+    box.world_from_box = start.dataset_path.pose.empty()
+                             ? straight_track(driving.sequence, start)
+                             : shifted_track(start.dataset_path, -driving.sequence.world_offset_m);
     box.n_before = box.n_after = 0;
     driving.scene.instances.push_back({model, box.id});
     driving.sequence.boxes.push_back(std::move(box));

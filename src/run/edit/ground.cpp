@@ -269,6 +269,24 @@ glm::dquat facing_on(const GroundPlane& plane, double yaw_rad) {
     return glm::normalize(glm::quat_cast(glm::dmat3(ahead, glm::cross(plane.normal, ahead), plane.normal)));
 }
 
+/// An actor that moves along a straight line in x and y.
+struct GroundMotion {
+    glm::dvec2 from_m{0.0};  ///< position at the start of the log, world frame
+    double yaw_rad = 0.0, speed_mps = 0.0;
+
+    glm::dvec2 at(double elapsed_s) const {
+        return from_m + speed_mps * elapsed_s * glm::dvec2(std::cos(yaw_rad), std::sin(yaw_rad));
+    }
+};
+
+/// Returns the times of the log's frames. LiDARs that sweep at the same time share a time.
+std::vector<double> frame_times(const Sequence& sequence) {
+    std::vector<double> times_s;
+    for (const Frame& frame : sequence.frames)
+        if (times_s.empty() || frame.time_s > times_s.back()) times_s.push_back(frame.time_s);
+    return times_s;
+}
+
 }  // namespace
 
 std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track) {
@@ -277,17 +295,26 @@ std::optional<double> ground_clearance(const DrivingView& owner, const std::stri
 
 Start start_on_ground(const DrivingView& driving, const GroundPlace& place, const DrivingView& owner,
                       const std::string& track) {
+    const Sequence& sequence = driving.sequence;
     const BoxTrack& box = box_of_actor(owner, track);
-    const glm::dvec3 offset_m = driving.sequence.world_offset_m;
+    const glm::dvec3 offset_m = sequence.world_offset_m;
     const glm::dvec2 xy = place.dataset_m - glm::dvec2(offset_m);
     const double yaw_rad =
-        place.yaw_rad ? *place.yaw_rad : heading_of(nearest_pose(driving.sequence.world_from_vehicle, xy));
-    const LevelSurfels surfels(driving, {xy});
-    std::optional<GroundPlane> plane = surfels.below(footprint_of(xy, yaw_rad, box.size_m));
-    if (!plane)
-        plane = below_actor_at(xy, driving.sequence, [&](const BoxTrack& there) {
+        place.yaw_rad ? *place.yaw_rad : heading_of(nearest_pose(sequence.world_from_vehicle, xy));
+    const GroundMotion motion{xy, yaw_rad, place.speed_mps};
+    const std::vector<double> times_s =
+        place.speed_mps != 0.0 ? frame_times(sequence) : std::vector<double>();
+    std::vector<glm::dvec2> positions{xy};
+    for (const double time_s : times_s) positions.push_back(motion.at(time_s - times_s.front()));
+
+    const LevelSurfels surfels(driving, positions);
+    const auto ground_at = [&](const glm::dvec2& position_m) {
+        const std::optional<GroundPlane> plane = surfels.below(footprint_of(position_m, yaw_rad, box.size_m));
+        return plane ? plane : below_actor_at(position_m, sequence, [&](const BoxTrack& there) {
             return clearance_of(driving, there).value_or(0.0);
         });
+    };
+    std::optional<GroundPlane> plane = ground_at(xy);
     if (!plane)
         throw UsageError(
             fmt::format("placing {} on the ground at {:.6g},{:.6g} of the dataset's world: found no surface "
@@ -297,8 +324,27 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
     const std::optional<double> clearance_m =
         place.clearance_m ? place.clearance_m : ground_clearance(owner, track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);
-    const glm::dvec3 centre_m(xy, plane->height_at(xy) + above_m / plane->normal.z);
-    return {{facing_on(*plane, yaw_rad), centre_m + offset_m}, place.speed_mps};
+    const auto pose_on = [&](const GroundPlane& ground, const glm::dvec2& position_m) {
+        const glm::dvec3 centre_m(position_m, ground.height_at(position_m) + above_m / ground.normal.z);
+        return Pose{facing_on(ground, yaw_rad), centre_m + offset_m};
+    };
+
+    Start start{pose_on(*plane, xy), place.speed_mps};
+    // The last plane of a seen part is noisy. The mean normal of the path is not.
+    glm::dvec3 normal_sum = plane->normal;
+    for (std::size_t i = 0; i < times_s.size(); ++i) {
+        const glm::dvec2& position_m = positions[i + 1];
+        if (const std::optional<GroundPlane> next = ground_at(position_m)) {
+            plane = next;
+            normal_sum += next->normal;
+        } else {
+            start.unseen_m += glm::distance(position_m, positions[i]);
+            plane = GroundPlane{{positions[i], plane->height_at(positions[i])}, glm::normalize(normal_sum)};
+        }
+        start.dataset_path.time_s.push_back(times_s[i]);
+        start.dataset_path.pose.push_back(pose_on(*plane, position_m));
+    }
+    return start;
 }
 
 }  // namespace relidar

@@ -96,6 +96,35 @@ TEST(Ground, GivesHeightAndTiltOfASlope) {
     expect_on_slope(placed(d, 6.0, 3.0), 6.0, 3.0, 0.3);  // same heading as the recording vehicle
 }
 
+TEST(Ground, PathFollowsAHill) {
+    const auto hill = [](double x) { return 0.004 * x * x; };  // slope 0.16 after 20 m
+    DrivingScene d = slope();
+    for (std::uint32_t i = 0; i < d.scene.models[0].count; ++i) {
+        glm::vec3& mean = d.scene.surfels.mean[i];
+        mean.z += float(hill(mean.x) - slope_height(mean.x, mean.y));
+        d.scene.surfels.rotation[i] = {1, 0, 0, 0};
+    }
+    for (int i = 0; i < 5; ++i) d.sequence.frames[std::size_t(i)].time_s = i;
+    GroundPlace place{{kWorldOffset_m.x - 16.0, kWorldOffset_m.y}, 0.0, 10.0};
+    place.clearance_m = 0.0;
+    const Start start = put_down(d, place, "van");
+    ASSERT_EQ(start.dataset_path.pose.size(), 5u);
+    const DrivingScene edited = copy_track(d, "van", start);
+    const BoxTrack* copy = find_box(edited.sequence, "van-copy-1");
+    ASSERT_NE(copy, nullptr);
+    for (int i = 0; i < 4; ++i) {
+        const Pose pose = copy->world_from_box.at(i);
+        const double x = -16.0 + 10.0 * i, climb = 0.008 * x;
+        EXPECT_NEAR(pose.translation.x, x, 1e-9);
+        // A plane through 4.5 m of a parabola is 0.7 cm above its middle on average.
+        EXPECT_NEAR(pose.translation.z, hill(x) + 0.8 * std::sqrt(1.0 + climb * climb), 0.03) << i;
+        const glm::dvec3 ahead = pose.rotation * glm::dvec3(1, 0, 0);
+        EXPECT_NEAR(ahead.z / std::hypot(ahead.x, ahead.y), climb, 0.01) << i;
+    }
+    // The last pose is at x = 24 m. The hill ends at 20 m.
+    EXPECT_NEAR(start.unseen_m, 10.0, 1e-9);
+}
+
 TEST(Ground, IsAsFarBelowAnActorAsItIsKnownToBe) {
     const DrivingScene d = slope();
     const DrivingScene alone = keep_actors(d);  // an asset does not contain any ground

@@ -108,8 +108,7 @@ surfels, it does not need RUN, and its scene.json lists the edits.
 Positions are box centres in metres in the dataset's world. Copies and inserted actors are there
 at the log's first frame. They are called TRACK-copy-1, and so on.
 If z is `ground`, the surface below the box decides height and tilt. Without yaw_deg the actor
-then faces as the log's vehicle did at its nearest point. A driving actor keeps the slope of its
-start.
+then faces as the log's vehicle did at its nearest point. A driving actor follows the ground.
 A trajectory has the times of the log. Between its lines, positions are interpolated linearly and
 rotations by slerp. Outside its times the actor is absent. Actors may overlap: a ray meets the
 nearest surface.

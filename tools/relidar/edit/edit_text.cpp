@@ -110,6 +110,16 @@ std::string standing(const Start& start, const std::string& typed) {
                        tilt_deg);
 }
 
+/// Returns a warning if a part of an actor's path is outside the ground that the log has
+/// seen.
+std::string unseen_ground_note(const Start& start, const std::string& track) {
+    if (start.unseen_m == 0.0) return "";
+    return fmt::format(
+        "track {}: the log has not seen the ground below {:.0f} m of its path, so the height there is a "
+        "guess: the actor keeps the mean slope of its path",
+        track, start.unseen_m);
+}
+
 const std::string& last_track(const DrivingScene& driving) { return driving.scene.instances.back().track; }
 
 AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
@@ -164,7 +174,7 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     const Start start = start_of(edit, place, driving, {driving, track, {}});
     driving = copy_track(std::move(driving), track, start);
     return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)),
-            ""};
+            unseen_ground_note(start, last_track(driving))};
 }
 
 /// An actor that comes from another run or from an asset.
@@ -203,8 +213,10 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const ExternalActor actor = load_external_actor(edit, what);
     const Start start =
         start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
-    const std::string note = sensor_note(actor, driving);
+    std::string note = sensor_note(actor, driving);
     driving = insert_track(std::move(driving), actor.owner, actor.track, start);
+    const std::string ground_note = unseen_ground_note(start, last_track(driving));
+    note += (note.empty() || ground_note.empty() ? "" : "; ") + ground_note;
     const std::string placed = standing(start, place);
     return {driving,
             fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track(driving), placed),
