@@ -151,6 +151,15 @@ std::vector<Sample> actor_samples(std::vector<Sample> samples, const BoxTrack& b
     return samples;
 }
 
+/// Returns which share of each side of a box the samples have hit from outside.
+SideShares seen_sides(const BoxTrack& box, const std::vector<Sample>& samples) {
+    BoxSurface surface(box.size_m);
+    for (const Sample& s : samples) surface.add(glm::dvec3(s.position), glm::dvec3(s.view));
+    SideShares shares{};
+    for (std::size_t side = 0; side < kBoxSides; ++side) shares[side] = float(surface.seen(BoxSide(side)));
+    return shares;
+}
+
 struct ActorStart {
     const InitialiseOptions& options;
     double incidence;  ///< coefficient `incidence` of IntensityResponse
@@ -176,9 +185,10 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
         found.stride_m > 0.0 ? surfels_that_walk(samples, found.stride_m, options, incidence, most, progress)
                              : surfels_from_points(rigid, options, incidence);
     scene.instances.push_back({static_cast<std::uint32_t>(scene.models.size()), box.id});
-    scene.models.push_back(
-        {box.id, static_cast<std::uint32_t>(scene.surfels.size()), static_cast<std::uint32_t>(surfels.size()),
-         glm::vec3(0.5 * box.size_m + kPointMargin_m), static_cast<float>(found.stride_m)});
+    scene.models.push_back({box.id, static_cast<std::uint32_t>(scene.surfels.size()),
+                            static_cast<std::uint32_t>(surfels.size()),
+                            glm::vec3(0.5 * box.size_m + kPointMargin_m), static_cast<float>(found.stride_m),
+                            seen_sides(box, samples)});
     scene.surfels.append(surfels);
 }
 

@@ -17,8 +17,8 @@
 
 namespace relidar {
 
-/// Initial pose and speed of a new actor. The actor moves at constant speed along x of its
-/// initial box frame, or along a path.
+/// Initial pose and speed of a new actor. The actor moves at constant speed along x of
+/// its initial box frame, or along a path.
 struct Start {
     /// Pose of the box centre at the start of the log. The dataset's world frame is
     /// relidar's world frame shifted by world_offset_m.
@@ -58,11 +58,12 @@ struct DrivingView {
 std::optional<double> ground_clearance(const DrivingView& owner, const std::string& track);
 
 /// Computes the pose of an actor on the ground of the background. A moving actor gets a
-/// path that is straight in x and y and follows the ground. The actor is tilted like the plane through the level surfels below its box. The actor gets the same height
-/// above this plane that it has above the ground in `owner`. If `owner` has no ground
-/// below the box, the bottom of the box is placed on the plane. Bridges and trees are not
-/// ground. Therefore, surfels higher than the log's sensor plus a quarter of the distance
-/// to it are ignored.
+/// path that is straight in x and y and follows the ground. The actor is tilted like the
+/// plane through the level surfels below its box. The actor gets the same height above
+/// this plane that it has above the ground in `owner`. If `owner` has no ground below the
+/// box, the bottom of the box is placed on the plane. Bridges and trees are not ground.
+/// Therefore, surfels higher than the log's sensor plus a quarter of the distance to it
+/// are ignored.
 /// @param owner scene that contains the actor
 /// @throws UsageError naming the position if the background has no level surface below
 /// the start

@@ -20,6 +20,7 @@
 #include <relidar/base/process_group.hpp>
 #include <relidar/base/progress.hpp>
 #include <relidar/log/sequence.hpp>
+#include <relidar/scene/box_surface.hpp>
 
 namespace relidar {
 
@@ -136,13 +137,12 @@ struct Model {
     /// Half size of the box around the origin that contains the model's surfels, metres,
     /// model frame. 0 = the model has no box.
     glm::vec3 half_size_m{0.0f};
-    /// Distance walked in one gait cycle (two steps of a person), metres. 0 = the model
-    /// is rigid.
+    /// Distance walked in one gait cycle (two steps), metres. 0 = the model is rigid.
     float stride_m = 0.0f;
+    std::optional<SideShares> seen_sides = {};  ///< what the log has seen of the box; empty: unknown
 };
 
-/// Placement of a model in the world. Instance 0 is the background with the identity
-/// pose.
+/// Placement of a model in the world. Instance 0 is the background at the origin.
 struct Instance {
     std::uint32_t model = 0;
     std::string track;  ///< Id of the track that moves the instance. Empty for the background.

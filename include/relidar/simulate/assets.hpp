@@ -16,69 +16,12 @@
 #include <relidar/base/progress.hpp>
 #include <relidar/gpu/device.hpp>
 #include <relidar/run/run.hpp>
+#include <relidar/scene/box_surface.hpp>
 
 namespace relidar {
 
 /// Name of the description file in an asset's folder.
 inline constexpr const char* kAssetFile = "asset.json";
-
-/// Sides of a box for which the observed fraction is measured. The bottom is not
-/// included.
-enum class BoxSide { front, rear, left, right, top };
-inline constexpr std::size_t kBoxSides = 5;
-/// Returns the name of a side: "front", "rear", "left", "right", "top".
-const char* name_of(BoxSide side);
-
-/// Surface of a box, divided into patches of about 0.3 m. The class stores which patches
-/// were observed by rays. A point belongs to the patch onto which it projects from the
-/// centre of the box. The lowest fifth of the four sides is ignored, because it is hidden
-/// near the ground. Every patch has a mirror patch on the other side of the x-z plane.
-class BoxSurface {
-public:
-    /// Creates a surface without observed patches.
-    /// @param size_m [3] length, width, height, all above 0
-    explicit BoxSurface(const glm::dvec3& size_m);
-    /// Marks the patch of a point as observed by a ray. The ray must hit the side from
-    /// outside and must not graze it. Rays from inside are ignored, because they reach
-    /// the far side through a window. The centre of the box and points below the sides
-    /// are ignored too.
-    /// @param point_m [3] box frame
-    /// @param direction [3] direction of the ray, box frame
-    void add(const glm::dvec3& point_m, const glm::dvec3& direction);
-    /// Returns true if the patch of a point was observed. Returns false if the point is
-    /// on the ignored lowest part of a side.
-    bool is_seen(const glm::dvec3& point_m) const;
-    /// Returns true if the patch of a point was not observed, but its mirror patch was
-    /// observed. The mirror patch is on the other side of the box.
-    bool is_mirrored(const glm::dvec3& point_m) const;
-    /// Returns the observed fraction of a side, 0 to 1.
-    double seen(BoxSide side) const;
-    /// Returns the observed fraction of the box surface, by area, 0 to 1. mirrored()
-    /// returns the fraction whose mirror patch was observed instead.
-    double seen() const;
-    double mirrored() const;
-
-private:
-    struct Patch {
-        BoxSide side;
-        int column, row;
-    };
-    glm::dvec3 half_m_;
-    std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
-    std::array<std::vector<char>, kBoxSides> seen_;
-
-    /// Computes the patch of a point. Returns false if the point belongs to no patch.
-    bool find(const glm::dvec3& point_m, Patch& patch) const;
-    Patch mirror(Patch patch) const;  ///< returns the mirror patch
-    /// Returns true if the patch is above the ignored part near the ground.
-    bool counts(const Patch& patch) const;
-    bool at(const Patch& patch) const;  ///< returns true if the patch was observed
-    /// Returns two areas in m2: the area of the observed (or mirrored) patches, and the
-    /// area of all patches.
-    std::array<double, 2> areas(BoxSide side, bool mirrored) const;
-    /// Returns the observed (or mirrored) fraction of the area of all sides.
-    double share(bool mirrored) const;
-};
 
 /// Points at which rays of the log hit an actor.
 struct ActorSightings {

@@ -26,6 +26,13 @@ namespace relidar {
 struct Run;
 struct MountedSensor;
 
+/// Rays of a scan that enter an actor's box through a side that the log has not seen.
+struct UnseenSide {
+    std::string track;
+    BoxSide side;
+    std::size_t n_rays = 0;
+};
+
 /// A simulated scan: a range image with the ray of each pixel. Each ray is expressed in
 /// the sensor's frame at the firing time of that ray.
 struct RenderedScan {
@@ -60,6 +67,9 @@ struct RenderedScan {
     /// half of the ray's path. Computed from all rays or from about a thousand of them.
     /// Empty if the run has no coverage.
     std::optional<double> unseen_share = {};
+    /// Unseen sides of actors that the scan shows; see find_unseen_sides(). `relidar
+    /// render` sets them.
+    std::vector<UnseenSide> unseen_sides = {};
     Pose world_from_sensor;  ///< pose of the sensor at the reference time, in the dataset's world frame
     /// Poses of the sensor during the scan, in the dataset's world frame. The track has a
     /// single pose if all rays are fired from the same pose.
@@ -71,6 +81,11 @@ struct RenderedScan {
     /// frame.
     Pose world_from_firing(std::size_t ray) const;
 };
+
+/// Finds the sides of actors without data that at least five rays of a scan meet. Rays
+/// pass through such a side. Uses the poses of the actors in the log.
+std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
+                                          const Sequence& sequence);
 
 /// Computes the pose of the sensor at the firing time of each ray of a scan. Many sensors
 /// fire all rays of a column at the same time, so the pose is interpolated only once per

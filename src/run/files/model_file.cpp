@@ -71,6 +71,17 @@ float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e3)) : 0.0f;
 }
 
+/// Reads the share of each side of a model's box that the log has seen. Returns nothing if
+/// the file does not have the shares.
+std::optional<SideShares> read_seen_sides(const JsonField& model) {
+    if (!model.has("seen_sides")) return {};
+    SideShares shares{};
+    const JsonField field = model.at("seen_sides");
+    (void)field.numbers<kBoxSides>();
+    for (std::size_t s = 0; s < kBoxSides; ++s) shares[s] = float(field.at(s).number(0.0, 1.0));
+    return shares;
+}
+
 void read_layout(const JsonField& layout, Scene& scene) {
     const auto n = static_cast<std::int64_t>(scene.surfels.size());
     const JsonField models = layout.at("models"), instances = layout.at("instances");
@@ -84,7 +95,8 @@ void read_layout(const JsonField& layout, Scene& scene) {
                                fmt::format("expected {}, where the model before ends", next));
         next = first + count;
         scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
-                                static_cast<std::uint32_t>(count), read_half_size(m), read_stride(m)});
+                                static_cast<std::uint32_t>(count), read_half_size(m), read_stride(m),
+                                read_seen_sides(m)});
     }
     if (next != n)
         models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
@@ -171,6 +183,7 @@ std::string layout_to_json(const Scene& scene) {
                                   {"count", m.count},
                                   {"half_size_m", {m.half_size_m.x, m.half_size_m.y, m.half_size_m.z}}});
         if (m.stride_m > 0.0f) json["models"].back()["stride_m"] = m.stride_m;
+        if (m.seen_sides) json["models"].back()["seen_sides"] = *m.seen_sides;
     }
     for (const Instance& i : scene.instances)
         json["instances"].push_back({{"model", i.model}, {"track", i.track}});

@@ -84,6 +84,13 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
 
 }  // namespace
 
+BoxSurface seen_surface(const glm::dvec3& size_m, const ActorSightings& sightings) {
+    BoxSurface surface(size_m);
+    for (std::size_t i = 0; i < sightings.points_m.size(); ++i)
+        surface.add(glm::dvec3(sightings.points_m[i]), glm::dvec3(sightings.directions[i]));
+    return surface;
+}
+
 Surfels mirrored_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
@@ -141,7 +148,15 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
 
     BoxTrack named = *box;
     named.id = facts.name;
-    model = {facts.name, 0, std::uint32_t(surfels.size()), model.half_size_m};
+    SideShares shares{};
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        shares[s] = float(facts.seen_sides[s] +
+                          (facts.kind == ObjectKind::vehicle ? surface.mirrored(BoxSide(s)) : 0.0));
+    model = {.name = facts.name,
+             .first = 0,
+             .count = std::uint32_t(surfels.size()),
+             .half_size_m = model.half_size_m,
+             .seen_sides = shares};
     alone.scene.models[0].first = 0;
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};

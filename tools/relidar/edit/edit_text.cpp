@@ -120,6 +120,24 @@ std::string unseen_ground_note(const Start& start, const std::string& track) {
         track, start.unseen_m);
 }
 
+/// Returns a warning if the log has not seen some sides of an actor. Rays pass through
+/// these sides.
+std::string unseen_sides_note(const DrivingScene& driving) {
+    const Instance& added = driving.scene.instances.back();
+    const Model& model = driving.scene.models[added.model];
+    const std::string sides = model.seen_sides ? list_unseen_sides(*model.seen_sides) : "";
+    if (sides.empty()) return "";
+    return fmt::format("track {}: the log has not seen these sides of it: {}; rays pass through them",
+                       added.track, sides);
+}
+
+std::string join_notes(const std::vector<std::string>& notes) {
+    std::string text;
+    for (const std::string& note : notes)
+        if (!note.empty()) text += (text.empty() ? "" : "; ") + note;
+    return text;
+}
+
 const std::string& last_track(const DrivingScene& driving) { return driving.scene.instances.back().track; }
 
 AppliedEdit remove_one(DrivingScene driving, const TypedEdit& edit) {
@@ -174,7 +192,7 @@ AppliedEdit copy(DrivingScene driving, const TypedEdit& edit) {
     const Start start = start_of(edit, place, driving, {driving, track, {}});
     driving = copy_track(std::move(driving), track, start);
     return {driving, fmt::format("copied {} as {}{}", track, last_track(driving), standing(start, place)),
-            unseen_ground_note(start, last_track(driving))};
+            join_notes({unseen_ground_note(start, last_track(driving)), unseen_sides_note(driving)})};
 }
 
 /// An actor that comes from another run or from an asset.
@@ -213,10 +231,10 @@ AppliedEdit insert(DrivingScene driving, const TypedEdit& edit) {
     const ExternalActor actor = load_external_actor(edit, what);
     const Start start =
         start_of(edit, place, driving, {actor.owner, actor.track, asset_clearance(actor.run)});
-    std::string note = sensor_note(actor, driving);
+    const std::string sensor = sensor_note(actor, driving);
     driving = insert_track(std::move(driving), actor.owner, actor.track, start);
-    const std::string ground_note = unseen_ground_note(start, last_track(driving));
-    note += (note.empty() || ground_note.empty() ? "" : "; ") + ground_note;
+    const std::string note =
+        join_notes({sensor, unseen_ground_note(start, last_track(driving)), unseen_sides_note(driving)});
     const std::string placed = standing(start, place);
     return {driving,
             fmt::format("inserted {} of {} as {}{}", actor.track, actor.folder, last_track(driving), placed),

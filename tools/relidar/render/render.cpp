@@ -288,9 +288,14 @@ void finish(Output& output, const Ranks& ranks, bool quiet) {
 /// Renders scans and writes them to files, one sweep after the other.
 class SweepRenderer {
 public:
-    SweepRenderer(ScanRenderer& renderer, const RenderOptions& options,
+    SweepRenderer(ScanRenderer& renderer, const Run& run, const RenderOptions& options,
                   const std::vector<TargetSensor>& targets, const Pose& offset, const PoseTrack& track)
-        : renderer_(renderer), options_(options), targets_(targets), offset_(offset), track_(track) {
+        : renderer_(renderer),
+          run_(run),
+          options_(options),
+          targets_(targets),
+          offset_(offset),
+          track_(track) {
         for (const TargetSensor& w : targets) mountings_.push_back(w.mounting);
     }
 
@@ -304,6 +309,7 @@ public:
                          : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
             n_rays_ += double(scans.back().image.range_m.size());
+            scans.back().unseen_sides = find_unseen_sides(scans.back(), run_.scene, run_.sequence);
             count(scans.back());
         }
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
@@ -330,6 +336,7 @@ public:
 
 private:
     ScanRenderer& renderer_;
+    const Run& run_;
     const RenderOptions& options_;
     const std::vector<TargetSensor>& targets_;
     const Pose offset_;
@@ -388,7 +395,7 @@ void run_render(const RenderOptions& typed_options) {
         if (!options.quiet) note_compensated(run, w.sensor), note_unrefined(run, renderer, w.sensor);
     catch_interrupts();
     Progress progress(options.quiet);
-    SweepRenderer sweep_renderer(renderer, options, targets, offset, with_fine_turns(track));
+    SweepRenderer sweep_renderer(renderer, run, options, targets, offset, with_fine_turns(track));
     const ProcessGroup::Share share = ranks.group().share(sweeps.size());
     for (std::size_t i = share.begin; i < share.end; ++i) {
         sweep_renderer.render(sweeps[i], output);
@@ -444,7 +451,8 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
 constexpr const char* kFilesHelp =
     R"(Files are named DIR/frame_000123.npz and so on, by the dataset's frame number; with --trajectory
 they are counted from 0. DIR/scans.json holds run, sensor, offset, poses, times and settings, and
-`unseen`: the share of rays that cross mainly space that the log has not seen.
+`unseen`: the share of rays that cross mainly space that the log has not seen. `unseen_sides`: sides
+of actors that rays meet and the log has not seen.
 npz: range, median_range, intensity, drop_prob, weight, time, ring [rows,columns]; directions,
 origin [rows,columns,3]; pose [4,4], sensor to the dataset's world at time_s. Metres, seconds.
 ply, pcd, bin: points of rays with drop_prob < 0.5, on the dominant surface. With --set

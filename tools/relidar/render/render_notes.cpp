@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "render/render_notes.hpp"
 
+#include <map>
+
 #include <fmt/format.h>
+#include <fmt/ranges.h>
 #include <nlohmann/json.hpp>
 
 #include "console.hpp"
@@ -42,7 +45,28 @@ void note_weather(const Weather& weather) {
                     to_text(weather)));
 }
 
+namespace {
+
+/// Prints for each actor which unseen sides the scans show, and in how many scans.
+void note_unseen_sides(const std::vector<std::string>& entries, const std::string& folder) {
+    std::map<std::string, std::size_t> n_scans;
+    for (const std::string& entry : entries)
+        for (const nlohmann::json& side : nlohmann::json::parse(entry)["unseen_sides"])
+            ++n_scans[fmt::format("the {} of {}", side["side"].get<std::string>(),
+                                  side["track"].get<std::string>())];
+    std::vector<std::string> texts;
+    for (const auto& [name, n] : n_scans) texts.push_back(fmt::format("{} in {} scans", name, n));
+    if (texts.empty()) return;
+    note(
+        fmt::format("{}: rays meet sides of actors that the log has not seen, and pass through them: {} "
+                    "(scans.json: unseen_sides)",
+                    folder, fmt::join(texts, ", ")));
+}
+
+}  // namespace
+
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder) {
+    note_unseen_sides(entries, folder);
     std::size_t n_unseen = 0, n_known = 0;
     double worst = 0.0;
     int worst_number = 0;

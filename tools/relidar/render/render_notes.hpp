@@ -26,6 +26,7 @@ void note_unscattered(const Run& run, int lidar);
 void note_weather(const Weather& weather);
 
 /// Prints a note about scans in which many rays cross space that the log has not seen.
+/// Prints another note about rays that meet a side of an actor that the log has not seen.
 /// @param entries entries of scans.json
 void note_unseen(const std::vector<std::string>& entries, const std::string& folder);
 

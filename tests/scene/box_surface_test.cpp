@@ -3,7 +3,7 @@
 #include <limits>
 #include <random>
 
-#include <relidar/simulate/assets.hpp>
+#include <relidar/scene/box_surface.hpp>
 
 #include <gtest/gtest.h>
 

@@ -1,10 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 // Divides the surface of a box into patches and stores which patches were observed. A
 // line from the centre of the box through a point selects the patch of the point.
-#include <relidar/simulate/assets.hpp>
+#include <relidar/scene/box_surface.hpp>
 
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
 
 namespace relidar {
 namespace {
@@ -20,16 +21,6 @@ constexpr double kHiddenHeight = 0.2;
 constexpr double kGrazing = 0.2, kGrazingTop = 0.02;
 // maximum number of pairs of patches along an axis, for a box of 120 m
 constexpr double kMostPairs = 200.0;
-
-/// Axes of a side: the axis of its normal, the sign of the normal, and the two axes along
-/// which patches are counted. For vertical sides, the second axis is the height.
-struct SideFrame {
-    int normal;
-    double sign;
-    int first, second;
-};
-constexpr SideFrame kFrames[kBoxSides] = {
-    {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
 /// plane y = 0 does not cut a patch.
@@ -50,7 +41,7 @@ const char* name_of(BoxSide side) {
 
 BoxSurface::BoxSurface(const glm::dvec3& size_m) : half_m_(0.5 * size_m) {
     for (std::size_t s = 0; s < kBoxSides; ++s) {
-        n_[s] = {count_patches(size_m[kFrames[s].first]), count_patches(size_m[kFrames[s].second])};
+        n_[s] = {count_patches(size_m[kSideFrames[s].first]), count_patches(size_m[kSideFrames[s].second])};
         seen_[s].assign(std::size_t(n_[s][0] * n_[s][1]), 0);
     }
 }
@@ -62,7 +53,7 @@ bool BoxSurface::find(const glm::dvec3& point_m, Patch& patch) const {
     const int axis = size.x >= size.y && size.x >= size.z ? 0 : size.y >= size.z ? 1 : 2;
     if (!(size[axis] > 0.0) || !std::isfinite(size[axis]) || (axis == 2 && share.z < 0.0)) return false;
     const int side = axis == 2 ? int(BoxSide::top) : 2 * axis + (share[axis] < 0.0 ? 1 : 0);
-    const SideFrame& frame = kFrames[side];
+    const SideFrame& frame = kSideFrames[side];
     const glm::dvec3 on_surface = point_m / size[axis];
     patch = {BoxSide(side), patch_at(on_surface[frame.first], half_m_[frame.first], n_[std::size_t(side)][0]),
              patch_at(on_surface[frame.second], half_m_[frame.second], n_[std::size_t(side)][1])};
@@ -88,7 +79,7 @@ bool BoxSurface::at(const Patch& patch) const {
 void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
     Patch patch{};
     if (!find(point_m, patch)) return;
-    const SideFrame& frame = kFrames[std::size_t(patch.side)];
+    const SideFrame& frame = kSideFrames[std::size_t(patch.side)];
     if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazing)))
         return;
     seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] =
@@ -106,7 +97,7 @@ bool BoxSurface::is_mirrored(const glm::dvec3& point_m) const {
 }
 
 std::array<double, 2> BoxSurface::areas(BoxSide side, bool mirrored) const {
-    const SideFrame& frame = kFrames[std::size_t(side)];
+    const SideFrame& frame = kSideFrames[std::size_t(side)];
     const auto [columns, rows] = n_[std::size_t(side)];
     const double patch_m2 = 4.0 * half_m_[frame.first] * half_m_[frame.second] / (columns * rows);
     std::array<double, 2> sum{};
@@ -135,14 +126,19 @@ double BoxSurface::seen(BoxSide side) const {
     return area[0] / area[1];
 }
 
+double BoxSurface::mirrored(BoxSide side) const {
+    const std::array<double, 2> area = areas(side, true);
+    return area[0] / area[1];
+}
+
 double BoxSurface::seen() const { return share(false); }
 double BoxSurface::mirrored() const { return share(true); }
 
-BoxSurface seen_surface(const glm::dvec3& size_m, const ActorSightings& sightings) {
-    BoxSurface surface(size_m);
-    for (std::size_t i = 0; i < sightings.points_m.size(); ++i)
-        surface.add(glm::dvec3(sightings.points_m[i]), glm::dvec3(sightings.directions[i]));
-    return surface;
+std::string list_unseen_sides(const SideShares& shares) {
+    std::string names;
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        if (shares[s] < kUnseenSide) names += (names.empty() ? "" : ", ") + std::string(name_of(BoxSide(s)));
+    return names;
 }
 
 }  // namespace relidar

@@ -1,0 +1,91 @@
+// SPDX-License-Identifier: Apache-2.0
+// Surface of an actor's box: which parts of it the log has observed.
+#pragma once
+
+#include <array>
+#include <string>
+#include <vector>
+
+#include <glm/glm.hpp>
+
+namespace relidar {
+
+/// Sides of a box for which the observed fraction is measured. The bottom is not
+/// included.
+enum class BoxSide { front, rear, left, right, top };
+inline constexpr std::size_t kBoxSides = 5;
+/// Returns the name of a side: "front", "rear", "left", "right", "top".
+const char* name_of(BoxSide side);
+
+/// Axes of a side: the axis of its normal, the sign of the normal, and the two axes along
+/// which patches are counted. For vertical sides, the second axis is the height.
+struct SideFrame {
+    int normal;
+    double sign;
+    int first, second;
+};
+inline constexpr SideFrame kSideFrames[kBoxSides] = {
+    {0, 1.0, 1, 2}, {0, -1.0, 1, 2}, {1, 1.0, 0, 2}, {1, -1.0, 0, 2}, {2, 1.0, 1, 0}};
+
+/// Observed fraction of each side of a box, 0 to 1, in the order of BoxSide.
+using SideShares = std::array<float, kBoxSides>;
+/// A side counts as unseen if the log observed less than this fraction of it.
+inline constexpr float kUnseenSide = 0.1f;
+/// Returns the names of the unseen sides, for example "rear, left". Returns an empty text
+/// if the log observed all sides.
+std::string list_unseen_sides(const SideShares& shares);
+
+/// Surface of a box, divided into patches of about 0.3 m. The class stores which patches
+/// were observed by rays. A point belongs to the patch onto which it projects from the
+/// centre of the box. The lowest fifth of the four sides is ignored, because it is hidden
+/// near the ground. Every patch has a mirror patch on the other side of the x-z plane.
+class BoxSurface {
+public:
+    /// Creates a surface without observed patches.
+    /// @param size_m [3] length, width, height, all above 0
+    explicit BoxSurface(const glm::dvec3& size_m);
+    /// Marks the patch of a point as observed by a ray. The ray must hit the side from
+    /// outside and must not graze it. Rays from inside are ignored, because they reach
+    /// the far side through a window. The centre of the box and points below the sides
+    /// are ignored too.
+    /// @param point_m [3] box frame
+    /// @param direction [3] direction of the ray, box frame
+    void add(const glm::dvec3& point_m, const glm::dvec3& direction);
+    /// Returns true if the patch of a point was observed. Returns false if the point is
+    /// on the ignored lowest part of a side.
+    bool is_seen(const glm::dvec3& point_m) const;
+    /// Returns true if the patch of a point was not observed, but its mirror patch was
+    /// observed. The mirror patch is on the other side of the box.
+    bool is_mirrored(const glm::dvec3& point_m) const;
+    /// Returns the observed fraction of a side, 0 to 1.
+    double seen(BoxSide side) const;
+    /// Returns the observed fraction of the box surface, by area, 0 to 1. mirrored()
+    /// returns the fraction whose mirror patch was observed instead.
+    double seen() const;
+    double mirrored() const;
+    /// Returns the fraction of a side that was not observed, but whose mirror patch was.
+    double mirrored(BoxSide side) const;
+
+private:
+    struct Patch {
+        BoxSide side;
+        int column, row;
+    };
+    glm::dvec3 half_m_;
+    std::array<std::array<int, 2>, kBoxSides> n_{};  ///< number of patches of a side along its two axes
+    std::array<std::vector<char>, kBoxSides> seen_;
+
+    /// Computes the patch of a point. Returns false if the point belongs to no patch.
+    bool find(const glm::dvec3& point_m, Patch& patch) const;
+    Patch mirror(Patch patch) const;  ///< returns the mirror patch
+    /// Returns true if the patch is above the ignored part near the ground.
+    bool counts(const Patch& patch) const;
+    bool at(const Patch& patch) const;  ///< returns true if the patch was observed
+    /// Returns two areas in m2: the area of the observed (or mirrored) patches, and the
+    /// area of all patches.
+    std::array<double, 2> areas(BoxSide side, bool mirrored) const;
+    /// Returns the observed (or mirrored) fraction of the area of all sides.
+    double share(bool mirrored) const;
+};
+
+}  // namespace relidar

@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// Counts the rays of a scan that enter the box of an actor through a side that the log
+// has not seen. The model has no surfels on such a side, so rays pass through it.
+#include <relidar/simulate/render.hpp>
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+namespace relidar {
+namespace {
+
+// A ray that grazes a side is not counted. It has the same limit as BoxSurface.
+constexpr double kGrazing = 0.2;
+// Fewer rays do not change the look of an actor.
+constexpr std::size_t kFewestRays = 5;
+
+/// An actor with at least one unseen side, at its pose in a scan.
+struct HollowBox {
+    const std::string* track;
+    const PoseTrack* world_from_box;
+    glm::dvec3 half_m;
+    const SideShares* shares;
+    /// Sphere in the world frame that contains the box during the scan. It excludes most
+    /// rays quickly.
+    glm::dvec3 centre_m{0.0};
+    double radius_m = 0.0;
+    std::array<std::size_t, kBoxSides> n_rays{};
+
+    bool is_near(const glm::dvec3& origin, const glm::dvec3& direction) const {
+        const glm::dvec3 to_centre = centre_m - origin;
+        const double along_m = glm::dot(to_centre, direction);
+        return along_m > -radius_m &&
+               glm::dot(to_centre, to_centre) - along_m * along_m < radius_m * radius_m;
+    }
+};
+
+/// Returns the range at which a ray enters a box, and the axis of the side through which
+/// it enters. Returns infinity if the ray misses the box or starts inside.
+std::pair<double, int> enter_box(const glm::dvec3& origin, const glm::dvec3& direction,
+                                 const glm::dvec3& half_m) {
+    double enter_m = 0.0, leave_m = std::numeric_limits<double>::infinity();
+    int axis = -1;
+    for (int k = 0; k < 3; ++k) {
+        const double inverse = 1.0 / direction[k], a = (-half_m[k] - origin[k]) * inverse,
+                     b = (half_m[k] - origin[k]) * inverse;
+        if (std::min(a, b) > enter_m) enter_m = std::min(a, b), axis = k;
+        leave_m = std::min(leave_m, std::max(a, b));
+    }
+    if (axis < 0 || !(enter_m < leave_m)) return {std::numeric_limits<double>::infinity(), 0};
+    return {enter_m, axis};
+}
+
+std::vector<HollowBox> find_hollow_boxes(const RenderedScan& scan, const Scene& scene,
+                                         const Sequence& sequence) {
+    std::vector<HollowBox> boxes;
+    if (scan.time_offset_s.empty()) return boxes;
+    const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
+    for (const Instance& instance : scene.instances) {
+        const Model& model = scene.models[instance.model];
+        const BoxTrack* box = instance.track.empty() ? nullptr : find_box(sequence, instance.track);
+        if (!box || !box->present(scan.time_s) || !model.seen_sides ||
+            list_unseen_sides(*model.seen_sides).empty())
+            continue;
+        const glm::dvec3 begin_m = box->world_from_box.at(scan.time_s + double(first_s)).translation,
+                         end_m = box->world_from_box.at(scan.time_s + double(last_s)).translation;
+        boxes.push_back({&box->id, &box->world_from_box, 0.5 * box->size_m, &*model.seen_sides,
+                         0.5 * (begin_m + end_m),
+                         0.5 * (glm::length(box->size_m) + glm::distance(begin_m, end_m))});
+    }
+    return boxes;
+}
+
+}  // namespace
+
+std::vector<UnseenSide> find_unseen_sides(const RenderedScan& scan, const Scene& scene,
+                                          const Sequence& sequence) {
+    std::vector<HollowBox> boxes = find_hollow_boxes(scan, scene, sequence);
+    FiringPoses firing(scan, Pose{glm::dquat(1.0, 0.0, 0.0, 0.0), -sequence.world_offset_m});
+    for (std::size_t i = 0; !boxes.empty() && i < scan.image.range_m.size(); ++i) {
+        const Pose& world_from_firing = firing.at(i);
+        const glm::dvec3 origin = world_from_firing * glm::dvec3(scan.image.origin[i]),
+                         direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[i]);
+        for (HollowBox& box : boxes) {
+            if (!box.is_near(origin, direction)) continue;
+            const Pose box_from_world =
+                inverse(box.world_from_box->at(scan.time_s + double(scan.time_offset_s[i])));
+            const glm::dvec3 ray = box_from_world.rotation * direction;
+            const auto [enter_m, axis] = enter_box(box_from_world * origin, ray, box.half_m);
+            const bool is_hidden = scan.median_range_m[i] > 0.0f && double(scan.median_range_m[i]) < enter_m;
+            if (!std::isfinite(enter_m) || is_hidden || std::abs(ray[axis]) < kGrazing) continue;
+            for (std::size_t s = 0; s < kBoxSides; ++s)
+                if (kSideFrames[s].normal == axis && kSideFrames[s].sign * ray[axis] < 0.0 &&
+                    (*box.shares)[s] < kUnseenSide)
+                    ++box.n_rays[s];
+        }
+    }
+    std::vector<UnseenSide> sides;
+    for (const HollowBox& box : boxes)
+        for (std::size_t s = 0; s < kBoxSides; ++s)
+            if (box.n_rays[s] >= kFewestRays) sides.push_back({*box.track, BoxSide(s), box.n_rays[s]});
+    return sides;
+}
+
+}  // namespace relidar

@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests the count of rays that enter a box through an unseen side. The expected counts
+// are numbers of points on a grid.
+#include <gtest/gtest.h>
+
+#include <relidar/simulate/render.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kOffset_m = 500.0;
+
+/// Returns a scene with a van of 4 x 2 x 1.6 m, 10 m ahead of the origin. The log has seen
+/// its rear by the given share, and all other sides.
+Scene van_scene(float rear_share) {
+    Scene scene;
+    scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
+    scene.models[1].seen_sides = SideShares{1.0f, rear_share, 1.0f, 1.0f, 1.0f};
+    scene.instances = {{0, ""}, {1, "van"}};
+    return scene;
+}
+
+Sequence van_sequence() {
+    Sequence sequence;
+    sequence.world_offset_m = {kOffset_m, 0.0, 0.0};
+    BoxTrack van{"van", "Van", {4.0, 2.0, 1.6}, {}};
+    van.world_from_box.time_s = {0.0, 1.0};
+    van.world_from_box.pose.assign(2, {glm::dquat(1, 0, 0, 0), {10.0, 0.0, 0.0}});
+    sequence.boxes = {van};
+    return sequence;
+}
+
+/// Returns a scan with rays to a grid of points on the plane of the van's rear, x = 8 m.
+/// The points have distances of 0.1 m. 20 x 16 of them lie on the rear.
+/// @param return_m range of all returns; 0 if no ray returns
+RenderedScan grid_scan(float return_m) {
+    RenderedScan scan;
+    for (int y = -20; y < 20; ++y)
+        for (int z = -20; z < 20; ++z) {
+            scan.image.origin.emplace_back(0.0f);
+            scan.image.direction.push_back(glm::normalize(glm::vec3(8.0, 0.1 * y + 0.05, 0.1 * z + 0.05)));
+        }
+    const std::size_t n = scan.image.origin.size();
+    scan.image.range_m.assign(n, return_m);
+    scan.median_range_m.assign(n, return_m);
+    scan.time_offset_s.assign(n, 0.0f);
+    scan.world_from_sensor = {glm::dquat(1, 0, 0, 0), {kOffset_m, 0.0, 0.0}};
+    scan.track.time_s = {0.0};
+    scan.track.pose = {scan.world_from_sensor};
+    scan.time_s = 0.5;
+    return scan;
+}
+
+TEST(UnseenSides, CountsTheRaysThatEnterThroughTheRear) {
+    for (const float return_m : {0.0f, 30.0f}) {  // no return, or a wall behind the van
+        const std::vector<UnseenSide> sides =
+            find_unseen_sides(grid_scan(return_m), van_scene(0.0f), van_sequence());
+        ASSERT_EQ(sides.size(), 1u);
+        EXPECT_EQ(sides[0].track, "van");
+        EXPECT_EQ(sides[0].side, BoxSide::rear);
+        EXPECT_EQ(sides[0].n_rays, 20u * 16u);
+    }
+}
+
+TEST(UnseenSides, AreNotReportedIfSeenHiddenAbsentOrUnknown) {
+    EXPECT_TRUE(find_unseen_sides(grid_scan(0.0f), van_scene(0.5f), van_sequence()).empty());
+    EXPECT_TRUE(find_unseen_sides(grid_scan(5.0f), van_scene(0.0f), van_sequence()).empty())
+        << "a wall in front of the van hides it";
+    RenderedScan late = grid_scan(0.0f);
+    late.time_s = 9.0;
+    EXPECT_TRUE(find_unseen_sides(late, van_scene(0.0f), van_sequence()).empty());
+    Scene unknown = van_scene(0.0f);
+    unknown.models[1].seen_sides = {};
+    EXPECT_TRUE(find_unseen_sides(grid_scan(0.0f), unknown, van_sequence()).empty());
+}
+
+}  // namespace
+}  // namespace relidar
