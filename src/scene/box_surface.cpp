@@ -10,22 +10,22 @@
 namespace relidar {
 namespace {
 
-constexpr double kPatch_m = 0.3;
+constexpr double kBoxPatch_m = 0.3;
 // Ignores this lowest fraction of the height of a vertical side, because the ground hides
 // it.
 constexpr double kHiddenHeight = 0.2;
 /// A return observes a side only if the cosine between the ray and the normal of the side
-/// is at least kGrazing. At smaller angles the returns form separate streaks. The limit
+/// is at least kGrazingSide. At smaller angles the returns form separate streaks. The limit
 /// for the top is lower. A LiDAR on a car hits the roofs of other cars only at grazing
 /// angles.
-constexpr double kGrazing = 0.2, kGrazingTop = 0.02;
+constexpr double kGrazingSide = 0.2, kGrazingTop = 0.02;
 // maximum number of pairs of patches along an axis, for a box of 120 m
 constexpr double kMostPairs = 200.0;
 
 /// Returns the number of patches along a length. The number is even, so that the symmetry
 /// plane y = 0 does not cut a patch.
 int count_patches(double length_m) {
-    return 2 * int(std::clamp(std::round(length_m / (2.0 * kPatch_m)), 1.0, kMostPairs));
+    return 2 * int(std::clamp(std::round(length_m / (2.0 * kBoxPatch_m)), 1.0, kMostPairs));
 }
 
 int patch_at(double along, double half_m, int n) {
@@ -80,7 +80,7 @@ void BoxSurface::add(const glm::dvec3& point_m, const glm::dvec3& direction) {
     Patch patch{};
     if (!find(point_m, patch)) return;
     const SideFrame& frame = kSideFrames[std::size_t(patch.side)];
-    if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazing)))
+    if (!(-frame.sign * direction[frame.normal] >= (patch.side == BoxSide::top ? kGrazingTop : kGrazingSide)))
         return;
     seen_[std::size_t(patch.side)][std::size_t(patch.row * n_[std::size_t(patch.side)][0] + patch.column)] =
         1;
