@@ -200,6 +200,8 @@ class Render(TestCase):
         self.assertFalse(np.array_equal(a["drop_prob"], c["drop_prob"]))
 
     def test_weather(self):
+        for word in ("fog=", "rain=", "snow=", "wet=", "bloom", "sun="):
+            self.assertIn(word, relidar.Run.render.__doc__)
         time = run().times[3]
         clear, fog = (run().render(time=time, sample=1, weather=weather) for weather in ("", "fog=60"))
         self.assertNotIn("source", clear)

@@ -144,6 +144,7 @@ TEST_F(LiveScan, HasTheWeatherOfEachWish) {
         EXPECT_EQ(sources, *find_values<std::int32_t>(expected.channels, "source"));
         EXPECT_THAT(sources, testing::Contains(testing::Gt(0)));
     }
+    EXPECT_EQ(scanner().describe()["weather"]["help"], weather_help());
     EXPECT_EQ(scanner().describe()["channels"].back()["name"], "source") << "the page can colour by it";
 }
 

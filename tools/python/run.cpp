@@ -146,7 +146,7 @@ std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict&
     return changed;
 }
 
-constexpr const char* kRenderHelp =
+constexpr const char* kHelpBeforeWeather =
     "Renders a scan.\n\n"
     "sensor: one of relidar.sensors(), \"native\" (the log's), \"kitti360\", a CSV beam table, or a dict of "
     "rays as relidar.rays() gives; "
@@ -169,13 +169,9 @@ constexpr const char* kRenderHelp =
     "deskew: sensor frame at `time` for all rays. Without a rolling shutter it is the same (the log's sensor "
     "if its scans are\n"
     "    motion-compensated): then `time` is 0 for all rays and `deskewed` 1\n"
-    "weather: \"fog=50\" (visibility in metres), \"rain=25\" or \"snow=2\" (mm of water an hour), "
-    "\"wet=0.5\" (mm of water on level\n"
-    "    ground), \"sun=120:5\" (azimuth:elevation, degrees of the dataset's world),\n"
-    "    \"bloom\" (stray light of reflectors), or several with commas between; drawn by `sample`, 0 "
-    "without;\n"
-    "    adds `source` [rows,columns] int32: -1 nothing,\n"
-    "    0 surface, 1 fog, 2 rain, 3 snow, 4 mirrored by wet ground, 5 noise of sunlight, 6 stray light\n\n"
+    "weather: text; ";
+constexpr const char* kHelpAfterWeather =
+    "\n\n"
     "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, "
     "weight, time (seconds\n"
     "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; "
@@ -187,6 +183,14 @@ constexpr const char* kRenderHelp =
     "[rows,columns,3]; unseen, share of the rays that look where the log never did, where the run knows.\n\n"
     "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
     "unknown names and weather.";
+
+/// Returns the documentation of Run.render(). The table of weather effects has a part of
+/// the text.
+std::string render_help() {
+    return fmt::format("{}{}; drawn by `sample`, 0 without;\n    adds `source` [rows,columns] int32: {}{}",
+                       kHelpBeforeWeather, weather_help(), wanted_channels("source").front().meaning,
+                       kHelpAfterWeather);
+}
 
 /// Adds the methods of the Python class for runs.
 void add_calls(py::class_<LoadedRun>& type) {
@@ -216,7 +220,8 @@ void add_calls(py::class_<LoadedRun>& type) {
             py::arg("sensor") = py::none(), py::kw_only(), py::arg("pose") = py::none(),
             py::arg("time") = py::none(), py::arg("actors") = py::none(), py::arg("lidar") = "",
             py::arg("only") = std::vector<std::string>(), py::arg("sample") = py::none(),
-            py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "", kRenderHelp)
+            py::arg("frame") = "sensor", py::arg("deskew") = false, py::arg("weather") = "",
+            render_help().c_str())
         .def(
             "rays",
             [](const LoadedRun& run, const py::object& sensor, const std::string& lidar) {

@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 #include <relidar/log/channels.hpp>
+#include <relidar/simulate/weather.hpp>
 #include <relidar/train/train.hpp>
 #include "console.hpp"
 
@@ -74,11 +75,8 @@ void add_weather_option(CLI::App& command, std::string& weather, const std::stri
         .add_option(
             "--weather", weather,
             fmt::format(
-                "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H (of melted snow), wet=MILLIMETRES (water on "
-                "level ground), sun=AZIMUTH:ELEVATION[:KLUX] (degrees in the dataset's world) or "
-                "bloom=REFLECTIVITY (stray light of reflectors), or several separated by commas; applies to "
-                "{} (default: clear); the channel `source` holds the cause of each point",
-                which))
+                "{}; applies to {} (default: clear); the channel `source` holds the cause of each point",
+                weather_help(), which))
         ->type_name("WEATHER");
 }
 

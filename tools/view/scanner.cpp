@@ -119,6 +119,13 @@ Json channels_json(const Config& config) {
     return channels;
 }
 
+/// Returns the help and the examples of the field for weather.
+Json weather_json() {
+    std::string examples = "clear";
+    for (const WeatherEffect* effect : kWeatherEffects) examples += fmt::format(" {}", effect->examples);
+    return {{"help", weather_help()}, {"examples", examples}};
+}
+
 }  // namespace
 
 Scanner::Scanner(Run run, OtherRuns others, Device& device)
@@ -153,7 +160,8 @@ Json Scanner::describe() const {
             {"lidars", lidars},
             {"sensors", known_sensors()},
             {"max_range_m", run_.config.dataset.max_range_m},
-            {"channels", channels_json(run_.config)}};
+            {"channels", channels_json(run_.config)},
+            {"weather", weather_json()}};
 }
 
 SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {

@@ -155,33 +155,6 @@ RenderedIntensities rendered_intensities(const RenderedScan& scan);
 void sample_returns(RenderedScan& scan, const RangeNoise& noise, const IntensityScatter& scatter,
                     std::uint64_t seed);
 
-/// Effects of wet ground on a ray that hits the ground.
-struct WetRay {
-    double through_water = 1.0;  ///< brightness of the wet ground relative to the dry ground
-    Echo mirrored{};  ///< Return of the object that the ray hits after it is reflected by the water.
-};
-/// Arrays with the rays on which weather has special effects. An empty array means that
-/// no ray has the effect.
-struct RaysInWeather {
-    /// [n] 1 for rays that are blocked by an object at the sensor. Such a ray measures no
-    /// fog, rain or snow.
-    std::span<const std::uint8_t> blind{};
-    std::span<const WetRay> wet{};  ///< [n] effects of wet ground
-    /// [n] returns caused by stray light from retro-reflectors in other directions.
-    std::span<const Echo> stray{};
-    std::span<const float> from_sun{};  ///< [n] angle between ray and sun, in radians
-};
-
-/// Adds the effects of weather to a scan. Surfaces become darker or are dropped. If fog,
-/// rain, snow or noise causes the return of a ray, the ray gets the range and intensity
-/// of this return. The ray also gets instance -1, and no values in channels that describe
-/// surfaces. The channel `source` stores the cause of each return. Clear air changes
-/// nothing else. The result depends only on seed and time, not on the number of threads.
-/// @param response intensity that the sensor reports for the same surface as a function
-/// of range
-void add_weather(RenderedScan& scan, const Air& air, const IntensityResponse& response,
-                 const RaysInWeather& special, std::uint64_t seed);
-
 /// The points of a scan without its other arrays.
 struct RenderedPoints {
     Points points;           ///< all returns, see place_points()

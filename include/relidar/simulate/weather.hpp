@@ -8,13 +8,12 @@
 
 #include <cstdint>
 #include <limits>
+#include <memory>
 #include <span>
 #include <string>
-#include <vector>
+#include <string_view>
 
 namespace relidar {
-
-class Random;
 
 /// Position of the sun and its illuminance.
 struct Sun {
@@ -45,14 +44,9 @@ struct Weather {
     bool operator==(const Weather&) const = default;
 };
 
-/// Parses a weather description. Its words are separated by commas. "clear" or an empty
-/// text means clear air, dry ground and no sun.
-///   fog=VISIBILITY_m
-///   rain=MM_PER_H
-///   snow=MM_PER_H
-///   wet=MILLIMETRES
-///   sun=AZIMUTH:ELEVATION[:KLUX]   degrees; default 100 klux
-///   bloom[=REFLECTIVITY]           default 1.2e-4
+/// Parses a weather description. Its words are separated by commas; each word is an
+/// effect of kWeatherEffects, for example "rain=5,wet=0.5". "clear" or an empty text
+/// means clear air, dry ground and no sun.
 /// @throws UsageError for an unknown word, for a number out of range, and for rain
 /// together with snow
 Weather parse_weather(const std::string& text);
@@ -113,20 +107,6 @@ struct Echo {
     /// return of a surface, the value is in 0..1.
     double reflectivity = 0.0;
     PointSource source = PointSource::nothing;
-    /// Fraction of the light that is left after it has passed through water. The value is
-    /// 1 in results of look().
-    double through_water = 1.0;
-};
-
-/// Returns of one ray of a sensor with one or two returns. Input and result of
-/// Air::look(). The result sets only `strongest` and `second`.
-struct RayEchoes {
-    Echo strongest, second;
-    Echo mirrored = {};  ///< Return of a surface that is mirrored by wet ground.
-    Echo stray = {};     ///< Return that is caused by stray light of a retro-reflector.
-    /// Angle between the ray and the direction to the sun. Infinite if the sun is not
-    /// visible.
-    double from_sun_rad = std::numeric_limits<double>::infinity();
 };
 
 /// Returns the extinction coefficient alpha of the air in 1/m. Over R metres, the air
@@ -165,69 +145,39 @@ double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_ra
 /// @param level  threshold in standard deviations
 double false_returns_per_m(const WeatherSensor& sensor, double level);
 
-/// Size distribution of rain or snow: N(D) = N0 exp(-Lambda D) particles per cubic metre
-/// and per millimetre of diameter D. D is the diameter of the melted particle.
-struct Particles {
-    PointSource source = PointSource::nothing;
-    double per_m3_mm = 0.0;     ///< N0; 0: no particles
-    double slope_per_mm = 1.0;  ///< Lambda
-    double widening = 1.0;      ///< Ratio of the particle's diameter to its diameter after melting.
-    double reflectivity = 0.0;
+struct WeatherInput;
+class EffectOnRays;
+
+/// A number of a weather effect.
+struct WeatherNumber {
+    double& (*of)(Weather&);  ///< the field of the number
+    double least, most;
+    double usual = 0.0;  ///< value of a number that the text leaves out
 };
-/// Returns the size distribution of rain or snow for the precipitation rate of the
-/// weather.
-Particles falling_in(const Weather& weather);
 
-/// Simulates the effect of the air along a ray: returns from fog, rain, snow and noise,
-/// and the attenuation of surfaces.
-///   fog          power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx
-///                  r = R + x,  p(x) = cos^2(pi x / (c tau)),  |x| <= c tau / 2,  r >= 1 m;
-///                  beta is drawn for each interval of length c tau / 2:
-///                  log-normal with mean 0.046 / visibility
-///   drop, flake  power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2
-///                  B(R): width of the beam; the particles of N(D) = N0 exp(-Lambda D) per
-///                  cubic metre and millimetre that are bright enough, a Poisson process
-///                  along the beam
-///   noise        peaks above the minimum power: a Poisson process along the ray that does
-///                  not depend on the objects there
-class Air {
-public:
-    /// Precomputes the tables of fog and particles for a weather and a sensor.
-    /// @throws UsageError like check_weather()
-    Air(const Weather& weather, const WeatherSensor& sensor);
-    bool clear() const { return weather_.clear(); }
-    double max_range_m() const { return sensor_.max_range_m; }
-    /// Computes the returns that the sensor measures along a ray. The strongest return
-    /// comes from a surface, or from fog, particles or noise in front of it. The second
-    /// return is the last return, or the next strongest if the strongest is also the
-    /// last. The two returns are at least `separation_m` apart. Returns below the
-    /// detection threshold are left out.
-    /// @param surfaces  returns of the ray in clear air
-    /// @param free_m  distance after which the ray is blocked
-    RayEchoes look(const RayEchoes& surfaces, double free_m, std::uint64_t seed) const;
+/// A row of the table of weather effects. Texts, help, viewer and Python read it.
+struct WeatherEffect {
+    std::string_view name;                   ///< word of the effect, for example "fog"
+    std::string_view form;                   ///< word with its numbers, for example "fog=VISIBILITY_m"
+    std::string_view meaning;                ///< explanation of the word, empty if the word is enough
+    std::string_view expected;               ///< valid numbers, for error messages
+    std::string_view examples;               ///< texts that the viewer offers, separated by spaces
+    std::span<const WeatherNumber> numbers;  ///< in the text, colons separate the numbers
+    std::size_t n_required = 1;              ///< number of numbers that the text must have
+    /// Returns the extinction coefficient that the effect adds to the air. Null if the
+    /// effect does not attenuate light.
+    double (*extinction)(const Weather&) = nullptr;
+    /// Prepares the effect for the rays of a scan. Returns null if no ray has the effect.
+    std::unique_ptr<EffectOnRays> (*prepare)(const WeatherInput&) = nullptr;
 
-private:
-    const Weather weather_;
-    const WeatherSensor sensor_;
-    const Particles falling_;
-    const double alpha_;
-    // [k] mean power that fog returns from a range: the nearest range plus k steps.
-    std::vector<double> fog_power_;
-    // [k] expected number of bright particles between the nearest range and the nearest
-    // range plus k steps.
-    std::vector<double> particles_;
-
-    struct Candidate;
-    double nearest_m() const;
-    double beam_m(double range_m) const { return sensor_.aperture_m + sensor_.divergence_rad * range_m; }
-    double smallest_mm(double range_m) const;
-    double fog_power(double range_m) const;
-    double surface_reflectivity(const Echo& surface, Random& random) const;
-    void add_surfaces(std::vector<Candidate>& candidates, const RayEchoes& surfaces, Random& random) const;
-    void add_fog(std::vector<Candidate>& candidates, double free_m, Random& random) const;
-    void add_particles(std::vector<Candidate>& candidates, double free_m, Random& random) const;
-    void add_noise(std::vector<Candidate>& candidates, const RayEchoes& surfaces, double free_m,
-                   Random& random) const;
+    bool is_in(const Weather& weather) const;  ///< true if the weather has the effect
 };
+
+extern const WeatherEffect kFog, kRain, kSnow, kWetGround, kBlooming, kSunlight;
+/// All effects, in the order in which they act on a ray.
+inline constexpr const WeatherEffect* kWeatherEffects[] = {&kFog,       &kRain,     &kSnow,
+                                                           &kWetGround, &kBlooming, &kSunlight};
+/// Lists the words of all effects and their meanings, for help texts.
+std::string weather_help();
 
 }  // namespace relidar

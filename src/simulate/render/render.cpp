@@ -17,21 +17,14 @@
 #include "simulate/render/channel_makers.hpp"
 #include "simulate/render/empty_scan.hpp"
 #include "simulate/render/footprint.hpp"
-#include "simulate/render/level_ground.hpp"
 #include "simulate/render/scan_renderer.hpp"
-#include "simulate/render/stray_light.hpp"
-#include "simulate/render/sunlight.hpp"
+#include "simulate/weather/air.hpp"
 
 namespace relidar {
 
 namespace {
 
 constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for times in seconds since 1970
-
-// Computes the drop probability from the two logits of a ray (method.md, M6).
-float drop_probability(const Rendering& r, std::size_t i) {
-    return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i]));
-}
 
 void check_has_normals(const Config& config, const ChannelInfo& channel, const char* doing) {
     if (!channel.needs_normals || kind_of(config.image.primitive).has_normals) return;
@@ -416,51 +409,20 @@ RangeLimits ScanRenderer::Impl::limits_of(const SensorChoice& sensor) const {
             std::isfinite(sensor.limits.max_m) ? sensor.limits.max_m : config.dataset.max_range_m};
 }
 
-/// Returns the effects of wet ground on the rays that hit it. Returns an empty list if
-/// the ground is dry. If a mirror image can be brighter than the ground, traces the
-/// mirrored ray from the reflection point. Such rays start kLift_m above the ground,
-/// because real ground is rougher than a film of water. Hits below kLowest_m are the
-/// ground itself and are ignored.
-std::vector<WetRay> ScanRenderer::Impl::wet_rays(const RenderedScan& scan) {
-    constexpr double kLift_m = 0.1, kLowest_m = 0.3;
-    if (weather.wet_mm == 0.0) return {};
-    const std::vector<glm::dvec3> up = level_ground(scan);
-    const double share = film_share(weather.wet_mm);
-    std::vector<WetRay> wet(up.size());
-    std::vector<std::size_t> of_ray;
-    WorldRays mirrored;
-    FiringPoses firing(scan);
-    for (std::size_t i = 0; i < up.size(); ++i) {
-        const Pose& pose = firing.at(i);
-        const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
-        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, up[i]);
-        if (!(cosine > 0.0)) continue;
-        const double albedo = scan.image.intensity[i] / sweep.intensity_response.at_range(range_m);
-        wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
-        const double mirrors = share * std::pow(mirrored_by_water(cosine), 2);
-        // A mirrored surface is farther away, so it cannot be brighter than the ground
-        // here.
-        if (scan.second_returns.empty() && mirrors <= wet[i].through_water * albedo) continue;
-        wet[i].mirrored = {range_m, 0.0, PointSource::nothing, mirrors};
-        const glm::dvec3 foot_m =
-            pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - sweep.world_offset_m;
-        mirrored.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
-        mirrored.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
-        mirrored.time_s.push_back(scan.time_offset_s[i]);
-        of_ray.push_back(i);
-    }
-    if (of_ray.empty()) return wet;
-    const Rendering r = scene.renderer().forward(mirrored);
-    for (std::size_t k = 0; k < r.size(); ++k) {
-        const double on_m = r.median_depth[k];
-        const std::size_t ray = of_ray[k];
-        if (!(on_m > 0.0) || drop_probability(r, k) >= kDropThreshold) continue;
-        if (kLift_m + on_m * glm::dot(glm::dvec3(mirrored.direction[k]), up[ray]) < kLowest_m) continue;
-        Echo& echo = wet[ray].mirrored;
-        echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0),
-                              echo.source = PointSource::mirror;
-    }
-    return wet;
+/// Returns the properties of a sensor that determine how weather affects its scans.
+/// @param rays rays of the sensor, which define the beam divergence
+WeatherSensor ScanRenderer::Impl::weather_sensor(const SensorChoice& sensor, const RayTable& rays) const {
+    WeatherSensor result;
+    const double step = scatter[std::size_t(sensor.lidar)].step, divergence_rad = rays.largest_divergence();
+    if (config.sensor.divergence_mrad > 0.0) result.divergence_rad = 1e-3 * config.sensor.divergence_mrad;
+    else if (divergence_rad > 0.0) result.divergence_rad = divergence_rad;
+    if (step > 0.0) result.darkest = 0.5 * step;
+    // An intensity that the sensor reports as 0 lies between 0 and half a step. This is
+    // the middle of the interval.
+    result.weakest_reflectivity = 0.5 * result.darkest;
+    result.separation_m = config.sensor.return_separation_m;
+    result.min_range_m = limits_of(sensor).min_m, result.max_range_m = limits_of(sensor).max_m;
+    return result;
 }
 
 /// Converts expected values to measured values. Samples the returns, adds weather, and
@@ -470,15 +432,19 @@ void ScanRenderer::Impl::measure(RenderedScan& scan, const SensorChoice& sensor,
     const IntensityScatter& own = scatter[std::size_t(sensor.lidar)];
     if (sample) sample_returns(scan, sweep.lidars[std::size_t(sensor.lidar)].range_noise, own, *sample);
     if (!weather.clear() || find_values<std::int32_t>(scan.channels, "source")) {
-        std::vector<std::uint8_t> blind;
+        const WeatherSensor in_weather = weather_sensor(sensor, rays);
+        WeatherInput input{
+            .weather = weather,
+            .sensor = in_weather,
+            .scan = scan,
+            .response = sweep.intensity_response,
+            .world_offset_m = sweep.world_offset_m,
+            .trace = [this](const WorldRays& traced) { return scene.renderer().forward(traced); },
+            .seed = sample.value_or(0)};
         for (std::size_t i = 0; i < scan.ring.size(); ++i)
-            blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >= kDropThreshold);
-        const std::vector<WetRay> wet = wet_rays(scan);
-        const std::vector<Echo> stray = stray_light(scan, weather.bloom, sample.value_or(0));
-        const std::vector<float> from_sun =
-            angles_from_sun(scan, weather.sun, sweep.world_offset_m, scene.renderer());
-        const RaysInWeather special = {blind, wet, stray, from_sun};
-        add_weather(scan, air_before(sensor, rays), sweep.intensity_response, special, sample.value_or(0));
+            input.blind.push_back(never_seen(sensor, scan.ring[i], scan.image.direction[i]) >=
+                                  kDropThreshold);
+        add_weather(scan, input);
     }
     if (!sample || !weather.clear())
         for (float& intensity : scan.image.intensity) intensity = own.quantised(intensity);

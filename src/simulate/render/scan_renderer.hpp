@@ -154,8 +154,7 @@ struct ScanRenderer::Impl {
     void refine(RenderedScan& scan);
     float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
     RangeLimits limits_of(const SensorChoice& sensor) const;
-    Air air_before(const SensorChoice& sensor, const RayTable& rays) const;
-    std::vector<WetRay> wet_rays(const RenderedScan& scan);
+    WeatherSensor weather_sensor(const SensorChoice& sensor, const RayTable& rays) const;
     void measure(RenderedScan& scan, const SensorChoice& sensor, const RayTable& rays,
                  std::optional<std::uint64_t> sample);
     /// Returns the poses of all instances during a sweep.

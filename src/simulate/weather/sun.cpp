@@ -1,14 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // Models sunlight in a receiver as shot noise. N photo-electrons during a pulse have a
-// standard deviation of sqrt(F N). Also computes how often noise causes a false return.
-// Values that data sheets do not list are assumptions. They describe a typical sensor
-// with avalanche photodiodes at 905 nm.
-#include <relidar/simulate/weather.hpp>
-
-#include <algorithm>
+// standard deviation of sqrt(F N). False returns are a Poisson process along the ray. Its
+// rate depends on the angle between the ray and the sun. Values that data sheets do not
+// list are assumptions. They describe a typical sensor with avalanche photodiodes at 905
+// nm.
 #include <cmath>
+#include <limits>
+#include <utility>
 
 #include <relidar/base/math.hpp>
+
+#include "simulate/weather/air.hpp"
 
 namespace relidar {
 namespace {
@@ -25,11 +27,76 @@ constexpr double kDegree_rad = kPi / 180.0;
 constexpr double kFilter_nm = 20.0;
 // Effective area of a lens with a diameter of 5 cm and a transmission of one half.
 constexpr double kReceiver_m2 = 1e-3;
-constexpr double kEfficiency = 0.7;         // quantum efficiency, electrons per photon
-constexpr double kExcess = 3.0;             // excess noise factor F of an avalanche photodiode
-constexpr double kPeak_W = 75.0;            // peak power of a pulse
-constexpr double kPhoton_J = 2.195e-19;     // energy of a photon at 905 nm
-constexpr double kSpeed_m_s = 299792458.0;  // speed of light
+constexpr double kEfficiency = 0.7;      // quantum efficiency, electrons per photon
+constexpr double kExcess = 3.0;          // excess noise factor F of an avalanche photodiode
+constexpr double kPeak_W = 75.0;         // peak power of a pulse
+constexpr double kPhoton_J = 2.195e-19;  // energy of a photon at 905 nm
+constexpr double kUsual_klux = 100.0;    // illuminance on a clear day
+// Surfaces hide the sun if their accumulated alpha is at least this value.
+constexpr float kHidesSun = 0.5f;
+
+/// Returns the direction towards the sun in the dataset's world frame.
+glm::dvec3 direction_of(const Sun& sun) {
+    const double azimuth = sun.azimuth_deg * kPi / 180.0, elevation = sun.elevation_deg * kPi / 180.0;
+    return {std::cos(elevation) * std::cos(azimuth), std::cos(elevation) * std::sin(azimuth),
+            std::sin(elevation)};
+}
+
+/// Returns the angles between the rays of a scan and the direction to the sun, in
+/// radians. Returns an empty list if the scene hides the sun from the sensor.
+std::vector<float> angles_from_sun(const WeatherInput& input) {
+    const RenderedScan& scan = input.scan;
+    const glm::dvec3 to_sun = direction_of(input.weather.sun);
+    WorldRays sight;
+    sight.origin.push_back(glm::vec3(scan.world_from_sensor.translation - input.world_offset_m));
+    sight.direction.push_back(glm::vec3(to_sun));
+    if (input.trace(sight).weight[0] >= kHidesSun) return {};
+    std::vector<float> angles;
+    FiringPoses firing(scan);
+    for (std::size_t i = 0; i < scan.image.direction.size(); ++i) {
+        const glm::dvec3 direction = firing.at(i).rotation * glm::dvec3(scan.image.direction[i]);
+        angles.push_back(static_cast<float>(std::acos(std::clamp(glm::dot(direction, to_sun), -1.0, 1.0))));
+    }
+    return angles;
+}
+
+class SunlightOnRays : public EffectOnRays {
+public:
+    SunlightOnRays(const WeatherInput& input, std::vector<float> angles_rad)
+        : sensor_(input.sensor), sun_(input.weather.sun), angles_rad_(std::move(angles_rad)) {}
+
+    /// Adds false returns caused by noise. Their powers follow the local maxima of
+    /// Gaussian noise above the weakest detectable power: power^2 = weakest^2 + 2 sigma^2
+    /// E, where E is exponentially distributed.
+    void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
+        if (!(ray.free_m > 0.0)) return;
+        const bool meets_surface = ray.strongest.source == PointSource::surface;
+        const double albedo = meets_surface ? std::min(ray.strongest.reflectivity, 1.0) : 0.0;
+        const double sigma = sun_noise(sun_, sensor_, double(angles_rad_[ray.index]), albedo,
+                                       !meets_surface && ray.free_m >= sensor_.max_range_m);
+        const double per_m = false_returns_per_m(sensor_, sensor_.weakest() / sigma);
+        const auto waiting = [&random] { return -std::log(1.0 - random.uniform()); };
+        if (!(per_m > 0.0)) return;
+        for (double range_m = nearest_m(sensor_) + waiting() / per_m; range_m < sensor_.max_range_m;
+             range_m += waiting() / per_m) {
+            const double power =
+                std::sqrt(sensor_.weakest() * sensor_.weakest() + 2.0 * sigma * sigma * waiting());
+            if (power >= sensor_.threshold(range_m))
+                candidates.push_back({{range_m, power * range_m * range_m, PointSource::noise}, power});
+        }
+    }
+
+private:
+    const WeatherSensor sensor_;
+    const Sun sun_;
+    const std::vector<float> angles_rad_;  // [rays] angle between the ray and the sun
+};
+
+constexpr WeatherNumber kSunNumbers[] = {
+    {[](Weather& weather) -> double& { return weather.sun.azimuth_deg; }, -360.0, 360.0},
+    {[](Weather& weather) -> double& { return weather.sun.elevation_deg; }, 0.0, 90.0},
+    {[](Weather& weather) -> double& { return weather.sun.klux; }, std::numeric_limits<double>::min(), 150.0,
+     kUsual_klux}};
 
 }  // namespace
 
@@ -50,7 +117,23 @@ double sun_noise(const Sun& sun, const WeatherSensor& sensor, double from_sun_ra
 }
 
 double false_returns_per_m(const WeatherSensor& sensor, double level) {
-    return std::exp(-0.5 * level * level) / (std::sqrt(3.0) * kSpeed_m_s * sensor.pulse_s);
+    return std::exp(-0.5 * level * level) / (std::sqrt(3.0) * kLight_m_s * sensor.pulse_s);
 }
+
+const WeatherEffect kSunlight{
+    .name = "sun",
+    .form = "sun=AZIMUTH:ELEVATION[:KLUX]",
+    .meaning = "degrees in the dataset's world",
+    .expected =
+        "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above "
+        "0 to 150",
+    .examples = "sun=0:5",
+    .numbers = kSunNumbers,
+    .n_required = 2,
+    .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
+        std::vector<float> angles_rad = angles_from_sun(input);
+        if (angles_rad.empty()) return nullptr;
+        return std::make_unique<SunlightOnRays>(input, std::move(angles_rad));
+    }};
 
 }  // namespace relidar

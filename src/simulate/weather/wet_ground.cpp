@@ -1,16 +1,143 @@
 // SPDX-License-Identifier: Apache-2.0
-// Models water on the ground as a smooth film on a diffuse surface. Follows Lekner and
-// Dorf, "Why some things are darker when wet", Applied Optics 1988.
-#include <relidar/simulate/weather.hpp>
-
-#include <algorithm>
+// Models water on level ground as a smooth film on a diffuse surface. Follows Lekner and
+// Dorf, "Why some things are darker when wet", Applied Optics 1988. The water darkens the
+// ground and mirrors objects: the effect finds the ground in a scan and traces the
+// mirrored rays. docs/architecture.md names this file as the example of an effect.
 #include <cmath>
+#include <limits>
+#include <unordered_map>
+#include <utility>
+
+#include <relidar/base/math.hpp>
+
+#include "base/cell_key.hpp"
+#include "base/parallel.hpp"
+#include "simulate/weather/air.hpp"
 
 namespace relidar {
 namespace {
 
 constexpr double kWater = 1.33;      // refractive index of water in the near infrared
 constexpr double kTexture_mm = 1.0;  // depth of the texture of asphalt
+
+constexpr double kCell_m = 2.0;
+// Points at most this high above the lowest point of a cell can be ground.
+constexpr double kLayer_m = 0.25;
+constexpr double kFlat_m = 0.1;     // maximum root mean square distance of the points from the plane
+constexpr double kSteepest = 0.25;  // maximum slope of ground, rise over run
+constexpr double kFewest = 6.0;     // minimum number of points for a plane
+// If the points form a narrower strip than this, they do not determine the slope across
+// the strip. The slope is then 0 in that direction.
+constexpr double kWidth_m = 0.2;
+
+/// Statistics of the points in a cell. Holds the lowest height. For points near that
+/// height, holds the number and the sums of x, y, z and of their products. Coordinates
+/// are relative to the sensor, along the axes of the world.
+struct Cell {
+    double lowest_m = std::numeric_limits<double>::infinity();
+    double n = 0.0, zz = 0.0;
+    glm::dvec3 sum{0.0};       // sums of x, y, z
+    glm::dvec3 squares{0.0};   // sums of xx, xy, yy
+    glm::dvec2 products{0.0};  // sums of xz, yz
+
+    void add(const glm::dvec3& p) {
+        n += 1.0, zz += p.z * p.z, sum += p;
+        squares += glm::dvec3(p.x * p.x, p.x * p.y, p.y * p.y), products += p.z * glm::dvec2(p);
+    }
+    void add(const Cell& other) {
+        n += other.n, zz += other.zz, sum += other.sum;
+        squares += other.squares, products += other.products;
+    }
+};
+using Cells = std::unordered_map<std::uint64_t, Cell>;
+
+std::uint64_t key_of(const glm::dvec3& p) { return cell_key({p.x, p.y, 0.0}, kCell_m); }
+
+/// Plane z = height + slope . (x, y) of the ground.
+struct GroundPlane {
+    double height_m = 0.0;
+    glm::dvec2 slope{0.0};
+    bool is_ground = false;
+
+    double above(const glm::dvec3& p) const { return p.z - height_m - glm::dot(slope, glm::dvec2(p)); }
+};
+
+GroundPlane fit_plane(const Cell& c) {
+    if (c.n < kFewest) return {};
+    const glm::dvec3 mean = c.sum / c.n;
+    const double ridge = kWidth_m * kWidth_m, xx = c.squares.x / c.n - mean.x * mean.x + ridge,
+                 xy = c.squares.y / c.n - mean.x * mean.y, yy = c.squares.z / c.n - mean.y * mean.y + ridge,
+                 zz = c.zz / c.n - mean.z * mean.z;
+    const glm::dvec2 right = c.products / c.n - mean.z * glm::dvec2(mean);
+    const glm::dvec2 slope =
+        glm::dvec2(yy * right.x - xy * right.y, xx * right.y - xy * right.x) / (xx * yy - xy * xy);
+    // Variance of the height that the plane does not explain. The term `ridge` makes it
+    // slightly larger.
+    const double squared_m2 = zz - glm::dot(slope, right);
+    return {mean.z - glm::dot(slope, glm::dvec2(mean)), slope,
+            squared_m2 < kFlat_m * kFlat_m && glm::length(slope) < kSteepest};
+}
+
+/// Returns the points where rays hit the background below the sensor, relative to the
+/// sensor. The result is NaN for other rays.
+std::vector<glm::dvec3> points_below(const RenderedScan& scan) {
+    const glm::dvec3 none(std::numeric_limits<double>::quiet_NaN());
+    std::vector<glm::dvec3> points(scan.median_range_m.size(), none);
+    for_each_block(points.size(), [&](std::size_t ray) {
+        if (scan.instance[ray] != 0 || !returned(scan.image.drop_prob[ray], scan.median_range_m[ray])) return;
+        const glm::dvec3 of_sensor(scan.image.origin[ray] +
+                                   scan.median_range_m[ray] * scan.image.direction[ray]);
+        const glm::dvec3 p = scan.world_from_firing(ray) * of_sensor - scan.world_from_sensor.translation;
+        if (p.z < 0.0) points[ray] = p;
+    });
+    return points;
+}
+
+Cells fill_cells(const std::vector<glm::dvec3>& points) {
+    Cells cells;
+    for (const glm::dvec3& p : points)
+        if (!std::isnan(p.x)) {
+            double& lowest_m = cells[key_of(p)].lowest_m;
+            lowest_m = std::min(lowest_m, p.z);
+        }
+    for (const glm::dvec3& p : points)
+        if (!std::isnan(p.x))
+            if (Cell& cell = cells[key_of(p)]; p.z < cell.lowest_m + kLayer_m) cell.add(p);
+    return cells;
+}
+
+/// Fits a plane to the points in the cell of p and in the eight neighbouring cells.
+GroundPlane plane_at(const Cells& cells, const glm::dvec3& p) {
+    Cell together;
+    for (int dx = -1; dx <= 1; ++dx)
+        for (int dy = -1; dy <= 1; ++dy)
+            if (const auto cell = cells.find(key_of(p + kCell_m * glm::dvec3(dx, dy, 0)));
+                cell != cells.end())
+                together.add(cell->second);
+    return fit_plane(together);
+}
+
+/// Finds the points of the background that lie on level ground below the sensor. The
+/// candidates in each cell are the points within kLayer_m of the lowest point. A cell is
+/// ground if the candidates of the 3 x 3 cells around it fit a plane. The material of the
+/// ground is not considered.
+/// @return [rays] unit normal of the ground in the dataset's world frame; 0 for rays that
+/// do not hit ground or do not return
+std::vector<glm::dvec3> level_ground(const RenderedScan& scan) {
+    const std::vector<glm::dvec3> points = points_below(scan);
+    const Cells cells = fill_cells(points);
+    std::unordered_map<std::uint64_t, GroundPlane> planes;
+    std::vector<glm::dvec3> normals(points.size(), glm::dvec3(0.0));
+    for (std::size_t ray = 0; ray < points.size(); ++ray) {
+        const glm::dvec3& p = points[ray];
+        if (std::isnan(p.x)) continue;
+        const auto [plane, is_new] = planes.try_emplace(key_of(p));
+        if (is_new) plane->second = plane_at(cells, p);
+        if (plane->second.is_ground && std::abs(plane->second.above(p)) < kLayer_m)
+            normals[ray] = glm::normalize(glm::dvec3(-plane->second.slope, 1.0));
+    }
+    return normals;
+}
 
 /// Returns the fraction of diffuse light that a film of water reflects. This is the
 /// integral of 2 c F(c) dc, computed with the midpoint rule.
@@ -23,6 +150,99 @@ double mean_mirrored() {
     }
     return sum;
 }
+
+/// Effects of wet ground on a ray that hits the ground.
+struct WetRay {
+    double through_water = 1.0;  // brightness of the wet ground relative to the dry ground
+    Echo mirrored{};             // return of the object that the ray hits after its reflection
+    double mirrors = 0.0;        // share of the light that the water reflects twice
+};
+
+/// Rays that leave the water after their reflection.
+struct MirroredRays {
+    WorldRays rays;
+    std::vector<std::size_t> of_ray;  // index of the ray in its scan
+};
+
+// Mirrored rays start at this height above the ground, because real ground is rougher
+// than a film of water.
+constexpr double kLift_m = 0.1;
+// Hits of mirrored rays below this height are the ground itself and are ignored.
+constexpr double kLowest_m = 0.3;
+
+// Computes the drop probability from the two logits of a ray (method.md, M6).
+float drop_probability(const Rendering& r, std::size_t i) {
+    return 1.0f / (1.0f + std::exp(r.hit_logit[i] - r.drop_logit[i]));
+}
+
+/// Computes how bright the wet ground is, and the rays that it mirrors. Leaves out
+/// mirrored rays whose light is weaker than the light of the ground.
+MirroredRays wet_the_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
+                            std::vector<WetRay>& wet) {
+    const RenderedScan& scan = input.scan;
+    const double share = film_share(input.weather.wet_mm);
+    MirroredRays mirrored;
+    FiringPoses firing(scan);
+    for (std::size_t i = 0; i < up.size(); ++i) {
+        const Pose& pose = firing.at(i);
+        const glm::dvec3 direction = pose.rotation * glm::dvec3(scan.image.direction[i]);
+        const double range_m = scan.median_range_m[i], cosine = -glm::dot(direction, up[i]);
+        if (!(cosine > 0.0)) continue;
+        const double albedo = scan.image.intensity[i] / input.response.at_range(range_m);
+        wet[i].through_water = 1.0 - share + share * wet_over_dry(cosine, albedo);
+        wet[i].mirrors = share * std::pow(mirrored_by_water(cosine), 2);
+        // A mirrored surface is farther away, so it cannot be brighter than the ground
+        // here.
+        if (scan.second_returns.empty() && wet[i].mirrors <= wet[i].through_water * albedo) continue;
+        wet[i].mirrored.range_m = range_m;
+        const glm::dvec3 foot_m =
+            pose * glm::dvec3(scan.image.origin[i]) + range_m * direction - input.world_offset_m;
+        mirrored.rays.origin.push_back(glm::vec3(foot_m + kLift_m * up[i]));
+        mirrored.rays.direction.push_back(glm::vec3(direction + 2.0 * cosine * up[i]));
+        mirrored.rays.time_s.push_back(scan.time_offset_s[i]);
+        mirrored.of_ray.push_back(i);
+    }
+    return mirrored;
+}
+
+std::vector<WetRay> wet_rays(const WeatherInput& input) {
+    const std::vector<glm::dvec3> up = level_ground(input.scan);
+    std::vector<WetRay> wet(up.size());
+    const auto [rays, of_ray] = wet_the_ground(input, up, wet);
+    if (of_ray.empty()) return wet;
+    const Rendering r = input.trace(rays);
+    for (std::size_t k = 0; k < r.size(); ++k) {
+        const double on_m = r.median_depth[k];
+        const std::size_t ray = of_ray[k];
+        if (!(on_m > 0.0) || drop_probability(r, k) >= kDropThreshold) continue;
+        if (kLift_m + on_m * glm::dot(glm::dvec3(rays.direction[k]), up[ray]) < kLowest_m) continue;
+        Echo& echo = wet[ray].mirrored;
+        echo.range_m += on_m, echo.reflectivity = std::min(double(r.intensity[k]), 1.0),
+                              echo.source = PointSource::mirror;
+    }
+    return wet;
+}
+
+class WetGroundOnRays : public EffectOnRays {
+public:
+    explicit WetGroundOnRays(const WeatherInput& input)
+        : sensor_(input.sensor), alpha_(extinction(input.weather)), wet_(wet_rays(input)) {}
+
+    void change_surface(RayInAir& ray) const override { ray.through_water = wet_[ray.index].through_water; }
+    void add_returns(Candidates& candidates, const RayInAir& ray, Random&) const override {
+        const auto& [through_water, echo, mirrors] = wet_[ray.index];
+        add_echo(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m) * mirrors,
+                 sensor_.darkest);
+    }
+
+private:
+    const WeatherSensor sensor_;
+    const double alpha_;
+    const std::vector<WetRay> wet_;  // [rays]
+};
+
+constexpr WeatherNumber kWetNumbers[] = {
+    {[](Weather& weather) -> double& { return weather.wet_mm; }, 0.0, 10.0}};
 
 }  // namespace
 
@@ -42,5 +262,15 @@ double wet_over_dry(double cosine, double albedo) {
 }
 
 double film_share(double wet_mm) { return std::clamp(wet_mm / kTexture_mm, 0.0, 1.0); }
+
+const WeatherEffect kWetGround{.name = "wet",
+                               .form = "wet=MILLIMETRES",
+                               .meaning = "water on level ground",
+                               .expected = "0 to 10 mm of water on the ground",
+                               .examples = "wet=0.5 rain=10,wet=0.5",
+                               .numbers = kWetNumbers,
+                               .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
+                                   return std::make_unique<WetGroundOnRays>(input);
+                               }};
 
 }  // namespace relidar

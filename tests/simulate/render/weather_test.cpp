@@ -11,6 +11,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../../support/device.hpp"
+#include "simulate/weather/air.hpp"
 
 namespace relidar {
 namespace {
@@ -42,6 +43,23 @@ RenderedScan wall_at(float range_m, float intensity, bool two_returns = false, i
     return scan;
 }
 
+/// Parameters of apply_weather() that differ between tests.
+struct Applied {
+    Weather weather = {};
+    WeatherSensor sensor = {};
+    IntensityResponse response = {};
+    std::vector<std::uint8_t> blind = {};
+    std::uint64_t seed = 1;
+};
+void apply_weather(RenderedScan& scan, const Applied& applied) {
+    add_weather(scan, {.weather = applied.weather,
+                       .sensor = applied.sensor,
+                       .scan = scan,
+                       .response = applied.response,
+                       .seed = applied.seed,
+                       .blind = applied.blind});
+}
+
 const std::vector<std::int32_t>& sources_of(const RenderedScan& scan) {
     return *find_values<std::int32_t>(scan.channels, "source");
 }
@@ -58,7 +76,7 @@ void expect_same(const RenderedScan& a, const RenderedScan& b) {
 TEST(WeatherOnScans, ClearAirChangesNoBit) {
     const RenderedScan before = wall_at(10.0f, 0.5f);
     RenderedScan scan = before;
-    add_weather(scan, Air({}, {}), {}, {}, 1);
+    apply_weather(scan, {});
     expect_same(scan, before);
     ASSERT_EQ(scan.channels.size(), 3u);
     for (std::size_t i = 0; i < kRays; ++i) ASSERT_EQ(sources_of(scan)[i], i % 10 == 0 ? kNothing : kSurface);
@@ -69,7 +87,8 @@ TEST(WeatherOnScans, ClearAirChangesNoBit) {
 TEST(WeatherOnScans, AWallIsDarkerByTheFormula) {
     for (const double fall : {1.0, 0.5}) {
         RenderedScan scan = wall_at(8.0f, 0.8f);
-        add_weather(scan, Air({.fog_visibility_m = 150.0}, {}), {.range_m = {8.0}, .factor = {fall}}, {}, 1);
+        apply_weather(
+            scan, {.weather = {.fog_visibility_m = 150.0}, .response = {.range_m = {8.0}, .factor = {fall}}});
         int n = 0;
         for (std::size_t i = 0; i < kRays; ++i) {
             if (sources_of(scan)[i] != kSurface) continue;
@@ -89,7 +108,7 @@ TEST(WeatherOnScans, WhatReturnsFromTheAirSaysSo) {
     RenderedScan scan = wall_at(25.0f, 0.3f);
     std::vector<std::uint8_t> blind(kRays, 0);
     for (std::size_t i = 0; i < kRays; i += 4) blind[i] = 1;
-    add_weather(scan, Air({.fog_visibility_m = 50.0}, {}), {}, {.blind = blind}, 1);
+    apply_weather(scan, {.weather = {.fog_visibility_m = 50.0}, .blind = blind});
     int fog = 0;
     for (std::size_t i = 0; i < kRays; ++i) {
         const std::int32_t source = sources_of(scan)[i];
@@ -118,7 +137,7 @@ TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
     WeatherSensor sensor;
     sensor.min_range_m = 39.9;  // excludes returns of the fog
     RenderedScan scan = wall_at(40.0f, 0.3f);
-    add_weather(scan, Air({.fog_visibility_m = 20.0}, sensor), {}, {}, 1);
+    apply_weather(scan, {.weather = {.fog_visibility_m = 20.0}, .sensor = sensor});
     for (std::size_t i = 0; i < kRays; ++i) {
         ASSERT_EQ(sources_of(scan)[i], kNothing);
         ASSERT_GE(scan.image.drop_prob[i], 0.5f);
@@ -127,7 +146,7 @@ TEST(WeatherOnScans, WhatIsTooWeakIsDropped) {
 
 TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
     RenderedScan scan = wall_at(20.0f, 0.3f, true);
-    add_weather(scan, Air({.fog_visibility_m = 60.0}, {}), {}, {}, 1);
+    apply_weather(scan, {.weather = {.fog_visibility_m = 60.0}});
     ASSERT_EQ(scan.channels.back().info.name, "source");
     const auto& second = std::get<std::vector<std::int32_t>>(scan.channels.back().second);
     int behind_fog = 0;
@@ -156,12 +175,12 @@ TEST(WeatherOnScans, SecondReturnsSayWhyTheyAreThere) {
 
 /// Threads process blocks of 4096 rays, so that fewer rays use a single thread.
 TEST(WeatherOnScans, TheSameSeedIsTheSameOnAnyNumberOfThreads) {
-    const Air air({.fog_visibility_m = 100.0, .rain_mm_h = 20.0}, {});
+    const Weather weather{.fog_visibility_m = 100.0, .rain_mm_h = 20.0};
     RenderedScan a = wall_at(40.0f, 0.1f), b = a, other = a, by_one = wall_at(40.0f, 0.1f, false, 4096);
-    add_weather(a, air, {}, {}, 7);
-    add_weather(b, air, {}, {}, 7);
-    add_weather(other, air, {}, {}, 8);
-    add_weather(by_one, air, {}, {}, 7);
+    apply_weather(a, {.weather = weather, .seed = 7});
+    apply_weather(b, {.weather = weather, .seed = 7});
+    apply_weather(other, {.weather = weather, .seed = 8});
+    apply_weather(by_one, {.weather = weather, .seed = 7});
     expect_same(a, b);
     EXPECT_EQ(sources_of(a), sources_of(b));
     EXPECT_NE(a.image.range_m, other.image.range_m);

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <functional>
 #include <map>
+#include <sstream>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -14,11 +16,15 @@
 #include <relidar/base/math.hpp>
 #include <relidar/simulate/weather.hpp>
 
+#include "one_ray.hpp"
+
 namespace relidar {
 namespace {
 
 constexpr double kCell_m = 0.05, kNearest_m = 1.0;
 constexpr int kLevels = 400, kRays = 100'000;
+
+using test::air_of, test::ray_to;
 
 WeatherSensor sensor_to(double max_range_m) {
     WeatherSensor sensor;
@@ -58,10 +64,25 @@ TEST(Weather, IsReadAsItIsWritten) {
         EXPECT_EQ(to_text(parse_weather(text)), text);
 }
 
+/// Each example of an effect must be weather with this effect.
+TEST(Weather, EachRowOfTheTableIsComplete) {
+    for (const WeatherEffect* effect : kWeatherEffects) {
+        EXPECT_NE(weather_help().find(effect->form), std::string::npos) << effect->form;
+        EXPECT_TRUE(effect->form.starts_with(effect->name)) << effect->form;
+        EXPECT_NE(effect->prepare, nullptr) << effect->name;
+        EXPECT_FALSE(effect->is_in({})) << effect->name;
+        std::istringstream examples{std::string(effect->examples)};
+        int n = 0;
+        for (std::string example; examples >> example; ++n)
+            EXPECT_TRUE(effect->is_in(parse_weather(example))) << example;
+        EXPECT_GT(n, 0) << effect->name;
+    }
+}
+
 TEST(Weather, WhatIsNoneIsRefusedInALine) {
     const std::string kinds =
-        "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
-        "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
+        "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, bloom[=REFLECTIVITY], "
+        "sun=AZIMUTH:ELEVATION[:KLUX], or several of them";
     const std::string suns =
         "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to "
         "150";
@@ -72,6 +93,8 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         {"rain=-1", "weather: found rain=-1, expected 0 to 500 mm/h"},
         {"rain=nan", "weather: found rain=nan, expected 0 to 500 mm/h"},
         {"snow=1e9", "weather: found snow=1e9, expected 0 to 100 mm/h of melted snow"},
+        {"bloom=", "weather: found bloom=, expected a reflectivity of 0 to 1"},
+        {"fog=50:60", "weather: found fog=50:60, expected a visibility of 1 to 1e6 metres"},
         {"rain=5mm", "weather: found rain=5mm, expected 0 to 500 mm/h"},
         {"wet=11", "weather: found wet=11, expected 0 to 10 mm of water on the ground"},
         {"rain=1,snow=2", "weather: found rain=1 and snow=2, expected one of them"},
@@ -95,9 +118,9 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
             EXPECT_EQ(error.what(), line);
         }
     }
-    EXPECT_THROW(Air({.rain_mm_h = -1.0}, {}), UsageError);
-    EXPECT_THROW(Air({.fog_visibility_m = std::nan("")}, {}), UsageError);
-    EXPECT_THROW(Air({.sun = {0.0, std::nan(""), 100.0}}, {}), UsageError);
+    EXPECT_THROW(air_of({.rain_mm_h = -1.0}), UsageError);
+    EXPECT_THROW(air_of({.fog_visibility_m = std::nan("")}), UsageError);
+    EXPECT_THROW(air_of({.sun = {0.0, std::nan(""), 100.0}}), UsageError);
 }
 
 TEST(Weather, FogLeavesATwentiethAfterItsVisibility) {
@@ -134,73 +157,13 @@ TEST(Weather, RainIsAsThickAsMeasured) {
     }
 }
 
-/// Returns the integral of 2 c f(c) over cosines, which is the mean over a diffuse
-/// surface.
-double mean_over_dull(const std::function<double(double)>& f) {
-    double sum = 0.0;
-    for (int i = 0; i < 20'000; ++i) sum += 2.0 * (i + 0.5) / 20'000 * f((i + 0.5) / 20'000) / 20'000;
-    return sum;
-}
-
-TEST(WetGround, WaterMirrorsAsFresnelSays) {
-    constexpr double n = 1.33;
-    EXPECT_NEAR(mirrored_by_water(1.0), std::pow((n - 1.0) / (n + 1.0), 2), 1e-12);
-    EXPECT_NEAR(mirrored_by_water(0.0), 1.0, 1e-12);
-    // at this angle, only light polarised across the plane of incidence is reflected
-    const double brewster = std::cos(std::atan(n));
-    EXPECT_NEAR(mirrored_by_water(brewster), 0.5 * std::pow((n * n - 1.0) / (n * n + 1.0), 2), 1e-12);
-    EXPECT_NEAR(mean_over_dull(mirrored_by_water), 0.066, 0.001)
-        << "the diffuse reflectance of water in tables";
-}
-
-/// Compares with the sum over all bounces between the ground and the surface of the water
-/// film. The light kept inside is an integral over directions in water with total
-/// reflection, which the closed form does not use.
-TEST(WetGround, IsDarkerByTheSumOfItsBounces) {
-    constexpr double n = 1.33;
-    const auto kept_inside = [](double in_water) {
-        const double squared = 1.0 - n * n * (1.0 - in_water * in_water);
-        return squared <= 0.0 ? 1.0 : mirrored_by_water(std::sqrt(squared));
-    };
-    const double kept = mean_over_dull(kept_inside);
-    for (const double albedo : {0.0, 0.1, 0.4, 0.9}) {
-        for (const double cosine : {1.0, 0.5, 0.1, 0.03}) {
-            const double passes = 1.0 - mirrored_by_water(cosine);
-            double light = passes, returned = 0.0;  // per albedo
-            for (int bounce = 0; bounce < 2000; ++bounce) returned += light, light *= albedo * kept;
-            EXPECT_NEAR(wet_over_dry(cosine, albedo), returned * passes / (n * n), 1e-3)
-                << cosine << ' ' << albedo;
-        }
-    }
-    EXPECT_EQ(film_share(0.0), 0.0);
-    EXPECT_EQ(film_share(0.25), 0.25);
-    EXPECT_EQ(film_share(3.0), 1.0);
-}
-
-/// The weakest return has a reflectivity of 0.005 at 80 m.
-TEST(WetGround, WhatIsTooDarkLeavesToWhatItMirrors) {
-    const Air air({.wet_mm = 1.0}, sensor_to(80.0));
-    Echo ground = wall(40.0, 0.1), mirrored{60.0, 0.5, PointSource::mirror, 0.5};
-    ground.through_water = 0.01;  // 0.001 at 40 m, which is less than the weakest return there, 0.00125
-    const RayEchoes seen = air.look({ground, {}, mirrored}, 40.0, 1);
-    EXPECT_EQ(seen.strongest.source, PointSource::mirror);
-    EXPECT_EQ(seen.strongest.range_m, 60.0);
-    EXPECT_EQ(seen.strongest.reflectivity, 0.25);
-    EXPECT_EQ(seen.second.source, PointSource::nothing);
-    ground.through_water = 0.9;
-    const RayEchoes both = air.look({ground, {}, mirrored}, 40.0, 1);
-    EXPECT_EQ(both.strongest.source, PointSource::mirror) << "0.25 / 60^2 is more than 0.09 / 40^2";
-    EXPECT_EQ(both.second.source, PointSource::surface);
-    EXPECT_EQ(both.second.reflectivity, 0.1 * 0.9);
-}
-
 TEST(Weather, AWallIsDarkerByTheFormula) {
     for (const Weather& weather :
          {Weather{.fog_visibility_m = 300.0}, Weather{.rain_mm_h = 10.0}, Weather{.snow_mm_h = 1.0}}) {
-        const Air air(weather, sensor_to(80.0));
+        const Air air = air_of(weather, sensor_to(80.0));
         int n = 0;
         for (std::uint64_t seed = 0; seed < 200; ++seed) {
-            const Echo seen = air.look({wall(12.0, 0.8), {}}, 12.0, seed).strongest;
+            const Echo seen = air.look(ray_to(wall(12.0, 0.8), 12.0), seed).strongest;
             if (seen.source != PointSource::surface) continue;
             ++n;
             EXPECT_EQ(seen.range_m, 12.0);
@@ -217,13 +180,13 @@ TEST(Weather, ATenthVanishesWhereItsPowerDoes) {
     for (const double visibility_m : {30.0, 50.0, 150.0, 400.0}) {
         const WeatherSensor sensor = sensor_to(100.0);
         const Weather fog{.fog_visibility_m = visibility_m};
-        const Air air(fog, sensor);
+        const Air air = air_of(fog, sensor);
         const double alpha = std::log(20.0) / visibility_m,
                      end_m = lambert_w(alpha * std::sqrt(0.1 / weakest(sensor))) / alpha;
         for (std::uint64_t seed = 0; seed < 100; ++seed) {
-            EXPECT_TRUE(shows_surface(air.look({wall(0.999 * end_m, 0.1), {}}, 0.999 * end_m, seed)))
+            EXPECT_TRUE(shows_surface(air.look(ray_to(wall(0.999 * end_m, 0.1), 0.999 * end_m), seed)))
                 << visibility_m;
-            EXPECT_FALSE(shows_surface(air.look({wall(1.001 * end_m, 0.1), {}}, 1.001 * end_m, seed)))
+            EXPECT_FALSE(shows_surface(air.look(ray_to(wall(1.001 * end_m, 0.1), 1.001 * end_m), seed)))
                 << visibility_m;
         }
     }
@@ -320,7 +283,7 @@ void FreeAir::expect_as(const Air& air, PointSource source) const {
     for (std::size_t i = 1; i < levels_.size(); ++i)
         stronger.push_back(none_stronger_[i] - none_stronger_[i - 1]);
     for (std::uint64_t seed = 0; seed < kRays; ++seed) {
-        const Echo echo = air.look({}, sensor_.max_range_m, seed).strongest;
+        const Echo echo = air.look(ray_to({}, sensor_.max_range_m), seed).strongest;
         if (echo.source == PointSource::nothing) {
             ranges.back() += 1.0, powers.front() += 1.0;
             continue;
@@ -347,7 +310,7 @@ TEST(Weather, RainReturnsAsItsIntegral) {
             const double mm = 1000.0 * model.beam_m(r) * std::sqrt(share);
             return kPi / 4.0 * std::pow(model.beam_m(r), 2) * 8000.0 / slope * std::exp(-slope * mm);
         });
-        model.expect_as(Air({.rain_mm_h = rate}, sensor), PointSource::rain);
+        model.expect_as(air_of({.rain_mm_h = rate}, sensor), PointSource::rain);
     }
 }
 
@@ -362,7 +325,7 @@ TEST(Weather, SnowReturnsAsItsIntegral) {
         const double melted_mm = 1000.0 * model.beam_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
         return kPi / 4.0 * std::pow(model.beam_m(r), 2) * 3800.0 / 2.55 * std::exp(-2.55 * melted_mm);
     });
-    model.expect_as(Air({.snow_mm_h = rate}, sensor), PointSource::snow);
+    model.expect_as(air_of({.snow_mm_h = rate}, sensor), PointSource::snow);
 }
 
 /// Compares with the integral of fog over the pulse by Simpson's rule. A pulse is 6 m
@@ -384,7 +347,7 @@ TEST(Weather, FogReturnsAsItsIntegral) {
             return kPi * 0.046 / visibility_m * sum * step / 3.0;
         };
         model.of_stretches(60, mean);
-        model.expect_as(Air({.fog_visibility_m = visibility_m}, sensor), PointSource::fog);
+        model.expect_as(air_of({.fog_visibility_m = visibility_m}, sensor), PointSource::fog);
     }
 }
 
@@ -422,10 +385,10 @@ double false_returns(const Weather& weather, double reflectivity) {
 }
 
 double count_false_returns(const Weather& weather) {
-    const Air air(weather, sensor_with_time_control());
+    const Air air = air_of(weather, sensor_with_time_control());
     int n = 0;
     for (std::uint64_t seed = 0; seed < kRays; ++seed)
-        n += air.look({}, 80.0, seed).strongest.source != PointSource::nothing;
+        n += air.look(ray_to({}, 80.0), seed).strongest.source != PointSource::nothing;
     return double(n) / kRays;
 }
 
@@ -453,13 +416,13 @@ TEST(ThinWeather, ReturnsAsTheClosedForm) {
 TEST(ThinWeather, MoreOfItLeavesFewerSurfaces) {
     const WeatherSensor sensor = sensor_with_time_control();
     const auto count = [&](const Weather& weather) {
-        const Air air(weather, sensor);
+        const Air air = air_of(weather, sensor);
         std::pair<int, int> surfaces_and_others;
         for (std::uint64_t seed = 0; seed < 20'000; ++seed) {
             const double range_m = 2.0 + 78.0 * double(seed) / 20'000.0,
                          reflectivity = 0.01 * double(seed % 40);
             const PointSource source =
-                air.look({wall(range_m, reflectivity), {}}, range_m, seed).strongest.source;
+                air.look(ray_to(wall(range_m, reflectivity), range_m), seed).strongest.source;
             surfaces_and_others.first += source == PointSource::surface;
             surfaces_and_others.second += source != PointSource::surface && source != PointSource::nothing;
         }
@@ -489,29 +452,22 @@ TEST(ThinWeather, HidesAsManyDarkSurfacesAsTheClosedForm) {
             const Weather weather{.rain_mm_h = rain_mm_h};
             const double left = std::exp(-2.0 * extinction(weather) * range_m);
             const double expected = std::min(0.0025 * (1.0 / left - 1.0) / (0.01 - 0.0025), 1.0);
-            const Air air(weather, sensor_with_time_control());
+            const Air air = air_of(weather, sensor_with_time_control());
             int n_hidden = 0;
             for (std::uint64_t seed = 0; seed < kRays; ++seed)
-                n_hidden += !shows_surface(air.look({wall(range_m, 0.0), {}}, range_m, seed));
+                n_hidden += !shows_surface(air.look(ray_to(wall(range_m, 0.0), range_m), seed));
             EXPECT_NEAR(double(n_hidden) / kRays, expected, 4.0 * std::sqrt(expected / kRays))
                 << rain_mm_h << ' ' << range_m;
         }
 }
 
-TEST(WetGround, MirrorsNothingBeyondTheSensorsRange) {
-    const Air air({.wet_mm = 1.0}, sensor_to(80.0));
-    const Echo ground = wall(40.0, 0.1), mirrored{84.5, 0.5, PointSource::mirror};
-    EXPECT_EQ(air.look({ground, {}, mirrored}, 40.0, 1).strongest.source, PointSource::surface);
-    EXPECT_EQ(air.look({ground, {}, mirrored}, 40.0, 1).second.source, PointSource::nothing);
-}
-
 TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
     const WeatherSensor sensor = sensor_to(80.0);
-    const Air air({.fog_visibility_m = 60.0}, sensor);
+    const Air air = air_of({.fog_visibility_m = 60.0}, sensor);
     int behind = 0, alone = 0;
     for (std::uint64_t seed = 0; seed < 500; ++seed) {
-        const RayEchoes far = air.look({wall(20.0, 0.3), {}}, 20.0, seed),
-                        near = air.look({wall(1.2, 0.9), wall(1.6, 0.9)}, 1.6, seed);
+        const RayEchoes far = air.look(ray_to(wall(20.0, 0.3), 20.0), seed),
+                        near = air.look(ray_to(wall(1.2, 0.9), 1.6, wall(1.6, 0.9)), seed);
         if (far.strongest.source == PointSource::fog) {
             EXPECT_EQ(far.second.source, PointSource::surface);
             ++behind;
@@ -527,11 +483,12 @@ TEST(Weather, TwoReturnsAreThePeakAndTheLast) {
 }
 
 TEST(Weather, TheSameSeedIsTheSameWeather) {
-    const Air air({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, sensor_to(80.0));
+    const Air air = air_of({.fog_visibility_m = 100.0, .snow_mm_h = 1.0}, sensor_to(80.0));
     int others = 0;
     for (std::uint64_t seed = 0; seed < 100; ++seed) {
-        const Echo a = air.look({}, 80.0, seed).strongest, b = air.look({}, 80.0, seed).strongest;
-        const Echo c = air.look({}, 80.0, seed + 1).strongest;
+        const Echo a = air.look(ray_to({}, 80.0), seed).strongest,
+                   b = air.look(ray_to({}, 80.0), seed).strongest;
+        const Echo c = air.look(ray_to({}, 80.0), seed + 1).strongest;
         EXPECT_EQ(a.range_m, b.range_m);
         EXPECT_EQ(a.reflectivity, b.reflectivity);
         others += a.range_m != c.range_m;

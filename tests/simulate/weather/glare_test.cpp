@@ -10,6 +10,8 @@
 #include <relidar/base/math.hpp>
 #include <relidar/simulate/weather.hpp>
 
+#include "one_ray.hpp"
+
 namespace relidar {
 namespace {
 
@@ -24,10 +26,11 @@ WeatherSensor sensor_to_60_m() {
     return sensor;
 }
 
-RayEchoes towards_sun(const RayEchoes& surfaces, double from_sun_deg) {
-    RayEchoes ray = surfaces;
-    ray.from_sun_rad = from_sun_deg * kDegree;
-    return ray;
+using test::air_with, test::ray_to;
+
+/// Returns the air of a ray that points at an angle to the sun.
+Air air_beside_sun(double off_deg, double klux, const WeatherSensor& sensor, float hides_sun = 0.0f) {
+    return test::air_of({.sun = {off_deg, 0.0, klux}}, sensor, hides_sun);
 }
 Echo surface_at(double range_m, double reflectivity) { return {range_m, reflectivity, PointSource::surface}; }
 
@@ -70,16 +73,16 @@ TEST(Sunlight, IsShotNoiseOfItsPhotons) {
 /// returns arrive.
 TEST(Sunlight, IsFalseReturnsAsOftenAsRiceSays) {
     const WeatherSensor sensor = sensor_to_60_m();
-    const Air air({.sun = {0.0, 0.0, 100.0}}, sensor);
     const double seconds = 2.0 * (60.0 - 1.0) / kLight_m_s;
     for (const double off_deg : {0.35, 0.4, 0.5}) {
         const double level =
             sensor.weakest() / sun_noise({0.0, 0.0, 100.0}, sensor, off_deg * kDegree, 0.0, true);
         const double n = seconds / (2.0 * std::sqrt(3.0) * sensor.pulse_s) * std::exp(-0.5 * level * level);
+        const Air air = air_beside_sun(off_deg, 100.0, sensor);
         std::vector<double> counts(21), expected(21, kPulses * (1.0 - std::exp(-n)) / 20.0);
         expected.back() = kPulses * std::exp(-n);
         for (std::uint64_t seed = 0; seed < kPulses; ++seed) {
-            const Echo echo = air.look(towards_sun({}, off_deg), 60.0, seed).strongest;
+            const Echo echo = air.look(ray_to({}, 60.0), seed).strongest;
             if (echo.source == PointSource::nothing) ++counts.back();
             else {
                 ASSERT_EQ(echo.source, PointSource::noise);
@@ -99,7 +102,7 @@ TEST(Sunlight, HidesWeakTargets) {
     WeatherSensor sensor = sensor_to_60_m();
     sensor.darkest = 0.0005;
     const Sun sun{0.0, 0.0, 100.0};
-    const Air air({.sun = sun}, sensor);
+    const Air air = air_beside_sun(0.3, 100.0, sensor);
     for (const double reflectivity : {0.002, 0.004}) {
         const double sigma = sun_noise(sun, sensor, 0.3 * kDegree, reflectivity, false);
         const double crests = 2.0 * 59.0 / kLight_m_s / (2.0 * std::sqrt(3.0) * sensor.pulse_s);
@@ -111,8 +114,8 @@ TEST(Sunlight, HidesWeakTargets) {
             const double lost = 1.0 - std::exp(-crests * std::exp(-0.5 * power * power / (sigma * sigma)));
             double n = 0.0;
             for (std::uint64_t seed = 0; seed < kPulses; ++seed)
-                n += air.look(towards_sun({surface_at(range_m, reflectivity), {}}, 0.3), range_m, seed)
-                         .strongest.source == PointSource::noise;
+                n += air.look(ray_to(surface_at(range_m, reflectivity), range_m), seed).strongest.source ==
+                     PointSource::noise;
             EXPECT_NEAR(n / kPulses, lost, 4.0 * std::sqrt(lost * (1.0 - lost) / kPulses)) << range_m;
             EXPECT_TRUE(range_m != half_m || std::abs(lost - 0.5) < 1e-9);
         }
@@ -120,36 +123,37 @@ TEST(Sunlight, HidesWeakTargets) {
 }
 
 TEST(Sunlight, ElsewhereChangesNothing) {
-    const Air air({.sun = {0.0, 0.0, 150.0}}, sensor_to_60_m());
+    const WeatherSensor sensor = sensor_to_60_m();
+    const Air blind = air_beside_sun(0.0, 150.0, sensor);
+    for (std::uint64_t seed = 0; seed < 1000; ++seed)
+        ASSERT_EQ(blind.look(ray_to({}, 0.0), seed).strongest.source, PointSource::nothing)
+            << "what is at the sensor hides it";
     const Echo before = surface_at(20.0, 0.3);
-    for (std::uint64_t seed = 0; seed < 1000; ++seed) {
-        for (const double off_deg : {8.0, 90.0, double(INFINITY)}) {
-            const RayEchoes seen = air.look(towards_sun({before, {}}, off_deg), 20.0, seed);
+    for (const auto& [off_deg, hides_sun] : {std::pair(8.0, 0.0f), {90.0, 0.0f}, {0.0, 1.0f}}) {
+        const Air air = air_beside_sun(off_deg, 150.0, sensor, hides_sun);
+        for (std::uint64_t seed = 0; seed < 1000; ++seed) {
+            const RayEchoes seen = air.look(ray_to(before, 20.0), seed);
             ASSERT_EQ(seen.strongest.source, PointSource::surface);
             ASSERT_EQ(seen.strongest.reflectivity, before.reflectivity);
-            ASSERT_EQ(air.look(towards_sun({}, off_deg), 60.0, seed).strongest.source, PointSource::nothing);
+            ASSERT_EQ(air.look(ray_to({}, 60.0), seed).strongest.source, PointSource::nothing);
         }
-        ASSERT_EQ(air.look(towards_sun({}, 0.0), 0.0, seed).strongest.source, PointSource::nothing)
-            << "what is at the sensor hides it";
     }
 }
 
 /// A reflectivity of 0.002 at 4 m is as bright as 0.05 at 20 m.
 TEST(StrayLight, WinsOverWhatIsWeaker) {
-    const Air air({.bloom = 1e-4}, sensor_to_60_m());
-    RayEchoes ray{surface_at(20.0, 0.049), {}};
-    ray.stray = {4.0, 0.002, PointSource::blooming};
-    const RayEchoes lost = air.look(ray, 20.0, 1);
+    const WeatherSensor sensor = sensor_to_60_m();
+    Echo stray{4.0, 0.002, PointSource::blooming};
+    const Air air = air_with(sensor, stray);
+    const RayEchoes lost = air.look(ray_to(surface_at(20.0, 0.049), 20.0), 1);
     EXPECT_EQ(lost.strongest.source, PointSource::blooming);
     EXPECT_EQ(lost.strongest.range_m, 4.0);
     EXPECT_EQ(lost.strongest.reflectivity, 0.002);
     EXPECT_EQ(lost.second.source, PointSource::surface);
-    ray.strongest.reflectivity = 0.051;
-    EXPECT_EQ(air.look(ray, 20.0, 1).strongest.source, PointSource::surface);
-    ray.strongest = {};
-    EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::blooming);
-    ray.stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
-    EXPECT_EQ(air.look(ray, 60.0, 1).strongest.source, PointSource::nothing)
+    EXPECT_EQ(air.look(ray_to(surface_at(20.0, 0.051), 20.0), 1).strongest.source, PointSource::surface);
+    EXPECT_EQ(air.look(ray_to({}, 60.0), 1).strongest.source, PointSource::blooming);
+    stray.reflectivity = 0.9 * 0.005 * 16.0 / 3600.0;
+    EXPECT_EQ(air_with(sensor, stray).look(ray_to({}, 60.0), 1).strongest.source, PointSource::nothing)
         << "too weak to be a return; a dark surface counts as darkest";
 }
 

@@ -52,8 +52,10 @@ export class SensorPanel {
    * Sets the available choices, once per connection. Keeps the current choice if it is
    * available. @return true if the chosen sensor is not available
    */
-  load({ sensors, lidars }) {
+  load({ sensors, lidars, weather }) {
     const { sensor, lidar } = this.wish;
+    this.weather.title = `${weather.help}; colour source says why there is a point`;
+    document.getElementById('weathers').replaceChildren(...weather.examples.split(' ').map((text) => new Option(text)));
     const file = [...this.choice.options].find((o) => o.value === 'file');
     this.choice.replaceChildren(...sensors.map((name) => new Option(name === 'native' ? "native (the log's)" : name, name)), ...(file ? [file] : []));
     this.lidar.replaceChildren(...lidars.map(({ name, sensor: kind }, i) => new Option(name || kind, String(i))));

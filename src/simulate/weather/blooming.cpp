@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "simulate/render/stray_light.hpp"
-
-#include <algorithm>
+// Simulates blooming: light of a retro-reflector that the receivers of other beams
+// detect. The echo of a ray has the range of the reflector and the reflectivity
+//   X bloom * integral of (1 deg / angle)^3 over the reflector, deg^2
+// where ln X is normal with mean 0 and standard deviation 3. X is drawn for each beam.
+// The constants were measured on a log, see docs/method.md.
 #include <bit>
 #include <cmath>
 #include <map>
@@ -10,7 +12,7 @@
 #include <relidar/base/math.hpp>
 
 #include "base/parallel.hpp"
-#include "base/random.hpp"
+#include "simulate/weather/air.hpp"
 
 namespace relidar {
 namespace {
@@ -86,20 +88,59 @@ Echo brightest(const std::vector<Reflector>& reflectors, const glm::dvec3& direc
     return echo;
 }
 
-}  // namespace
-
-std::vector<Echo> stray_light(const RenderedScan& scan, double bloom, std::uint64_t seed) {
-    const std::vector<Reflector> reflectors = bloom > 0.0 ? reflectors_in(scan) : std::vector<Reflector>{};
+/// Computes for each ray of a scan the echo of stray light. Reflectors are surfaces with
+/// an intensity of at least kSaturated. Their area is counted in cells of one square
+/// degree. The reflector with the most power determines the range of the echo.
+/// @return [rays] empty echoes for rays without stray light; an empty list if no ray has
+/// any
+std::vector<Echo> stray_light(const WeatherInput& input) {
+    const RenderedScan& scan = input.scan;
+    const std::vector<Reflector> reflectors = reflectors_in(scan);
     if (reflectors.empty()) return {};
-    const std::uint64_t of_scan = hash64(hash64(seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
+    const std::uint64_t of_scan =
+        hash64(hash64(input.seed, std::bit_cast<std::uint64_t>(scan.time_s)), kOfBeams);
     std::vector<Echo> stray(scan.image.direction.size());
     for_each_block(stray.size(), [&](std::size_t ray) {
         if (is_reflector(scan, ray)) return;
         stray[ray] = brightest(reflectors, glm::dvec3(scan.image.direction[ray]));
         stray[ray].reflectivity *=
-            bloom * std::exp(kSpread * Random(hash64(of_scan, scan.ring[ray])).normal());
+            input.weather.bloom * std::exp(kSpread * Random(hash64(of_scan, scan.ring[ray])).normal());
     });
     return stray;
 }
+
+class BloomingOnRays : public EffectOnRays {
+public:
+    BloomingOnRays(const WeatherInput& input, std::vector<Echo> stray)
+        : sensor_(input.sensor), alpha_(extinction(input.weather)), stray_(std::move(stray)) {}
+
+    void add_returns(Candidates& candidates, const RayInAir& ray, Random&) const override {
+        const Echo& echo = stray_[ray.index];
+        if (ray.free_m > 0.0) add_echo(candidates, echo, sensor_, std::exp(-2.0 * alpha_ * echo.range_m));
+    }
+
+private:
+    const WeatherSensor sensor_;
+    const double alpha_;
+    const std::vector<Echo> stray_;  // [rays] echo of the stray light
+};
+
+constexpr WeatherNumber kBloomNumbers[] = {
+    {[](Weather& weather) -> double& { return weather.bloom; }, 0.0, 1.0, 1.2e-4}};
+
+}  // namespace
+
+const WeatherEffect kBlooming{.name = "bloom",
+                              .form = "bloom[=REFLECTIVITY]",
+                              .meaning = "stray light of reflectors",
+                              .expected = "a reflectivity of 0 to 1",
+                              .examples = "bloom",
+                              .numbers = kBloomNumbers,
+                              .n_required = 0,
+                              .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
+                                  std::vector<Echo> stray = stray_light(input);
+                                  if (stray.empty()) return nullptr;
+                                  return std::make_unique<BloomingOnRays>(input, std::move(stray));
+                              }};
 
 }  // namespace relidar

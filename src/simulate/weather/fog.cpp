@@ -1,0 +1,96 @@
+// SPDX-License-Identifier: Apache-2.0
+// Fog is a soft target (Rasshofer, Spies and Spies 2011), as in Hahner et al. (ICCV
+// 2021):
+//   power(R) = pi beta integral p(x) exp(-2 alpha r) / r^2 dx
+//     r = R + x,  p(x) = cos^2(pi x / (c tau)),  |x| <= c tau / 2,  r >= 1 m
+// For each interval of length c tau / 2, beta is drawn: log-normal with mean 0.046 /
+// visibility. The amount of variation is an assumption. From the definition of the
+// visibility V, exp(-alpha V) = 0.05.
+#include <cmath>
+
+#include <relidar/base/math.hpp>
+
+#include "simulate/weather/air.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kFogStep_m = 0.05;  // range step of the table
+// Backscatter coefficient of fog multiplied by its visibility, per steradian (Rasshofer
+// et al. 2011).
+constexpr double kBackscatter = 0.046;
+// Standard deviation of the logarithm of the fog density. This value is an assumption.
+constexpr double kFogSpread = 1.0;
+// Ignores fog whose density is above this number of standard deviations, because it is
+// very rare.
+constexpr double kRareFog = 5.0;
+
+double fog_extinction(const Weather& weather) { return std::log(20.0) / weather.fog_visibility_m; }
+
+class FogOnRays : public EffectOnRays {
+public:
+    explicit FogOnRays(const WeatherInput& input)
+        : sensor_(input.sensor),
+          alpha_(extinction(input.weather)),
+          visibility_m_(input.weather.fog_visibility_m) {
+        const double thickest = std::exp(kFogSpread * (kRareFog - 0.5 * kFogSpread)),
+                     rises_to_m = nearest_m(sensor_) + pulse_m(sensor_);
+        bool shows = true;
+        for (double r = nearest_m(sensor_); shows && r <= sensor_.max_range_m + kFogStep_m; r += kFogStep_m) {
+            power_.push_back(power_at(r));
+            shows = r < rises_to_m || power_.back() * thickest > sensor_.weakest();
+        }
+    }
+
+    void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
+        if (power_.empty()) return;
+        const double stretch_m = 0.5 * pulse_m(sensor_), first_m = nearest_m(sensor_);
+        for (double begin_m = first_m; begin_m < ray.free_m; begin_m += stretch_m) {
+            const double range_m = begin_m + stretch_m * random.uniform(),
+                         place = (range_m - first_m) / kFogStep_m;
+            const auto k = std::size_t(place);
+            if (range_m >= ray.free_m || k + 1 >= power_.size()) return;
+            const double mean = std::lerp(power_[k], power_[k + 1], place - double(k));
+            const double power = mean * std::exp(kFogSpread * (random.normal() - 0.5 * kFogSpread));
+            if (power >= sensor_.threshold(range_m))
+                candidates.push_back({{range_m, power * range_m * range_m, PointSource::fog}, power});
+        }
+    }
+
+private:
+    const WeatherSensor sensor_;
+    const double alpha_, visibility_m_;
+    // [k] mean power that fog returns from a range: the nearest range plus k steps.
+    std::vector<double> power_;
+
+    /// Returns the mean power of fog at a range. Integrates over the pulse with the
+    /// midpoint rule.
+    double power_at(double range_m) const {
+        constexpr int kParts = 32;
+        const double width_m = pulse_m(sensor_), part_m = width_m / kParts;
+        double sum = 0.0;
+        for (int i = 0; i < kParts; ++i) {
+            const double x = -0.5 * width_m + (i + 0.5) * part_m, r = range_m + x,
+                         pulse = std::cos(kPi * x / width_m);
+            if (r >= kOverlap_m) sum += pulse * pulse * std::exp(-2.0 * alpha_ * r) / (r * r) * part_m;
+        }
+        return kPi * kBackscatter / visibility_m_ * sum;
+    }
+};
+
+constexpr WeatherNumber kFogNumbers[] = {
+    {[](Weather& weather) -> double& { return weather.fog_visibility_m; }, 1.0, 1e6}};
+
+}  // namespace
+
+const WeatherEffect kFog{.name = "fog",
+                         .form = "fog=VISIBILITY_m",
+                         .expected = "a visibility of 1 to 1e6 metres",
+                         .examples = "fog=200 fog=50",
+                         .numbers = kFogNumbers,
+                         .extinction = fog_extinction,
+                         .prepare = [](const WeatherInput& input) -> std::unique_ptr<EffectOnRays> {
+                             return std::make_unique<FogOnRays>(input);
+                         }};
+
+}  // namespace relidar

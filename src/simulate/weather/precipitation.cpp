@@ -1,0 +1,130 @@
+// SPDX-License-Identifier: Apache-2.0
+// Rain and snow. The particles N(D) = N0 exp(-Lambda D) per cubic metre and millimetre
+// that are bright enough are a Poisson process along the beam, as in LISA (Kilic et al.
+// 2021) and Hahner et al. (CVPR 2022). D is the diameter of the melted particle:
+//   power(D, R) = rho (D / B(R))^2 exp(-2 alpha R) / R^2,  B(R): width of the beam
+// Particles remove twice the light that their cross section covers (Q_ext = 2), because
+// they are much larger than the wavelength.
+#include <cmath>
+#include <limits>
+
+#include <relidar/base/math.hpp>
+
+#include "simulate/weather/air.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kParticleStep_m = 0.05;  // range step of the table
+
+/// Size distribution and reflectivity of the particles of rain or snow.
+struct Particles {
+    PointSource source;
+    double per_m3_mm;     // N0
+    double slope_per_mm;  // Lambda
+    double widening;      // ratio of the particle's diameter to its diameter after melting
+    double reflectivity;
+};
+
+/// Returns the drop size distribution of Marshall and Palmer (1948). A drop reflects like
+/// water at normal incidence, ((n - 1) / (n + 1))^2.
+Particles drops_of(const Weather& weather) {
+    return {PointSource::rain, 8000.0, 4.1 * std::pow(weather.rain_mm_h, -0.21), 1.0, 0.02};
+}
+
+/// Returns the distribution of melted diameters of Gunn and Marshall (1958). A flake is
+/// wider than its melted drop, because its density is a tenth of the density of water.
+Particles flakes_of(const Weather& weather) {
+    return {PointSource::snow, 3.8e3 * std::pow(weather.snow_mm_h, -0.87),
+            2.55 * std::pow(weather.snow_mm_h, -0.48), std::cbrt(10.0), 0.25};
+}
+
+template <Particles (*particles_of)(const Weather&)>
+double shadows(const Weather& weather) {
+    const Particles p = particles_of(weather);
+    return kPi * p.per_m3_mm * 1e-6 * p.widening * p.widening / std::pow(p.slope_per_mm, 3);
+}
+
+class ParticlesOnRays : public EffectOnRays {
+public:
+    ParticlesOnRays(const WeatherInput& input, const Particles& particles)
+        : sensor_(input.sensor), alpha_(extinction(input.weather)), falling_(particles) {
+        double expected = 0.0, before = 0.0;
+        for (double r = nearest_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
+             r += kParticleStep_m) {
+            const double area = 0.25 * kPi * beam_m(sensor_, r) * beam_m(sensor_, r),
+                         density = area * falling_.per_m3_mm / falling_.slope_per_mm *
+                                   std::exp(-falling_.slope_per_mm * smallest_mm(r));
+            if (!expected_.empty()) expected += 0.5 * (before + density) * kParticleStep_m;
+            before = density;
+            expected_.push_back(expected);
+        }
+    }
+
+    void add_returns(Candidates& candidates, const RayInAir& ray, Random& random) const override {
+        if (expected_.empty()) return;
+        const auto waiting = [&random] { return -std::log(1.0 - random.uniform()); };
+        for (double n = waiting(); n < expected_.back(); n += waiting()) {
+            const auto next = std::ranges::upper_bound(expected_, n);
+            const double part = (n - *(next - 1)) / (*next - *(next - 1));
+            const double range_m =
+                nearest_m(sensor_) + (double(next - expected_.begin()) - 1.0 + part) * kParticleStep_m;
+            if (range_m >= std::min(ray.free_m, sensor_.max_range_m)) return;
+            const double wide_mm =
+                falling_.widening * (smallest_mm(range_m) + waiting() / falling_.slope_per_mm);
+            const double share = std::min(1e-3 * wide_mm / beam_m(sensor_, range_m), 1.0),
+                         reflectivity =
+                             falling_.reflectivity * share * share * std::exp(-2.0 * alpha_ * range_m);
+            candidates.push_back(
+                {{range_m, reflectivity, falling_.source}, reflectivity / (range_m * range_m)});
+        }
+    }
+
+private:
+    const WeatherSensor sensor_;
+    const double alpha_;
+    const Particles falling_;
+    // [k] expected number of bright particles between the nearest range and the nearest
+    // range plus k steps.
+    std::vector<double> expected_;
+
+    /// Returns the diameter of the smallest particle that the sensor detects at a
+    /// range, in millimetres of liquid water. Returns infinity if even a particle that
+    /// fills the beam reflects too little light.
+    double smallest_mm(double range_m) const {
+        const double share = sensor_.threshold(range_m) * range_m * range_m *
+                             std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
+        if (share > 1.0) return std::numeric_limits<double>::infinity();
+        return 1e3 * beam_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
+    }
+};
+
+template <Particles (*particles_of)(const Weather&)>
+std::unique_ptr<EffectOnRays> prepare_particles(const WeatherInput& input) {
+    return std::make_unique<ParticlesOnRays>(input, particles_of(input.weather));
+}
+
+constexpr WeatherNumber kRainNumbers[] = {
+    {[](Weather& weather) -> double& { return weather.rain_mm_h; }, 0.0, 500.0}};
+constexpr WeatherNumber kSnowNumbers[] = {
+    {[](Weather& weather) -> double& { return weather.snow_mm_h; }, 0.0, 100.0}};
+
+}  // namespace
+
+const WeatherEffect kRain{.name = "rain",
+                          .form = "rain=MM_PER_H",
+                          .expected = "0 to 500 mm/h",
+                          .examples = "rain=5 rain=25",
+                          .numbers = kRainNumbers,
+                          .extinction = shadows<drops_of>,
+                          .prepare = prepare_particles<drops_of>};
+const WeatherEffect kSnow{.name = "snow",
+                          .form = "snow=MM_PER_H",
+                          .meaning = "of melted snow",
+                          .expected = "0 to 100 mm/h of melted snow",
+                          .examples = "snow=1 snow=4",
+                          .numbers = kSnowNumbers,
+                          .extinction = shadows<flakes_of>,
+                          .prepare = prepare_particles<flakes_of>};
+
+}  // namespace relidar
