@@ -56,8 +56,8 @@ struct Timing {
     /// sequences form one column of the scan. Each sequence has its own beams.
     int parts = 1;
     double wrap_us = 0.0;  ///< time after which the sensor's clock restarts at 0; 0: it never restarts
-    /// [rings] time of each beam within a firing; with several firing sequences, time since
-    /// the start of the first of them
+    /// [rings] time of each beam within a firing; with several firing sequences, time
+    /// since the start of the first of them
     std::vector<double> offset_us;
     /// True: the head angle at a beam is interpolated between the azimuths of
     /// neighbouring firings. False: the head is assumed to rotate at a constant rate.

@@ -12,8 +12,8 @@
 
 namespace relidar::packets {
 
-/// Type of the topics that are created from a network capture. A message has packets: stamp
-/// (64 bits), length (32 bits) and bytes of each packet.
+/// Type of the topics that are created from a network capture. A message has packets:
+/// stamp (64 bits), length (32 bits) and bytes of each packet.
 inline constexpr const char* kDatagrams = "LiDAR packets";
 
 /// Returns true if messages of a topic contain LiDAR packets. The packets themselves show

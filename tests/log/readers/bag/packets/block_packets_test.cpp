@@ -1,8 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Decodes real packets of Velodyne and Hesai sensors and compares the points with those
-// that TIER IV's driver nebula decodes from the same packets (nebula/*.txt). nebula leaves
-// out the rotation of the head while the lasers of a block fire. The test therefore
-// compares with a head that does not turn, and checks the rotation with the manuals.
+// that TIER IV's driver nebula decodes from the same packets (nebula/*.txt). nebula
+// leaves out the rotation of the head while the lasers of a block fire. The test
+// therefore compares with a head that does not turn, and checks the rotation with the
+// manuals.
 #include <cmath>
 #include <fstream>
 #include <optional>
@@ -124,8 +125,8 @@ TEST(BlockPackets, GiveThePointsOfNebula) {
         EXPECT_EQ(decoder->decode(recorded.packets[0]).n_slots, test.n_slots);
         EXPECT_EQ(decoder->timing().offset_us.size(), std::size_t(test.n_rings));
         EXPECT_EQ(recorded.points_m.size(), test.n_points);
-        // nebula turns the head for the last 32 lasers of a VLS-128, by up to 17 of the 20
-        // parts of a step of 0.2 degrees
+        // nebula turns the head for the last 32 lasers of a VLS-128, by up to 17 of the
+        // 20 parts of a step of 0.2 degrees
         expect_all(recorded.points_m, decode_points(*decoder, recorded.packets),
                    std::string_view(test.file) == "vls128" ? 0.2 : 0.0);
     }
@@ -201,8 +202,8 @@ TEST(BlockPackets, AngleFilesHaveEachLaser) {
     EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,2,north\n", "a.csv"), DataError);
 }
 
-/// Returns a packet of an OT128 with one return per laser, whose range value is the number
-/// of the laser, from 0. Written byte by byte from the manual.
+/// Returns a packet of an OT128 with one return per laser. The range value of a laser is
+/// its number, counted from 0. Written byte by byte from the manual.
 std::string ot128_packet(int mode, int azimuth_state) {
     std::string bytes("\xee\xff\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12);
     for (int block = 0; block < 2; ++block) {
