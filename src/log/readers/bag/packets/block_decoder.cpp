@@ -8,11 +8,10 @@
 //     strongest (or second strongest) one.
 //   Velodyne VLS-128 (63-9483): as above, but four blocks, marked FF EE, FF DD, FF CC and FF BB,
 //     contain the 128 lasers of a firing.
-//   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128 (user
-//     manuals, "Point cloud data packet" and the appendix on absolute time): the packet's time, in
-//     microseconds of its second, follows the firings. The last block begins at a fixed time from
-//     it (PandarQT: the first block). Azimuth 0 is the y axis. A file "Laser id,Elevation,Azimuth"
-//     in degrees, azimuth clockwise, corrects the angles of one unit.
+//   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128
+//     (user manuals, "Point cloud data packet" and the appendix on absolute time): the
+//     packet's time, in microseconds of its second, follows the firings. The last block
+//     begins at a fixed time from it (PandarQT: the first block). Azimuth 0 is the y axis.
 //
 // The head turns while the lasers of a block fire one after another. The azimuth of a laser
 // is therefore the azimuth of its block, plus the laser's angle, plus the rotation until it
@@ -119,7 +118,8 @@ private:
     const Layout& layout_;
     Timing timing_;
     std::vector<BeamFiring> table_;
-    std::vector<LaserAngles> angles_;  ///< [lasers] calibrated angles of this sensor; empty if unknown
+    /// [lasers] calibrated angles of this sensor; empty if unknown
+    std::vector<LaserAngles> angles_;
     std::string angles_about_ = "nominal angles of the beams";  ///< source of the angles, for notes
     std::vector<BlockBeam> beams_;                              ///< [rings]
     std::vector<std::vector<int>> ring_of_;  ///< [parts, lasers] ring of each laser, or kNoRing
