@@ -146,3 +146,61 @@ def packets(product, n, dual=False, lost=(), zero_us=3_599_950_000):
             out.append((round(time_us * 1000), data))
             truths += truth
     return out, np.array(truths)
+
+
+class Alternating:
+    """A product whose lasers fire in two sequences that alternate, QT128 or OT128 in high resolution. The firing times are read from the tables of
+    relidar; the positions of the fields are those of Hesai's manuals."""
+    lasers = 128
+
+    def __init__(self, name, arrays, cycle_us, start_us):
+        self.name, self.cycle_us, self.start_us = name, cycle_us, start_us
+        layouts = (TABLES.parents[1] / "readers" / "bag" / "packets" / "block_layouts.hpp").read_text()
+        self.offset_us = np.array([[int(v) / 1000 for v in layouts.split(f"LaserTimes {array} = {{")[1].split("}")[0].split(",")] for array in arrays])
+        with open(TABLES / (name + ".csv")) as table:
+            rows = list(csv.DictReader(line for line in table if not line.startswith("#")))
+        self.elevation, self.azimuth = np.zeros((2, self.lasers))
+        for row in rows:
+            self.elevation[int(row["channel"]) - 1] = float(row["elevation_deg"])
+            self.azimuth[int(row["channel"]) - 1] = -float(row["azimuth_offset_deg"])
+
+    hesai = True
+
+    def block(self, number):
+        """(range values, truth) of a block: truth has a row (seconds, azimuth of the beam in degrees, laser, metres) for each return. Every third
+        ray that fires is dropped."""
+        offset_us = self.offset_us[number % 2]
+        lasers = np.arange(self.lasers)
+        t = (number * self.cycle_us + offset_us) * 1e-6
+        values = np.rint(to_walls(directions(self, lasers, t / TURN_S * 360)) * 250).astype(int)
+        values[((number // 2 + lasers) % 3 == 0) | (offset_us < 0)] = 0
+        hit = values > 0
+        return values, np.column_stack([t, t / TURN_S * 360 + self.azimuth, lasers, values / 250])[hit]
+
+    def packets(self, n, dual):
+        out, truths = [], []
+        for k in range(n):
+            numbers = [k] if dual else [2 * k, 2 * k + 1]
+            body = b""
+            for number in numbers * (2 if dual else 1):
+                values, truth = self.block(number)
+                azimuth = round(number * self.cycle_us * 1e-6 / TURN_S * 36000) % 36000
+                unit = (lambda v: struct.pack("<HBB", v, 90 * (v > 0), 0)) if self.name == "QT128" else (lambda v: struct.pack("<HB", v, 90 * (v > 0)))
+                body += struct.pack("<H", azimuth) + b"".join(unit(v) for v in values)
+            truths += [self.block(number)[1] for number in numbers]
+            time_us = numbers[-1] * self.cycle_us - self.start_us
+            stamp = struct.pack("<I", round(time_us + 950_000) % 1_000_000)
+            mode, clock = bytes([0x3b if dual else 0x37]), struct.pack("<H6B", 600, 123, 11, 14, 1, 2, 3)
+            if self.name == "QT128":
+                data = (bytes.fromhex("eeff03020000") + bytes([128, 2, 0, 4, 1 + dual, 5]) + body + bytes(4 + 17 + 5) + bytes([1 - k % 2]) + bytes(6) + mode +
+                        clock + stamp + b"\x42" + struct.pack("<I", k) + bytes(4))
+            else:
+                states = (k % 2) << 14 if dual else 1 << 12
+                data = (bytes.fromhex("eeff01040000") + bytes([128, 2, 0, 4, 1 + dual, 7]) + body + bytes(4 + 17 + 9) + struct.pack("<H", states) + b"\0" + mode +
+                        clock + stamp + b"\x42" + struct.pack("<I", k) + bytes(22 + 4))
+            out.append((round(time_us * 1000), data))
+        return out, np.concatenate(truths)
+
+
+ALTERNATING = [Alternating("QT128", ("kQt128Loop1", "kQt128Loop2"), 1000 / 9, 9.0),
+               Alternating("OT128", ("kOt128State0", "kOt128State1"), 250 / 9, 43.346)]

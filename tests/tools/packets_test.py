@@ -126,8 +126,46 @@ def test_bags():
             check(name, product, folder, head, truth, dual, 90 if product.hesai else 0)
 
 
+def test_alternating():
+    """Sensors of which some lasers fire only in every second block: each firing is a ray of its own, and no ray is added for a laser that is silent."""
+    for product in lidars.ALTERNATING:
+        for dual in (False, True) if product.name == "QT128" else (False,):
+            name = f"{product.name}, {1 + dual} returns"
+            packets, truth = product.packets(int(0.23 / (product.cycle_us * 1e-6 * (1 if dual else 2))), dual)
+            bag = WORK / "alternating.mcap"
+            bags.write_mcap(bag, messages(packets, "nebula_msgs/NebulaPackets", 100))
+            folder, head = converted(bag)
+            found, scan, zero_s = returns_of(folder, head, False)
+            expect(product.name in "\n".join(head["notes"]), f"{name}: {head['notes']}")
+            rows, columns = scan["range"].shape
+            cycle_s = 2e-6 * product.cycle_us
+            expect(rows == (product.offset_us >= 0).sum(), f"{name}: {rows} rows")
+            expect(0.1 / cycle_s <= columns <= 0.1 / cycle_s + 4, f"{name}: {columns} columns")
+            share = (scan["range"] > 0).mean()
+            expect(abs(share - 2 / 3) < 0.003, f"{name}: {share} of the rays return")
+            points = found[:, 4:7] + found[:, 7:8] * found[:, 1:4]
+            off = np.abs((np.abs(points) / lidars.WALLS).max(1) - 1).max()
+            expect(off < 1e-3, f"{name}: {off} of the walls' distance off them")
+            inside = (truth[:, 0] > zero_s - 0.05 + cycle_s) & (truth[:, 0] < zero_s + 0.05 - cycle_s)
+            truth = truth[inside]
+            elevation = np.degrees(np.arcsin(found[:, 3]))
+            # a turn of fewer firings than columns repeats some of them
+            times = np.round(found[:, 0] * 1e7)
+            inner = (found[:, 0] > zero_s - 0.05 + cycle_s - 1e-8) & (found[:, 0] < zero_s + 0.05 - cycle_s + 1e-8)
+            _, first = np.unique(np.column_stack([times, np.round(elevation, 2)])[inner], axis=0, return_index=True)
+            expect(abs(len(first) - len(truth)) <= 0.002 * len(truth), f"{name}: {len(first)} returns, expected {len(truth)}")
+            near = np.argsort(truth[:, 0], kind="stable")
+            wanted = lidars.directions(product, truth[:, 2].astype(int), truth[:, 1] - product.azimuth[truth[:, 2].astype(int)])
+            inner &= np.abs(found[:, 0] - zero_s) < 0.05 - 2 * cycle_s
+            for k in np.flatnonzero(inner)[::97]:
+                low, high = np.searchsorted(truth[near, 0], [found[k, 0] - 2e-6, found[k, 0] + 2e-6])
+                apart = np.degrees(np.linalg.norm(wanted[near[low:high]] - found[k, 1:4], axis=1))
+                expect(min(apart, default=360) < 0.012, f"{name}: at {found[k, 0]} s its nearest ray is {min(apart, default=360)} degrees apart")
+            print(f"{name}: {len(first)} returns as written")
+
+
 def test_strangers():
-    for data, expected in ((b"\xff\xee" + bytes(1203) + b"\xa1", "VLS-128"), (b"\xee\xff\x04\x03" + bytes(800), "AT128"),
+    for data, expected in ((b"\xff\xee" + bytes(1203) + b"\x63", "Velarray"), (b"\xee\xff\x04\x03" + bytes(800), "AT128"),
                            (b"\x55\xaa\x05\x0a" + bytes(1244), "rslidar_sdk"), (bytes(700), "700 bytes")):
         bag = WORK / "stranger.mcap"
         bags.write_mcap(bag, messages([(0, data)], "nebula_msgs/NebulaPackets"))
@@ -230,6 +268,7 @@ def test_captures():
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
 test_bags()
+test_alternating()
 test_strangers()
 test_ousters()
 if PCAP:

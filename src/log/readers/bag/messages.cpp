@@ -170,7 +170,6 @@ Cloud read_point_cloud(MessageReader& reader) {
 }
 
 Use use_of(const Topic& topic) {
-    if (topic.encoding == packets::kDatagrams && topic.type == packets::kCorrection) return Use::calibration;
     if (packets::carries_packets(topic)) return Use::packets;
     const bool is_protobuf = topic.encoding == "protobuf";
     if (!is_protobuf && topic.encoding != "cdr" && topic.encoding != "ros1") return Use::nothing;

@@ -63,7 +63,7 @@ struct BoxList {
 
 /// What relidar does with the messages of a topic. Boxes without a track id are not read,
 /// because they cannot be joined to tracks.
-enum class Use { nothing, cloud, packets, calibration, metadata, transforms, pose, boxes, nameless_boxes };
+enum class Use { nothing, cloud, packets, metadata, transforms, pose, boxes, nameless_boxes };
 Use use_of(const Topic& topic);
 
 class MessageReader;

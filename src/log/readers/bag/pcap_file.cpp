@@ -131,7 +131,6 @@ public:
 
     void each(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
-        emit_correction(topics, pass);
         std::vector<std::string> broken;
         ousters_ = packets::ouster_metadata_beside(path_, broken);
         for (const std::string& text : broken) pass.note(text);
@@ -296,18 +295,6 @@ private:
         pass.take({stream.topic, stream.log_ns, stream.run, {stream.at, stream.number}});
         stream.run.clear();
         stream.n = 0;
-    }
-
-    /// Reads Hesai's angle correction from the .csv file with the name of the capture, if
-    /// it exists.
-    void emit_correction(TopicTable& topics, const Pass& pass) const {
-        const std::filesystem::path file = std::filesystem::path(path_).replace_extension(".csv");
-        if (!path_exists(file)) return;
-        const std::string text = read_text(file);
-        pass.take({topics.number_of({file.filename().string(), packets::kCorrection, packets::kDatagrams}),
-                   0,
-                   text,
-                   {}});
     }
 };
 

@@ -31,7 +31,6 @@ public:
             const Use use = use_of(topic);
             if (use == Use::cloud) add_cloud(topic, message);
             if (use == Use::packets) add_packets(topic, message);
-            if (use == Use::calibration) correction_ = message.bytes;
             if (use == Use::metadata) add_metadata(topic, message);
             if (use == Use::transforms) add_transforms(topic, message);
             if (use == Use::pose) add_pose(topic, message);
@@ -68,11 +67,22 @@ public:
 private:
     const Bag& bag_;
     Survey& survey_;
-    std::string correction_;          ///< angle correction of Hesai's beams
+    /// angle corrections in the recording's folder; empty until the first packets
+    std::optional<std::vector<packets::Correction>> corrections_;
     packets::OusterFormats ousters_;  ///< metadata known so far
     std::set<std::size_t> late_;      ///< topics with packets before their metadata
     std::string broken_metadata_;
     bool is_beside_read_ = false;
+
+    void read_corrections() {
+        std::vector<packets::Correction> corrections;
+        for (const std::filesystem::path& file : bag_.files())
+            for (packets::Correction& correction : packets::corrections_beside(file))
+                if (std::ranges::find(corrections, correction.where, &packets::Correction::where) ==
+                    corrections.end())
+                    corrections.push_back(std::move(correction));
+        corrections_ = std::move(corrections);
+    }
 
     void add_cloud(const Topic& topic, const Message& message) {
         const Cloud cloud = read_cloud(topic, message.bytes);
@@ -93,7 +103,8 @@ private:
         const std::vector<packets::PacketView> views =
             packets::read_packets(topic, message.bytes, message.log_ns, header);
         if (views.empty()) return;
-        packets::Calibration calibration{correction_};
+        if (!corrections_) read_corrections();
+        packets::Calibration calibration{*corrections_};
         if (topic.encoding == packets::kDatagrams) read_metadata_beside();
         calibration.ouster = packets::format_of(ousters_, topic.name, views.front().bytes);
         if (packets::carries_ouster_packets(topic)) {

@@ -6,10 +6,16 @@
 //     the hour at the first firing, return mode, product. A block of the VLP-16 has two firings.
 //     With two returns, two consecutive blocks have the same firings, the last return before the
 //     strongest (or second strongest) one.
-//   Hesai Pandar40P, Pandar64 and PandarXT-32 (user manuals, "Point cloud data packet" and the
-//     appendix on absolute time): the packet's time, in microseconds of its second, follows the
-//     firings. The last block begins at a fixed time from it. Azimuth 0 is the y axis. A file
-//     "Laser id,Elevation,Azimuth" in degrees, azimuth clockwise, corrects the angles of one unit.
+//   Velodyne VLS-128 (63-9483): as above, but four blocks, marked FF EE, FF DD, FF CC and FF BB,
+//     contain the 128 lasers of a firing.
+//   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128
+//     (user manuals, "Point cloud data packet" and the appendix on absolute time): the
+//     packet's time, in microseconds of its second, follows the firings. The last block
+//     begins at a fixed time from it (PandarQT: the first block). Azimuth 0 is the y axis.
+//
+// The head turns while the lasers of a block fire one after another. The azimuth of a laser
+// is therefore the azimuth of its block, plus the laser's angle, plus the rotation until it
+// fires (manuals, "Analyze the horizontal angle of a data point").
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -21,105 +27,59 @@
 #include <relidar/log/sensor_pattern.hpp>
 
 #include "base/codecs/byte_reader.hpp"
-#include "base/csv.hpp"
-#include "base/files.hpp"
+#include "log/readers/bag/packets/block_layouts.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
 
 namespace relidar::packets {
 namespace {
 
-struct Layout {
-    const char* sensor;
-    std::size_t blocks_at, n_blocks;
-    bool flagged;  ///< true: the bytes FF EE precede the azimuth of a block
-    /// number of lasers per firing; number of bytes for the range and reflectivity of one
-    /// laser
-    std::size_t lasers, unit_bytes;
-    std::size_t firings;  ///< firings per block
-    /// unit of ranges; 0: the packet states the unit in millimetres in byte `unit_at`
-    double range_unit_m;
-    std::size_t unit_at, time_at, mode_at;
-    double wrap_us, cycle_us;
-    /// true: the packet's time is that of its last firing plus `shift_us`; false: it is
-    /// the time of its first firing
-    bool at_end;
-    double shift_us;     ///< from the packet's time to the first laser of that firing
-    double forward_deg;  ///< azimuth of the sensor's x axis
-    int first_channel;   ///< first channel in the beam table
-};
-// Hesai's manuals give the time of each laser relative to the time of its block. The
-// first laser fires at -54.67 us (Pandar40P, Pandar64) or at 0.368 us (XT32).
-constexpr Layout kLayouts[] = {
-    {"VLP-16", 0, 12, true, 16, 3, 2, 0.002, 0, 1200, 1204, 3.6e9, 55.296, false, 0.0, 0.0, 0},
-    {"VLP-32C", 0, 12, true, 32, 3, 1, 0.004, 0, 1200, 1204, 3.6e9, 55.296, false, 0.0, 0.0, 0},
-    {"HDL-32E", 0, 12, true, 32, 3, 1, 0.002, 0, 1200, 1204, 3.6e9, 46.08, false, 0.0, 0.0, 0},
-    {"Pandar40P", 0, 10, true, 40, 3, 1, 0.004, 0, 1250, 1254, 1e6, 55.56, true, -28.58 - 54.67, 90.0, 1},
-    {"Pandar64", 8, 6, false, 64, 3, 1, 0.0, 5, 1182, 1186, 1e6, 55.56, true, -42.58 - 54.668, 90.0, 1},
-    {"XT32", 12, 8, false, 32, 4, 1, 0.0, 9, 1071, 1062, 1e6, 50.0, true, 5.632 + 0.368, 90.0, 1},
-};
-constexpr std::uint8_t kFirstDual = 0x39, kLastDual = 0x3C, kTriple = 0x3D;
+constexpr std::uint8_t kFirstDual = 0x39, kLastDual = 0x3E, kTriple = 0x3D;
+constexpr int kNoRing = -1;
 constexpr double kDegree = kPi / 180.0;
 
-/// Calibrated angles of one channel of the sensor, in degrees.
-struct Angles {
-    bool is_known = false;
-    double elevation_deg = 0.0, azimuth_deg = 0.0;
+/// A beam of the decoded scan. A laser that fires in two firing sequences has two beams.
+struct BlockBeam {
+    std::size_t laser = 0;       ///< index of the laser in a firing
+    std::size_t part = 0;        ///< index of the firing sequence
+    std::size_t line = 0;        ///< line of the laser in the sensor's beam table
+    double elevation_deg = 0.0;  ///< elevation from the file of the unit; 0 if there is no file
+    double offset_us = 0.0;      ///< time from the start of the first firing sequence
 };
-
-std::vector<Angles> read_correction(const std::string& text, std::size_t lasers) {
-    std::vector<Angles> angles(lasers);
-    for (const std::string& line : split_lines(text)) {
-        const std::vector<std::string_view> cells = csv_cells(line);
-        const auto channel = parse_number(cells[0]);
-        if (!channel || cells.size() < 3) continue;  // the header, or a checksum line
-        const auto elevation = parse_number(cells[1]), azimuth = parse_number(cells[2]);
-        if (!(*channel >= 1.0 && *channel <= double(lasers)) || !elevation || !azimuth ||
-            !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))
-            throw DataError(
-                fmt::format("the angle correction: line '{}', expected laser 1 to {}, elevation and azimuth",
-                            excerpt(line), lasers));
-        angles[std::size_t(*channel) - 1] = {true, *elevation, *azimuth};
-    }
-    const auto n = std::size_t(std::ranges::count(angles, true, &Angles::is_known));
-    if (n != lasers)
-        throw DataError(fmt::format("the angle correction: angles of {} lasers, expected {}", n, lasers));
-    return angles;
-}
 
 class BlockDecoder : public Decoder {
 public:
-    BlockDecoder(const Layout& layout, const std::string& calibration)
-        : layout_(layout), ring_of_(layout.lasers) {
-        if (!calibration.empty() && layout.at_end) angles_ = read_correction(calibration, layout.lasers);
+    BlockDecoder(const Layout& layout, const std::vector<Correction>& corrections) : layout_(layout) {
+        if (layout.first_channel == 1) choose_angles(corrections);
         timing_.cycle_us = layout.cycle_us;
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
+        timing_.parts = int(layout.parts());
         table_ = known_firings(layout.sensor);
-        for (std::size_t k = 0; k < table_.size(); ++k) order_.push_back(k);
-        if (!angles_.empty())
-            std::ranges::stable_sort(order_, std::greater(),
-                                     [&](std::size_t k) { return angles_[laser_of(k)].elevation_deg; });
-        for (std::size_t ring = 0; ring < order_.size(); ++ring) {
-            ring_of_[laser_of(order_[ring])] = ring;
-            timing_.offset_us.push_back(table_[order_[ring]].offset_us);
+        for (std::size_t line = 0; line < table_.size(); ++line) add_beams(line);
+        if (!angles_.empty()) std::ranges::stable_sort(beams_, std::greater(), &BlockBeam::elevation_deg);
+        ring_of_.assign(layout.parts(), std::vector<int>(layout.lasers(), kNoRing));
+        for (std::size_t ring = 0; ring < beams_.size(); ++ring) {
+            ring_of_[beams_[ring].part][beams_[ring].laser] = int(ring);
+            timing_.offset_us.push_back(beams_[ring].offset_us);
         }
     }
 
     const Timing& timing() const override { return timing_; }
 
-    std::string about() const override {
-        return layout_.sensor + std::string(angles_.empty() ? ", nominal angles of the beams"
-                                                            : ", angles of the beams from its file");
-    }
+    std::string about() const override { return fmt::format("{}, {}", layout_.name, angles_about_); }
 
     SpinningSensor sensor(int columns, double rate_hz) const override {
         auto sensor = std::get<SpinningSensor>(known_sensor(layout_.sensor, columns, rate_hz)->pattern);
-        if (angles_.empty()) return sensor;
-        for (std::size_t ring = 0; ring < order_.size(); ++ring) {
-            const Angles& angles = angles_[laser_of(order_[ring])];
-            sensor.beams[ring].elevation_rad = angles.elevation_deg * kDegree;
-            sensor.beams[ring].azimuth_offset_rad =
-                -angles.azimuth_deg * kDegree - 2e-6 * kPi * rate_hz * timing_.offset_us[ring];
+        const double turned_rad_us = 2e-6 * kPi * rate_hz;
+        const std::vector<Beam> nominal = sensor.beams;
+        sensor.beams.clear();
+        for (const BlockBeam& row : beams_) {
+            Beam& beam = sensor.beams.emplace_back(nominal[row.line]);
+            beam.azimuth_offset_rad += turned_rad_us * (table_[row.line].offset_us - row.offset_us);
+            if (angles_.empty()) continue;
+            const LaserAngles& angles = angles_[row.laser];
+            beam.elevation_rad = angles.elevation_deg * kDegree;
+            beam.azimuth_offset_rad = -angles.azimuth_deg * kDegree - turned_rad_us * row.offset_us;
         }
         return sensor;
     }
@@ -133,16 +93,21 @@ public:
         const std::size_t n_returns = mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
         const double unit_m =
             layout_.range_unit_m > 0.0 ? layout_.range_unit_m : 1e-3 * std::uint8_t(bytes[layout_.unit_at]);
-        packet.n_slots = int(layout_.n_blocks / n_returns * layout_.firings);
+        const std::size_t n_joined = layout_.banks * n_returns;  // blocks of the same firing
+        packet.n_slots = int(layout_.n_blocks / n_joined * layout_.firings);
         packet.firings.resize(std::size_t(packet.n_slots));
-        packet.echoes.resize(packet.firings.size() * layout_.lasers);
+        packet.echoes.resize(packet.firings.size() * beams_.size());
         bag::ByteReader reader(bytes.substr(layout_.blocks_at));
-        for (std::size_t b = 0; b < layout_.n_blocks; ++b) {
-            const double azimuth_deg = read_azimuth(reader);
+        for (std::size_t b = 0; b < layout_.n_blocks / n_joined * n_joined; ++b) {
+            const std::size_t bank = b % n_joined / n_returns;
+            const double azimuth_deg = read_azimuth(reader, bank);
             for (std::size_t f = 0; f < layout_.firings; ++f) {
-                const std::size_t slot = b / n_returns * layout_.firings + f;
-                packet.firings[slot].azimuth_deg = azimuth_deg;
-                read_echoes(reader, unit_m, b % n_returns, &packet.echoes[slot * layout_.lasers]);
+                const std::size_t slot = b / n_joined * layout_.firings + f;
+                Firing& firing = packet.firings[slot];
+                firing.azimuth_deg = azimuth_deg;
+                firing.part = part_of(bytes, b / n_joined, n_returns);
+                const int* rings = &ring_of_[std::size_t(firing.part)][bank * layout_.block_lasers];
+                read_echoes(reader, unit_m, b % n_returns, rings, &packet.echoes[slot * beams_.size()]);
             }
         }
         add_times(packet);
@@ -153,18 +118,65 @@ private:
     const Layout& layout_;
     Timing timing_;
     std::vector<BeamFiring> table_;
-    std::vector<Angles> angles_;        ///< [lasers] calibrated angles of this sensor; empty if unknown
-    std::vector<std::size_t> order_;    ///< [rings] rows of the table
-    std::vector<std::size_t> ring_of_;  ///< [lasers] ring of each laser
+    /// [lasers] calibrated angles of this sensor; empty if unknown
+    std::vector<LaserAngles> angles_;
+    std::string angles_about_ = "nominal angles of the beams";  ///< source of the angles, for notes
+    std::vector<BlockBeam> beams_;                              ///< [rings]
+    std::vector<std::vector<int>> ring_of_;  ///< [parts, lasers] ring of each laser, or kNoRing
 
-    std::size_t laser_of(std::size_t line) const {
-        return std::size_t(table_[line].channel - layout_.first_channel);
+    /// Uses the angle correction that has the number of lasers of this sensor. Uses none if
+    /// several corrections do.
+    void choose_angles(const std::vector<Correction>& corrections) {
+        const std::size_t n = layout_.lasers();
+        std::string files;
+        for (const Correction& correction : corrections) {
+            if (correction.lasers.size() != n && correction.is_named)
+                throw DataError(fmt::format("{}: angles of {} lasers, expected {} for a {}", correction.where,
+                                            correction.lasers.size(), n, layout_.name));
+            if (correction.lasers.size() != n) continue;
+            if (!files.empty()) {
+                angles_.clear();
+                angles_about_ = fmt::format(
+                    "nominal angles of the beams, because {} and {} both have angles of {} lasers: give one "
+                    "of them the name of the recording",
+                    files, correction.where, n);
+                return;
+            }
+            files = correction.where;
+            angles_ = correction.lasers;
+            angles_about_ = "angles of the beams from " + files;
+        }
     }
 
-    double read_azimuth(bag::ByteReader& reader) const {
-        if (layout_.flagged && reader.number<std::uint16_t>() != 0xEEFF)
-            throw DataError(fmt::format("a block of a packet that does not begin with FF EE, expected a {}'s",
-                                        layout_.sensor));
+    /// Adds the beams of a laser, one for each firing sequence in which it fires.
+    void add_beams(std::size_t line) {
+        BlockBeam beam{std::size_t(table_[line].channel - layout_.first_channel), 0, line, 0.0,
+                       table_[line].offset_us};
+        if (!angles_.empty()) beam.elevation_deg = angles_[beam.laser].elevation_deg;
+        if (layout_.loops.empty()) beams_.push_back(beam);
+        for (; beam.part < layout_.loops.size(); ++beam.part) {
+            const std::int32_t time_ns = layout_.loops[beam.part][beam.laser];
+            beam.offset_us = 1e-3 * double(time_ns) + layout_.cycle_us * double(beam.part);
+            if (time_ns >= 0) beams_.push_back(beam);
+        }
+    }
+
+    /// Returns the firing sequence of a firing.
+    /// @param number  number of the firing in the packet
+    int part_of(std::string_view bytes, std::size_t number, std::size_t n_returns) const {
+        if (layout_.part_rule == PartRule::none) return 0;
+        bag::ByteReader reader(bytes.substr(layout_.part_at));
+        if (layout_.part_rule == PartRule::azimuth_state)
+            return reader.number<std::uint16_t>() >> (14 - 2 * number * n_returns) & 1;
+        return n_returns == 1 ? int(number) : 1 - (reader.number<std::uint8_t>() & 1);
+    }
+
+    double read_azimuth(bag::ByteReader& reader, std::size_t bank) const {
+        const unsigned flag = 0xEEFF - 0x1100 * unsigned(bank);
+        if (layout_.flagged && reader.number<std::uint16_t>() != flag)
+            throw DataError(
+                fmt::format("a block of a packet that does not begin with FF {:X}, expected a {}'s",
+                            flag >> 8, layout_.name));
         const double azimuth_deg = 0.01 * reader.number<std::uint16_t>();
         if (azimuth_deg > 360.0)
             throw DataError(
@@ -172,13 +184,17 @@ private:
         return std::fmod(azimuth_deg - layout_.forward_deg + 360.0, 360.0);
     }
 
-    void read_echoes(bag::ByteReader& reader, double unit_m, std::size_t number,
-                     std::array<Echo, 2>* rings) const {
-        for (std::size_t laser = 0; laser < layout_.lasers; ++laser) {
+    /// Reads the ranges and reflectivities of a block.
+    /// @param rings  ring of each laser of the block
+    /// @param echoes  [rings] output
+    void read_echoes(bag::ByteReader& reader, double unit_m, std::size_t number, const int* rings,
+                     std::array<Echo, 2>* echoes) const {
+        for (std::size_t laser = 0; laser < layout_.block_lasers; ++laser) {
             bag::ByteReader unit(reader.take(layout_.unit_bytes));
             const auto range = unit.number<std::uint16_t>();
             const auto reflectivity = unit.number<std::uint8_t>();
-            rings[ring_of_[laser]][number] = {float(unit_m * double(range)), float(reflectivity) / 255.0f};
+            if (rings[laser] == kNoRing || range <= layout_.last_marker) continue;
+            echoes[rings[laser]][number] = {float(unit_m * double(range)), float(reflectivity) / 255.0f};
         }
     }
 
@@ -205,9 +221,9 @@ private:
 }  // namespace
 
 std::unique_ptr<Decoder> make_block_decoder(const char* name, const Calibration& calibration) {
-    const auto* layout = std::ranges::find_if(
-        kLayouts, [&](const Layout& row) { return std::string_view(name) == row.sensor; });
-    return std::make_unique<BlockDecoder>(*layout, calibration.correction);
+    const auto* layout =
+        std::ranges::find_if(kLayouts, [&](const Layout& row) { return std::string_view(name) == row.name; });
+    return std::make_unique<BlockDecoder>(*layout, calibration.corrections);
 }
 
 }  // namespace relidar::packets

@@ -14,6 +14,8 @@
 
 #include <relidar/log/sensor.hpp>
 
+#include "log/readers/bag/packets/correction.hpp"
+
 namespace relidar::packets {
 
 /// A packet as it was received.
@@ -35,6 +37,7 @@ struct Firing {
     /// Azimuth of the head when the first beam fires, clockwise from the sensor's x axis,
     /// in [0, 360).
     double azimuth_deg = 0.0;
+    int part = 0;  ///< index of the firing sequence, see Timing::parts
 };
 
 struct Packet {
@@ -49,8 +52,13 @@ struct Packet {
 /// Timing constants of a sensor's packets.
 struct Timing {
     double cycle_us = 0.0;  ///< time between firings
-    double wrap_us = 0.0;   ///< time after which the sensor's clock restarts at 0; 0: it never restarts
-    std::vector<double> offset_us;  ///< [rings] time of each beam within a firing
+    /// Number of firing sequences between which the sensor alternates. The firings of all
+    /// sequences form one column of the scan. Each sequence has its own beams.
+    int parts = 1;
+    double wrap_us = 0.0;  ///< time after which the sensor's clock restarts at 0; 0: it never restarts
+    /// [rings] time of each beam within a firing; with several firing sequences, time
+    /// since the start of the first of them
+    std::vector<double> offset_us;
     /// True: the head angle at a beam is interpolated between the azimuths of
     /// neighbouring firings. False: the head is assumed to rotate at a constant rate.
     bool interpolates = false;
@@ -82,7 +90,7 @@ struct OusterFormat;
 
 /// Calibration data that the packets of a sensor do not contain.
 struct Calibration {
-    std::string correction = {};  ///< text of Hesai's angle correction; may be empty
+    std::vector<Correction> corrections = {};  ///< angle corrections of Hesai's sensors
     /// Packet format from the metadata of an Ouster. Null if the sensor is not an Ouster
     /// or its metadata is missing.
     std::shared_ptr<const OusterFormat> ouster = {};

@@ -226,6 +226,8 @@ std::vector<PacketTurn> PacketLog::turns() const {
         turn.first = std::max(first_behind(begin), std::size_t(1)) - 1;
         turn.last = std::min(first_behind(begin + 360.0), packets_.size()) - 1;
         p = turn.last;
+        // the next packet may contain the second part of the last column
+        if (decoder_->timing().parts > 1) turn.last = std::min(turn.last + 1, packets_.size() - 1);
         // all packets of this revolution were lost; continue at the next packet
         if (turn.first == turn.last) {
             const double next = packets_[std::min(p + 1, packets_.size() - 1)].azimuth_deg;
@@ -288,6 +290,7 @@ SpinningSensor PacketLog::sensor() const {
     // number of columns: the maximum number of firings in any revolution
     double most = 1e6 * period_s / timing.cycle_us;
     for (const PacketTurn& turn : turns()) most = std::max(most, 360.0 / slot_deg(turn));
+    most /= double(timing.parts);
     return decoder_->sensor(std::min(int(std::ceil(most)) + 1, kMostFirings), 1.0 / period_s);
 }
 
@@ -357,6 +360,8 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     std::vector<bool> has_fired(timing.fires.size(), false);
     // number of packets of the revolution before this packet, including lost packets
     std::size_t before = 0;
+    int previous_number = -1;
+    bool is_inside = false;
     for (std::size_t p = turn.first; p <= turn.last; ++p) {
         const Entry& entry = packets_[p];
         if (p > turn.first) before += steps_to(p);
@@ -372,23 +377,32 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
             azimuth += f > 0 ? step : 0.0;
             if (f + 1 < packet.firings.size())
                 step = degrees_on(firing.azimuth_deg, packet.firings[f + 1].azimuth_deg);
+            // time and rotation since the first firing sequence of this column
+            const double late_us = timing.cycle_us * double(firing.part);
+            const double start_deg = azimuth - late_us * mean_deg_us;
             const int number =
-                n_columns > 0 ? column_in(turn, azimuth) : int(before) * n_slots_ + firing.slot;
-            if (n_columns > 0 ? number < 0 || number >= n_columns
-                              : azimuth < turn.begin_deg || azimuth >= turn.begin_deg + 360.0)
-                continue;
+                n_columns > 0
+                    ? column_in(turn, azimuth)
+                    : (int(before) * n_slots_ + firing.slot - firing.part + timing.parts) / timing.parts;
+            // all firing sequences of a column belong to the same revolution
+            if (number != previous_number)
+                is_inside = n_columns > 0 ? number >= 0 && number < n_columns
+                                          : start_deg >= turn.begin_deg && start_deg < turn.begin_deg + 360.0;
+            previous_number = number;
+            if (!is_inside) continue;
             if (n_columns > 0) has_fired[std::size_t(number)] = true;
-            const double time_s = begin_s + 1e-6 * (firing.after_us - first_us);
+            const double time_s = begin_s + 1e-6 * (firing.after_us - first_us - late_us);
             const double ahead_deg_us = timing.interpolates ? step / timing.cycle_us - mean_deg_us : 0.0;
             std::array<Echo, 2>* echoes = &packet.echoes[f * sensor.beams.size()];
-            add_firing(fired, {azimuth, time_s, number, ahead_deg_us, brightness}, echoes, beams,
+            add_firing(fired, {start_deg, time_s, number, ahead_deg_us, brightness}, echoes, beams,
                        timing.offset_us);
         }
     }
     if (fired.points.size() == 0) return unordered_scan(fired.points);
     if (n_columns > 0)
         return scan_of_columns(fired, has_fired, sensor, std::size_t(std::ranges::count(timing.fires, true)));
-    const Sweep sweep = arrange_firings(fired.points, fired.numbers, sensor, -slot_deg(turn) * kPi / 180.0);
+    const Sweep sweep = arrange_firings(fired.points, fired.numbers, sensor,
+                                        -slot_deg(turn) * double(timing.parts) * kPi / 180.0);
     return spinning_scan(fired.points, sensor, sweep);
 }
 

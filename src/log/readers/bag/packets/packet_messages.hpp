@@ -12,10 +12,9 @@
 
 namespace relidar::packets {
 
-/// Types of the two topics that are created from a network capture. kDatagrams has
-/// packets: stamp (64 bits), length (32 bits) and bytes of each packet. kCorrection has
-/// Hesai's angle correction as text.
-inline constexpr const char *kDatagrams = "LiDAR packets", *kCorrection = "angle correction";
+/// Type of the topics that are created from a network capture. A message has packets:
+/// stamp (64 bits), length (32 bits) and bytes of each packet.
+inline constexpr const char* kDatagrams = "LiDAR packets";
 
 /// Returns true if messages of a topic contain LiDAR packets. The packets themselves show
 /// which product sent them.

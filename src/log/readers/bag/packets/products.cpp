@@ -31,10 +31,19 @@ bool is_hesai(string_view packet) {
     return packet.size() > 500 && packet.starts_with("\xee\xff") && has_byte(packet, 2, major) &&
            has_byte(packet, 3, minor);
 }
-bool is_xt32(string_view packet) {
-    return packet.size() == 1080 && packet.starts_with("\xee\xff") && has_byte(packet, kLasersAt, 32) &&
-           has_byte(packet, kBlocksAt, 8);
+/// Returns true for packets of a Hesai with this protocol version, number of lasers and
+/// number of blocks. The size may be larger by the optional fields at the end.
+/// @tparam bytes  size without the optional fields
+template <int major, int minor, int lasers, int blocks, std::size_t bytes, std::size_t optional>
+bool is_hesai_of(string_view packet) {
+    return is_hesai<major, minor>(packet) && has_byte(packet, kLasersAt, lasers) &&
+           has_byte(packet, kBlocksAt, blocks) &&
+           (packet.size() == bytes || packet.size() == bytes + optional);
 }
+// optional fields: number of the packet; digital signature
+constexpr std::size_t kNumberBytes = 4, kSignatureBytes = 32;
+constexpr std::size_t kOt128ModeAt = 816;  // 0: high resolution
+constexpr auto is_ot128 = is_hesai_of<1, 4, 128, 2, 861, kSignatureBytes>;
 
 constexpr Product kProducts[] = {
     {"VLP-16", is_velodyne_of<0x22>, make_block_decoder},
@@ -48,17 +57,21 @@ constexpr Product kProducts[] = {
          return (p.size() == 1194 || p.size() == 1198) && p.starts_with("\xee\xff\x40\x06");
      },
      make_block_decoder},
-    {"XT32", is_xt32, make_block_decoder},
+    {"XT32", is_hesai_of<6, 1, 32, 8, 1076, kNumberBytes>, make_block_decoder},
+    {"XT16", is_hesai_of<6, 1, 16, 8, 564, kNumberBytes>, make_block_decoder},
+    {"XT32M", is_hesai_of<6, 1, 32, 6, 816, kNumberBytes>, make_block_decoder},
+    {"QT64", is_hesai_of<3, 1, 64, 4, 1068, kNumberBytes>, make_block_decoder},
+    {"QT128", is_hesai_of<3, 2, 128, 2, 1095, kSignatureBytes>, make_block_decoder},
+    {"OT128", [](string_view p) { return is_ot128(p) && !has_byte(p, kOt128ModeAt, 0); }, make_block_decoder},
+    {"OT128 in high resolution", is_ot128, make_block_decoder},
+    {"VLS-128", is_velodyne_of<0xA1>, make_block_decoder},
     {"Puck Hi-Res", is_velodyne_of<0x24>, nullptr, "velodyne_pointcloud or nebula"},
     {"Velarray", is_velodyne_of<0x63>, nullptr, "velodyne_pointcloud"},
-    {"VLS-128", is_velodyne_of<0xA1>, nullptr, "velodyne_pointcloud or nebula"},
     {"Velodyne that relidar does not know", is_velodyne, nullptr, "velodyne_pointcloud or nebula"},
-    {"PandarQT (64 lasers)",
+    {"PandarQT of the first generation",
      [](string_view p) { return p.size() >= 1072 && p.starts_with("\xee\xff\x40\x04"); }, nullptr, "nebula"},
     {"Pandar128 or OT128", is_hesai<1, 4>, nullptr, "nebula"},
-    {"PandarQT128", is_hesai<3, 2>, nullptr, "nebula"},
     {"AT128", is_hesai<4, 3>, nullptr, "nebula"},
-    {"PandarXT-16 or XT32M", is_hesai<6, 1>, nullptr, "nebula"},
     {"Hesai that relidar does not know",
      [](string_view p) { return p.size() > 500 && p.starts_with("\xee\xff"); }, nullptr, "hesai_ros_driver"},
     {"RoboSense",

@@ -1,0 +1,268 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tables of the products whose packets consist of blocks: positions of the fields in a
+// packet, timing, and the firing times of the lasers. block_decoder.cpp explains the
+// format.
+#pragma once
+
+#include <array>
+#include <cstddef>
+#include <cstdint>
+#include <span>
+
+namespace relidar::packets {
+
+/// [lasers] firing time of each laser after the start of its block, in nanoseconds. The
+/// value is -1 for a laser that does not fire in the block.
+using LaserTimes = std::array<std::int32_t, 128>;
+
+// The QT128 alternates between two firing sequences. Lasers 65 to 128 fire in both
+// sequences. Values of Hesai's manual, as in tier4/nebula 606ac41f1f13.
+inline constexpr LaserTimes kQt128Loop1 = {
+    -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
+    -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
+    -1,     -1,    27656, 53000, 2312,  78344, 81512, 5480,  56168, 30824, 33992, 59336, 8648,  84680, 87848,
+    11816,  62504, 37160, 40328, 65672, 14984, 91016, 94184, 18152, 68840, 43496, 46664, 72008, 21320, 97352,
+    100520, 24488, 75176, 49832, 1456,  77488, 26800, 52144, 55312, 29968, 80656, 4624,  7792,  83824, 33136,
+    58480,  61648, 36304, 86992, 10960, 14128, 90160, 39472, 64816, 67984, 42640, 93328, 17296, 20464, 96496,
+    45808,  71152, 74320, 48976, 99664, 23632, 25944, 51288, 600,   76632, 79800, 3768,  54456, 29112, 32280,
+    57624,  6936,  82968, 86136, 10104, 60792, 35448, 38616, 63960, 13272, 89304, 92472, 16440, 67128, 41784,
+    44952,  70296, 19608, 95640, 98808, 22776, 73464, 48120};
+
+inline constexpr LaserTimes kQt128Loop2 = {
+    2312,   78344, 27656, 53000, 56168, 30824, 81512, 5480,  8648,  84680, 33992, 59336, 62504, 37160, 87848,
+    11816,  14984, 91016, 40328, 65672, 68840, 43496, 94184, 18152, 21320, 97352, 46664, 72008, 75176, 49832,
+    100520, 24488, -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
+    -1,     -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,    -1,
+    -1,     -1,    -1,    -1,    600,   76632, 25944, 51288, 54456, 29112, 79800, 3768,  6936,  82968, 32280,
+    57624,  60792, 35448, 86136, 10104, 13272, 89304, 38616, 63960, 67128, 41784, 92472, 16440, 19608, 95640,
+    44952,  70296, 73464, 48120, 98808, 22776, 26800, 52144, 1456,  77488, 80656, 4624,  55312, 29968, 33136,
+    58480,  7792,  83824, 86992, 10960, 61648, 36304, 39472, 64816, 14128, 90160, 93328, 17296, 67984, 42640,
+    45808,  71152, 20464, 96496, 99664, 23632, 74320, 48976};
+inline constexpr LaserTimes kQt128Loops[] = {kQt128Loop1, kQt128Loop2};
+
+// The OT128 fires all lasers in each block, or alternates between two azimuth states in
+// the mode of high resolution. Values of Hesai's manual, as in tier4/nebula 606ac41f1f13.
+inline constexpr LaserTimes kOt128All = {
+    49758, 43224, 36690, 30156, 21980, 15446, 8912,  2378,  49758, 43224, 36690, 30156, 2378,  15446, 8912,
+    21980, 43224, 30156, 49758, 15446, 36690, 2378,  21980, 8912,  34312, 45002, 38468, 40846, 40846, 34312,
+    51536, 47380, 31934, 47380, 31934, 51536, 38468, 27778, 27778, 45002, 38468, 40846, 51536, 45002, 31934,
+    47380, 34312, 27778, 38468, 40846, 51536, 45002, 31934, 34312, 27778, 38468, 40846, 51536, 45002, 31934,
+    47380, 34312, 27778, 45002, 45002, 51536, 38468, 40846, 47380, 40846, 31934, 45002, 27778, 38468, 40846,
+    31934, 27778, 38468, 34312, 34312, 34312, 47380, 51536, 31934, 51536, 47380, 27778, 49758, 21980, 43224,
+    15446, 43224, 36690, 8912,  30156, 2378,  49758, 21980, 36690, 15446, 8912,  30156, 2378,  49758, 43224,
+    36690, 30156, 21980, 15446, 8912,  2378,  43224, 49758, 30156, 36690, 21980, 15446, 2378,  8912,  49758,
+    43224, 36690, 30156, 21980, 15446, 8912,  2378,  30156};
+
+inline constexpr LaserTimes kOt128State0 = {
+    -1,    -1,    -1,    -1,    21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1,    2378,  15446, 8912,
+    21980, -1,    2378,  21980, 8912,  6534,  17224, 10690, 13068, 13068, 6534,  23758, 19602, 4156,  19602,
+    4156,  23758, 13068, 13068, 23758, 10690, 4156,  19602, 19602, 0,     10690, 6534,  23758, 17224, 23758,
+    19602, 6534,  17224, 4156,  0,     6534,  0,     17224, 10690, 17224, 17224, 23758, 23758, 10690, 13068,
+    13068, 13068, 19602, 19602, 6534,  13068, 4156,  4156,  17224, 17224, 17224, 0,     10690, 10690, 13068,
+    13068, 4156,  0,     10690, 6534,  6534,  6534,  19602, 23758, 4156,  23758, 19602, 0,     -1,    21980,
+    -1,    15446, -1,    8912,  -1,    2378,  -1,    -1,    21980, -1,    15446, 8912,  -1,    2378,  -1,
+    -1,    -1,    -1,    21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1,    21980, 15446, 2378,  8912,
+    -1,    -1,    -1,    -1,    21980, 15446, 8912,  2378};
+
+inline constexpr LaserTimes kOt128State1 = {
+    21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1,    21980, 15446, 8912,  2378,  -1,    -1,    -1,
+    -1,    8912,  -1,    -1,    -1,    6534,  17224, 10690, 13068, 13068, 6534,  23758, 19602, 4156,  19602,
+    4156,  23758, 13068, 13068, 23758, 10690, 4156,  19602, 19602, 0,     10690, 6534,  23758, 17224, 23758,
+    19602, 6534,  17224, 4156,  0,     6534,  0,     17224, 10690, 17224, 17224, 23758, 23758, 10690, 13068,
+    13068, 13068, 19602, 19602, 6534,  13068, 4156,  4156,  17224, 17224, 17224, 0,     10690, 10690, 13068,
+    13068, 4156,  0,     10690, 6534,  6534,  6534,  19602, 23758, 4156,  23758, 19602, 0,     21980, -1,
+    15446, -1,    8912,  -1,    2378,  -1,    21980, 15446, -1,    8912,  -1,    -1,    2378,  -1,    21980,
+    15446, 8912,  2378,  -1,    -1,    -1,    -1,    15446, 21980, 2378,  8912,  -1,    -1,    -1,    -1,
+    21980, 15446, 8912,  2378,  -1,    -1,    -1,    -1};
+inline constexpr LaserTimes kOt128Standard[] = {kOt128All};
+inline constexpr LaserTimes kOt128States[] = {kOt128State0, kOt128State1};
+
+/// How a packet shows the firing sequence of a block.
+enum class PartRule {
+    none,           ///< all blocks have the same firing sequence
+    mode_flag,      ///< by the number of the block, with two returns by bit 0 of a byte
+    azimuth_state,  ///< two bits for each block, starting at the highest bits of two bytes
+};
+
+/// Format of a product's packets.
+struct Layout {
+    const char* name;
+    const char* sensor;  ///< name of the built-in sensor with the beam angles
+    std::size_t blocks_at = 0, n_blocks = 12;
+    bool flagged = false;   ///< true: two bytes precede the azimuth of a block
+    std::size_t banks = 1;  ///< blocks per firing and return
+    /// number of lasers in a block; number of bytes for the range and reflectivity of one
+    /// laser
+    std::size_t block_lasers = 32, unit_bytes = 3;
+    std::size_t firings = 1;  ///< firings per block
+    /// unit of ranges; 0: the packet states the unit in millimetres in byte `unit_at`
+    double range_unit_m = 0.0;
+    std::size_t unit_at = 9, time_at = 0, mode_at = 0;
+    double wrap_us = 1e6, cycle_us = 50.0;
+    /// true: the packet's time is the time of its last firing plus `shift_us`; false: it
+    /// is the time of its first firing plus `shift_us`
+    bool at_end = true;
+    double shift_us = 0.0;      ///< from the packet's time to time 0 of the firing offsets
+    double forward_deg = 90.0;  ///< azimuth of the sensor's x axis
+    int first_channel = 1;      ///< first channel in the beam table
+    /// Highest range value that means "no return". A range of 0 always has this meaning.
+    std::uint16_t last_marker = 0;
+    /// [parts] firing times of alternating firing sequences. Empty: the beam table of the
+    /// sensor has the firing times.
+    std::span<const LaserTimes> loops = {};
+    PartRule part_rule = PartRule::none;
+    std::size_t part_at = 0;  ///< position of the bytes that show the firing sequence
+
+    std::size_t lasers() const { return block_lasers * banks; }
+    std::size_t parts() const { return loops.empty() ? 1 : loops.size(); }
+};
+
+// Hesai's manuals give the time of each laser relative to the time of its block. The
+// first laser fires at -54.67 us (Pandar40P, Pandar64) or at 0.368 us (XT32). The beam
+// tables of these three sensors begin at 0 instead. A VLS-128 takes 55.3 us for a firing,
+// although its manual states 53.3 us.
+inline constexpr Layout kLayouts[] = {
+    {.name = "VLP-16",
+     .sensor = "VLP-16",
+     .flagged = true,
+     .block_lasers = 16,
+     .firings = 2,
+     .range_unit_m = 0.002,
+     .time_at = 1200,
+     .mode_at = 1204,
+     .wrap_us = 3.6e9,
+     .cycle_us = 55.296,
+     .at_end = false,
+     .forward_deg = 0.0,
+     .first_channel = 0},
+    {.name = "VLP-32C",
+     .sensor = "VLP-32C",
+     .flagged = true,
+     .range_unit_m = 0.004,
+     .time_at = 1200,
+     .mode_at = 1204,
+     .wrap_us = 3.6e9,
+     .cycle_us = 55.296,
+     .at_end = false,
+     .forward_deg = 0.0,
+     .first_channel = 0},
+    {.name = "HDL-32E",
+     .sensor = "HDL-32E",
+     .flagged = true,
+     .range_unit_m = 0.002,
+     .time_at = 1200,
+     .mode_at = 1204,
+     .wrap_us = 3.6e9,
+     .cycle_us = 46.08,
+     .at_end = false,
+     .forward_deg = 0.0,
+     .first_channel = 0},
+    {.name = "VLS-128",
+     .sensor = "VLS-128",
+     .flagged = true,
+     .banks = 4,
+     .range_unit_m = 0.004,
+     .time_at = 1200,
+     .mode_at = 1204,
+     .wrap_us = 3.6e9,
+     .cycle_us = 55.296,
+     .at_end = false,
+     .shift_us = -8.7,
+     .forward_deg = 0.0,
+     .first_channel = 0},
+    {.name = "Pandar40P",
+     .sensor = "Pandar40P",
+     .n_blocks = 10,
+     .flagged = true,
+     .block_lasers = 40,
+     .range_unit_m = 0.004,
+     .time_at = 1250,
+     .mode_at = 1254,
+     .cycle_us = 55.56,
+     .shift_us = -28.58 - 54.67},
+    {.name = "Pandar64",
+     .sensor = "Pandar64",
+     .blocks_at = 8,
+     .n_blocks = 6,
+     .block_lasers = 64,
+     .unit_at = 5,
+     .time_at = 1182,
+     .mode_at = 1186,
+     .cycle_us = 55.56,
+     .shift_us = -42.58 - 54.668},
+    {.name = "XT32",
+     .sensor = "XT32",
+     .blocks_at = 12,
+     .n_blocks = 8,
+     .unit_bytes = 4,
+     .time_at = 1071,
+     .mode_at = 1062,
+     .shift_us = 5.632 + 0.368},
+    {.name = "XT16",
+     .sensor = "XT16",
+     .blocks_at = 12,
+     .n_blocks = 8,
+     .block_lasers = 16,
+     .unit_bytes = 4,
+     .time_at = 559,
+     .mode_at = 550,
+     .shift_us = 5.632},
+    {.name = "XT32M",
+     .sensor = "XT32M",
+     .blocks_at = 12,
+     .n_blocks = 6,
+     .unit_bytes = 4,
+     .time_at = 811,
+     .mode_at = 802,
+     .shift_us = 5.632},
+    {.name = "QT64",
+     .sensor = "QT64",
+     .blocks_at = 12,
+     .n_blocks = 4,
+     .block_lasers = 64,
+     .unit_bytes = 4,
+     .time_at = 1056,
+     .mode_at = 1060,
+     .cycle_us = 500.0 / 3.0,
+     .at_end = false,
+     .shift_us = 25.71},
+    {.name = "QT128",
+     .sensor = "QT128",
+     .blocks_at = 12,
+     .n_blocks = 2,
+     .block_lasers = 128,
+     .unit_bytes = 4,
+     .time_at = 1082,
+     .mode_at = 1073,
+     .cycle_us = 1000.0 / 9.0,
+     .shift_us = 9.0,
+     .loops = kQt128Loops,
+     .part_rule = PartRule::mode_flag,
+     .part_at = 1066},
+    {.name = "OT128",
+     .sensor = "OT128",
+     .blocks_at = 12,
+     .n_blocks = 2,
+     .block_lasers = 128,
+     .time_at = 826,
+     .mode_at = 817,
+     .cycle_us = 500.0 / 9.0,
+     .shift_us = 43.346,
+     .last_marker = 3,
+     .loops = kOt128Standard},
+    {.name = "OT128 in high resolution",
+     .sensor = "OT128",
+     .blocks_at = 12,
+     .n_blocks = 2,
+     .block_lasers = 128,
+     .time_at = 826,
+     .mode_at = 817,
+     .cycle_us = 250.0 / 9.0,
+     .shift_us = 43.346,
+     .last_marker = 3,
+     .loops = kOt128States,
+     .part_rule = PartRule::azimuth_state,
+     .part_at = 814},
+};
+
+}  // namespace relidar::packets

@@ -1,0 +1,103 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/readers/bag/packets/correction.hpp"
+
+#include <algorithm>
+#include <cctype>
+#include <cmath>
+#include <map>
+#include <system_error>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/csv.hpp"
+#include "base/files.hpp"
+
+namespace relidar::packets {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::uintmax_t kMostCorrectionBytes = 65536;
+constexpr std::size_t kMostCorrections = 64;
+constexpr double kMostCorrectedLasers = 1024.0;
+
+bool is_word(std::string_view cell, std::string_view word) {
+    return std::ranges::equal(
+        cell, word, [](char a, char b) { return std::tolower(static_cast<unsigned char>(a)) == b; });
+}
+
+/// Returns true if a file may be an angle correction of any sensor.
+bool is_correction(const fs::path& file) {
+    std::error_code failed;
+    if (!is_word(file.extension().string(), ".csv") || !fs::is_regular_file(file, failed) ||
+        fs::file_size(file, failed) > kMostCorrectionBytes)
+        return false;
+    const std::vector<std::string> lines = split_lines(read_file(file));
+    if (lines.empty()) return false;
+    const std::vector<std::string_view> header = csv_cells(lines.front());
+    return header.size() >= 3 && is_word(header[1], "elevation") && is_word(header[2], "azimuth");
+}
+
+/// Adds the corrections in a folder. Ignores files that cannot be read.
+void add_corrections(const fs::path& folder, std::vector<Correction>& corrections) {
+    std::vector<fs::path> files;
+    std::error_code failed;
+    for (fs::directory_iterator at(folder, failed), end; !failed && at != end; at.increment(failed))
+        files.push_back(at->path());
+    std::ranges::sort(files);
+    for (const fs::path& file : files) {
+        try {
+            if (corrections.size() < kMostCorrections && is_correction(file))
+                corrections.push_back(read_correction(read_text(file), file.filename().string()));
+        } catch (const DataError&) {
+            continue;
+        }
+    }
+}
+
+}  // namespace
+
+Correction read_correction(const std::string& text, const std::string& where) {
+    std::map<std::size_t, LaserAngles> angles;
+    for (const std::string& line : split_lines(text)) {
+        const std::vector<std::string_view> cells = csv_cells(line);
+        const auto laser = parse_number(cells[0]);
+        if (!laser || cells.size() < 3) continue;  // the header, or a checksum line
+        const auto elevation = parse_number(cells[1]), azimuth = parse_number(cells[2]);
+        if (!(*laser >= 1.0 && *laser <= kMostCorrectedLasers) || !elevation || !azimuth ||
+            !(std::abs(*elevation) <= 90.0) || !(std::abs(*azimuth) <= 180.0))
+            throw DataError(
+                fmt::format("{}: line '{}', expected the number of a laser, elevation and azimuth", where,
+                            excerpt(line)));
+        angles[std::size_t(*laser)] = {*elevation, *azimuth};
+    }
+    Correction correction{where, false, {}};
+    for (const auto& [laser, laser_angles] : angles) {
+        correction.lasers.push_back(laser_angles);
+        if (laser != correction.lasers.size())
+            throw DataError(fmt::format("{}: no angles of laser {}, expected those of each laser up to {}",
+                                        where, correction.lasers.size(), angles.rbegin()->first));
+    }
+    return correction;
+}
+
+std::vector<Correction> corrections_beside(const fs::path& recording) {
+    const fs::path folder = recording.has_parent_path() ? recording.parent_path() : fs::path(".");
+    const bool is_ros2_folder = path_exists(folder / "metadata.yaml");
+    std::vector<fs::path> named{fs::path(recording).replace_extension(".csv")};
+    if (is_ros2_folder) named.push_back(fs::path(fs::absolute(folder)).concat(".csv"));
+    for (const fs::path& file : named) {
+        if (!path_exists(file)) continue;
+        Correction correction = read_correction(read_text(file), file.filename().string());
+        correction.is_named = true;
+        return {correction};
+    }
+    std::vector<Correction> corrections;
+    add_corrections(folder, corrections);
+    if (is_ros2_folder) add_corrections(fs::absolute(folder).parent_path(), corrections);
+    return corrections;
+}
+
+}  // namespace relidar::packets

@@ -1,0 +1,246 @@
+// SPDX-License-Identifier: Apache-2.0
+// Decodes real packets of Velodyne and Hesai sensors and compares the points with those
+// that TIER IV's driver nebula decodes from the same packets (nebula/*.txt). nebula
+// leaves out the rotation of the head while the lasers of a block fire. The test
+// therefore compares with a head that does not turn, and checks the rotation with the
+// manuals.
+#include <cmath>
+#include <fstream>
+#include <optional>
+#include <sstream>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+
+#include "base/files.hpp"
+#include "log/readers/bag/packets/decoder.hpp"
+
+namespace relidar {
+namespace {
+
+using packets::Calibration;
+using packets::Correction;
+
+constexpr double kStill_hz = 1e-9;  // rotation rate at which nothing turns during a firing
+constexpr double kDegree = kPi / 180.0;
+
+std::string packet_of_hex(std::string_view text) {
+    std::string bytes;
+    for (std::size_t k = 0; k + 1 < text.size(); k += 2)
+        bytes += char(std::stoi(std::string(text.substr(k, 2)), nullptr, 16));
+    return bytes;
+}
+
+struct Recorded {
+    std::vector<std::string> packets;
+    std::vector<glm::dvec3> points_m;  ///< points that nebula decodes
+};
+
+Recorded read_recorded(const std::string& name) {
+    Recorded recorded;
+    for (const std::string& line : split_lines(read_text(
+             std::string(RELIDAR_SOURCE_DIR) + "/tests/log/readers/bag/packets/nebula/" + name + ".txt"))) {
+        std::istringstream words(line);
+        std::string kind, hex;
+        glm::dvec3 point_m;
+        words >> kind;
+        if (kind == "packet" && words >> hex) recorded.packets.push_back(packet_of_hex(hex));
+        if (kind == "point" && words >> point_m.x >> point_m.y >> point_m.z)
+            recorded.points_m.push_back(point_m);
+    }
+    return recorded;
+}
+
+std::unique_ptr<packets::Decoder> make_decoder(const std::string& packet, const std::string& product,
+                                               const Calibration& calibration = {}) {
+    const packets::Product* found = packets::find_product(packet, calibration);
+    EXPECT_TRUE(found && found->make && std::string(found->name) == product) << (found ? found->name : "");
+    return found && found->make ? found->make(found->name, calibration) : nullptr;
+}
+
+/// Returns all returns of the packets as points, for a head that does not turn while the
+/// lasers fire.
+std::vector<glm::dvec3> decode_points(const packets::Decoder& decoder,
+                                      const std::vector<std::string>& all_packets) {
+    const std::vector<Beam> beams = decoder.sensor(1800, kStill_hz).beams;
+    std::vector<glm::dvec3> points_m;
+    for (const std::string& bytes : all_packets) {
+        const packets::Packet packet = decoder.decode(bytes);
+        for (std::size_t f = 0; f < packet.firings.size(); ++f)
+            for (std::size_t ring = 0; ring < beams.size(); ++ring)
+                for (const packets::Echo& echo : packet.echoes[f * beams.size() + ring])
+                    if (echo.range_m > 0.0f)
+                        points_m.push_back(
+                            double(echo.range_m) *
+                            beam_ray(beams[ring], -packet.firings[f].azimuth_deg * kDegree).direction);
+    }
+    return points_m;
+}
+
+/// Expects that each point of nebula is one of the decoded points.
+/// @param ahead_deg  largest rotation that nebula adds to a point
+void expect_all(const std::vector<glm::dvec3>& theirs_m, const std::vector<glm::dvec3>& ours_m,
+                double ahead_deg = 0.0) {
+    std::size_t n_missing = 0;
+    for (const glm::dvec3& point_m : theirs_m) {
+        bool is_there = false;
+        for (const glm::dvec3& our_m : ours_m) {
+            const double range_m = glm::length(point_m);
+            if (std::abs(glm::length(our_m) - range_m) > 1e-3) continue;
+            const double up_deg =
+                (std::asin(our_m.z / glm::length(our_m)) - std::asin(point_m.z / range_m)) / kDegree;
+            const double left_deg =
+                std::remainder(std::atan2(our_m.y, our_m.x) - std::atan2(point_m.y, point_m.x), 2.0 * kPi) /
+                kDegree;
+            is_there = is_there ||
+                       (std::abs(up_deg) < 0.005 && left_deg > -0.00501 && left_deg < 0.00501 + ahead_deg);
+        }
+        n_missing += !is_there;
+    }
+    EXPECT_EQ(n_missing, 0u) << "of " << theirs_m.size() << " points";
+}
+
+struct Case {
+    const char *file, *product;
+    std::size_t n_points;
+    int n_slots, n_rings;
+};
+constexpr Case kCases[] = {
+    {"xt16", "XT16", 128, 4, 16},    {"xt32m", "XT32M", 97, 3, 32},      {"qt64", "QT64", 228, 2, 64},
+    {"qt128", "QT128", 183, 1, 192}, {"vls128", "VLS-128", 373, 3, 128},
+};
+
+TEST(BlockPackets, GiveThePointsOfNebula) {
+    for (const Case& test : kCases) {
+        SCOPED_TRACE(test.product);
+        const Recorded recorded = read_recorded(test.file);
+        ASSERT_FALSE(recorded.packets.empty());
+        const auto decoder = make_decoder(recorded.packets[0], test.product);
+        ASSERT_TRUE(decoder);
+        EXPECT_EQ(decoder->decode(recorded.packets[0]).n_slots, test.n_slots);
+        EXPECT_EQ(decoder->timing().offset_us.size(), std::size_t(test.n_rings));
+        EXPECT_EQ(recorded.points_m.size(), test.n_points);
+        // nebula turns the head for the last 32 lasers of a VLS-128, by up to 17 of the
+        // 20 parts of a step of 0.2 degrees
+        expect_all(recorded.points_m, decode_points(*decoder, recorded.packets),
+                   std::string_view(test.file) == "vls128" ? 0.2 : 0.0);
+    }
+}
+
+/// Firing time of a laser, from the manual of the sensor.
+struct FiringTime {
+    const char *file, *product;
+    double elevation_deg;  ///< elevation of the laser
+    double offset_us;      ///< time from the start of the block
+};
+
+TEST(BlockPackets, TurnUntilTheLaserFires) {
+    constexpr FiringTime kTimes[] = {
+        {"xt16", "XT16", 15.0, 0.368},
+        {"xt16", "XT16", -15.0, 45.728},
+        {"xt32m", "XT32M", 19.407, 0.368},
+        {"xt32m", "XT32M", -20.72, 43.688},
+        {"qt64", "QT64", -52.121, 12.31},
+        {"qt64", "QT64", 36.064, 129.6},
+        {"qt128", "QT128", -52.6268, 2.312 + 1000.0 / 9.0},
+        {"qt128", "QT128", 52.6268, 48.12},
+        {"vls128", "VLS-128", -25.0, 10.66},
+    };
+    for (const FiringTime& time : kTimes) {
+        SCOPED_TRACE(std::string(time.product) + " " + std::to_string(time.elevation_deg));
+        const auto decoder = make_decoder(read_recorded(time.file).packets.at(0), time.product);
+        ASSERT_TRUE(decoder);
+        const auto still = decoder->sensor(1800, kStill_hz), turning = decoder->sensor(1800, 10.0);
+        std::optional<double> error_us;
+        for (std::size_t ring = 0; ring < still.beams.size(); ++ring) {
+            if (std::abs(still.beams[ring].elevation_rad / kDegree - time.elevation_deg) > 6e-4) continue;
+            const double turned_deg =
+                (still.beams[ring].azimuth_offset_rad - turning.beams[ring].azimuth_offset_rad) / kDegree;
+            EXPECT_NEAR(turned_deg, 3600e-6 * decoder->timing().offset_us[ring], 1e-9);
+            const double error = std::abs(decoder->timing().offset_us[ring] - time.offset_us);
+            error_us = std::min(error_us.value_or(error), error);
+        }
+        EXPECT_TRUE(error_us && *error_us < 1e-6);
+    }
+}
+
+TEST(BlockPackets, UseTheAnglesOfTheirFile) {
+    const Recorded recorded = read_recorded("xt16");
+    Correction angles{"unit.csv", false, {}}, others{"other.csv", false, {}};
+    for (int laser = 0; laser < 16; ++laser) angles.lasers.push_back({10.0 - laser, 0.25 * laser});
+    others.lasers.resize(32);
+    const auto decoder = make_decoder(recorded.packets[0], "XT16", {{others, angles}});
+    ASSERT_TRUE(decoder);
+    EXPECT_NE(decoder->about().find("unit.csv"), std::string::npos) << decoder->about();
+    const std::vector<Beam> beams = decoder->sensor(2000, kStill_hz).beams;
+    for (int laser = 0; laser < 16; ++laser) {
+        EXPECT_NEAR(beams[std::size_t(laser)].elevation_rad / kDegree, 10.0 - laser, 1e-9);
+        EXPECT_NEAR(beams[std::size_t(laser)].azimuth_offset_rad / kDegree, -0.25 * laser, 1e-9);
+    }
+    // two files that fit, and a file with the name of the recording that does not fit
+    const auto unsure = make_decoder(recorded.packets[0], "XT16", {{angles, angles}});
+    ASSERT_TRUE(unsure);
+    EXPECT_NE(unsure->about().find("nominal"), std::string::npos) << unsure->about();
+    others.is_named = true;
+    const Calibration named{{others}};
+    EXPECT_THROW(make_decoder(recorded.packets[0], "XT16", named), DataError);
+}
+
+TEST(BlockPackets, AngleFilesHaveEachLaser) {
+    const Correction angles =
+        packets::read_correction("eeff,1,1\nLaser id,Elevation,Azimuth\n1,2,0.5\n2,-1.5,-3\n", "a.csv");
+    ASSERT_EQ(angles.lasers.size(), 2u);
+    EXPECT_EQ(angles.lasers[1].elevation_deg, -1.5);
+    EXPECT_EQ(angles.lasers[1].azimuth_deg, -3.0);
+    EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,2,0\n3,1,0\n", "a.csv"), DataError);
+    EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,95,0\n", "a.csv"), DataError);
+    EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,2,north\n", "a.csv"), DataError);
+}
+
+/// Returns a packet of an OT128 with one return per laser. The range value of a laser is
+/// its number, counted from 0. Written byte by byte from the manual.
+std::string ot128_packet(int mode, int azimuth_state) {
+    std::string bytes("\xee\xff\x01\x04\0\0\x80\x02\0\x04\x01\x07", 12);
+    for (int block = 0; block < 2; ++block) {
+        bytes += char(0x28), bytes += char(0x23 + block);  // 90.00 degrees, then 92.56 degrees
+        for (int laser = 0; laser < 128; ++laser) bytes += char(laser), bytes += '\0', bytes += char(200);
+    }
+    bytes.append(4 + 17 + 9, '\0');
+    bytes += '\0', bytes += char(azimuth_state), bytes += char(mode), bytes += char(0x37);
+    bytes.append(2 + 6, '\0');
+    bytes.append("\x40\x42\x0f\0", 4);  // 1 000 000 us
+    bytes.resize(861);
+    return bytes;
+}
+
+TEST(BlockPackets, Ot128) {
+    const std::string standard = ot128_packet(1, 0), fine = ot128_packet(0, 0x10);
+    const auto all = make_decoder(standard, "OT128"), states = make_decoder(fine, "OT128 in high resolution");
+    ASSERT_TRUE(all && states);
+    const packets::Packet packet = all->decode(standard);
+    ASSERT_EQ(packet.firings.size(), 2u);
+    EXPECT_EQ(packet.clock_ns, 1000000000);
+    EXPECT_NEAR(packet.firings[0].azimuth_deg, 0.0, 1e-9);
+    EXPECT_NEAR(packet.firings[1].azimuth_deg, 2.56, 1e-9);
+    EXPECT_NEAR(packet.firings[1].after_us, 43.346, 1e-9);
+    EXPECT_NEAR(packet.firings[0].after_us, 43.346 - 2 * 27.778, 1e-3);
+    // laser 1 is the highest one; range values up to 3 are marks of the sensor
+    EXPECT_EQ(packet.echoes[0][0].range_m, 0.0f);
+    std::size_t n_returns = 0;
+    for (std::size_t ring = 0; ring < 128; ++ring) n_returns += packet.echoes[ring][0].range_m > 0.0f;
+    EXPECT_EQ(n_returns, 124u);
+    EXPECT_NEAR(all->timing().offset_us[0], 49.758, 1e-9);
+    // 29 lasers do not fire in state 0, 31 others do not fire in state 1
+    EXPECT_EQ(states->timing().offset_us.size(), 256u - 29u - 31u);
+    const packets::Packet half = states->decode(fine);
+    EXPECT_EQ(half.firings[0].part, 0);
+    EXPECT_EQ(half.firings[1].part, 1);
+}
+
+}  // namespace
+}  // namespace relidar
