@@ -11,9 +11,10 @@
 
 namespace relidar::folder {
 
-/// Points by the values that their fields hold (value_of_field()). By return_type of
-/// Nebula returns of one ring, time and direction become returns of one ray. A point whose x is no number, or which lies at the origin, is a ray
-/// without a return.
+/// Converts a table to points, by the values that its fields hold (value_of_field()). With
+/// return_type of Nebula, returns of one ring, time and direction become returns of one
+/// ray. A point whose x is no number, or which lies at the origin, is a ray without a
+/// return.
 /// @param time_s  what is taken off absolute times @throws DataError naming the point
 ScanPoints points_of(const PointTable& table, const PointUnits& units, double time_s,
                      const std::string& where);
