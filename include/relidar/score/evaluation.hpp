@@ -32,6 +32,20 @@ struct RangeErrorCounts {
     std::array<std::array<double, kBands>, kRangeEdges_m.size() - 1> rays{};
 };
 
+/// Scores of the points of a moving box in one frame, or in all frames of an evaluation.
+///   points, points_real   number of simulated and of real points in the box
+///   range_medae_m         median of the absolute range errors
+///   range_bias_m          median of the range errors, simulated minus real
+///   range_above_30cm      fraction of the range errors above 0.3 m
+///   f1                    F1 score of the rays that return from the box (silhouette)
+///   tail, tail_real       number of simulated and real points in the comet tail: where
+///                         the box is at another time of the log, but no box is now
+struct ActorScore {
+    std::string track;     ///< Id of the box.
+    std::string category;  ///< Class of the box.
+    MetricRow metrics;     ///< A metric is left out if it is not defined.
+};
+
 /// A frame that was rendered with the rays of the real scan, and its metrics.
 struct ScoredFrame {
     int frame = 0;  ///< frame number of the dataset
@@ -47,12 +61,16 @@ struct ScoredFrame {
     RangeImage real;  ///< Measured image. The same frames keep it as `rendered`.
     MetricRow metrics;
     RangeErrorCounts range_errors;
+    std::vector<ActorScore> actors;  ///< Scores of the moving boxes that are present.
 };
 
-/// Measured and simulated points in the box of one person or cyclist.
-struct PeoplePoints {
+/// Measured and simulated points in a moving box.
+struct BoxPoints {
     /// [n,3] points in the frame of the box at the time at which each point was measured.
     std::vector<glm::dvec3> real_m, simulated_m;
+    /// Range errors, simulated minus real, of the rays that return in both scans and whose
+    /// real point is in the box.
+    std::vector<double> range_error_m;
     /// Numbers of rays that hit the box: in both scans, only in the real scan, and only
     /// in the simulated scan.
     std::size_t n_both = 0, n_missed = 0, n_false = 0;
@@ -66,9 +84,9 @@ struct PeoplePoints {
 /// @param real  measured image of the same rays
 /// @param seen  the sweep of both images
 /// @param box  a box that is present at the time of the sweep
-PeoplePoints people_points(const RangeImage& rendered, const std::vector<float>& points_m,
-                           const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
-                           const BoxTrack& box);
+BoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
+                        const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
+                        const BoxTrack& box);
 
 /// Callback that receives each frame with its images after its metrics were computed. The
 /// callback may add metrics.
@@ -79,6 +97,10 @@ struct Evaluation {
     std::string title = "rendered";  ///< What was scored: "rendered" or the name of a baseline.
     std::vector<ScoredFrame> frames;
     MetricRow mean;
+    /// Scores of each moving box over all frames. The highest fraction of range errors
+    /// above 0.3 m is first. Numbers of points are sums. Other metrics are means over the
+    /// frames, weighted by the number of real points.
+    std::vector<ActorScore> actors;
     MetricRow kernel_ms;    ///< Mean time of a kernel launch in milliseconds, by kernel name.
     double trace_ms = 0.0;  ///< Mean time to render a frame, including transfers to and from the device.
     double mrays_per_s = 0.0;

@@ -53,6 +53,13 @@ struct ReportBars {
     std::vector<std::string> bands;  ///< Names of at most 5 bands, ordered from good to bad.
     std::vector<Row> rows;
 };
+/// A table of texts. The first column is aligned to the left.
+struct ReportTable {
+    std::string title;
+    std::string note;  ///< One line of text that explains the table.
+    /// [rows][columns] the first row contains the titles of the columns
+    std::vector<std::vector<std::string>> rows;
+};
 /// An important metric that the report shows first, with a readable name.
 struct ReportKeyMetric {
     std::string metric;  ///< name of the metric, for example "strict/depth_medae_m"
@@ -60,7 +67,7 @@ struct ReportKeyMetric {
     std::string hint;    ///< a line that explains the metric
 };
 /// Contents of a self-contained HTML page, which needs no other file and no network. The
-/// summary, views, figures, curves, bars and key metrics come first. All other parts are
+/// summary, views, figures, curves, bars, tables and key metrics come first. All other parts are
 /// collapsed. The page has a script only if it has views.
 struct Report {
     std::string title;
@@ -68,6 +75,8 @@ struct Report {
     std::string summary;
     std::vector<ReportView> views;
     std::vector<ReportBars> bars;
+    /// Tables. A table without rows below the titles is left out.
+    std::vector<ReportTable> tables;
     /// Metrics to show first. A metric that is in no column of `metrics` is left out.
     std::vector<ReportKeyMetric> key_metrics;
     std::vector<std::pair<std::string, std::string>> facts;  ///< device, sizes, times

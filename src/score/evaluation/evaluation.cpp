@@ -15,7 +15,7 @@
 #include <relidar/log/range_image.hpp>
 #include <relidar/run/stage_options.hpp>
 #include <relidar/score/metrics.hpp>
-#include "score/evaluation/people.hpp"
+#include "score/evaluation/actor_scores.hpp"
 #include "score/evaluation/tails.hpp"
 
 namespace relidar {
@@ -123,8 +123,10 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence
         frame.metrics.merge(tail_shares(rendered, frame.real, sequence, sweep));
         // The array is empty for a baseline, because a baseline has no point ranges.
         const std::vector<float>& points_m = point_ranges(frame.rendered, config);
-        frame.metrics.merge(people_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
-                                          frame.real, sequence, sweep));
+        ActorScores scores = actor_scores(rendered, points_m.empty() ? rendered.range_m : points_m,
+                                          frame.real, sequence, sweep);
+        frame.metrics.merge(scores.metrics);
+        frame.actors = std::move(scores.actors);
     }
 }
 
@@ -274,13 +276,16 @@ MetricRow mean_times(const KernelTimes& times) {
 Evaluation summarise(std::vector<ScoredFrame> frames, const KernelTimes& times) {
     Evaluation evaluation;
     std::vector<MetricRow> rows;
+    std::vector<std::vector<ActorScore>> actors;
     double n_rays = 0.0;
     for (const ScoredFrame& frame : frames) {
         rows.push_back(frame.metrics);
+        actors.push_back(frame.actors);
         evaluation.trace_ms += frame.rendered.trace_ms / static_cast<double>(frames.size());
         n_rays += static_cast<double>(frame.n_rays) / static_cast<double>(frames.size());
     }
     evaluation.mean = mean(rows);
+    evaluation.actors = over_frames(actors);
     evaluation.kernel_ms = mean_times(times);
     if (evaluation.trace_ms > 0.0) evaluation.mrays_per_s = n_rays / (1000.0 * evaluation.trace_ms);
     evaluation.frames = std::move(frames);

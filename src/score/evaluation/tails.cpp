@@ -54,34 +54,47 @@ bool is_swept(const Swept& s, const glm::dvec3& point_m) {
 /// time, but not now.
 struct Tail {
     std::size_t n_points = 0, n_tail = 0;
+    std::vector<std::size_t> n_of_box;  ///< [swept] points in the tail of each box
     Tail& operator+=(const Tail& other) {
         n_points += other.n_points;
         n_tail += other.n_tail;
+        n_of_box.resize(other.n_of_box.size());
+        for (std::size_t k = 0; k < n_of_box.size(); ++k) n_of_box[k] += other.n_of_box[k];
         return *this;
     }
 };
 
-double share(const RangeImage& image, const Sequence& sequence, const std::vector<Swept>& swept,
-             const SweepMoment& seen) {
+Tail count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
+                 const std::vector<Swept>& swept, const SweepMoment& seen) {
     // Number of rays that one work item of the parallel loop processes.
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
-    const Tail all = parallel_reduce(image.range_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
+    return parallel_reduce(points_m.size(), kRays, [&](std::size_t begin, std::size_t end) {
         Tail part;
+        part.n_of_box.resize(swept.size());
+        std::vector<std::size_t> boxes;  // boxes that are at the point at some time
         for (std::size_t i = begin; i < end; ++i) {
-            if (!returned(image.drop_prob[i], image.range_m[i])) continue;
+            if (!returned(image.drop_prob[i], points_m[i])) continue;
             ++part.n_points;
-            const glm::dvec3 in_sensor(image.origin[i] + image.range_m[i] * image.direction[i]);
+            const glm::dvec3 in_sensor(image.origin[i] + points_m[i] * image.direction[i]);
             const double t_s = facing_time(sequence, in_sensor, seen);
             const glm::dvec3 point_m = sequence.world_from_vehicle.at(t_s, mounted) * in_sensor;
-            if (std::ranges::none_of(swept, [&](const Swept& s) { return is_swept(s, point_m); })) continue;
-            part.n_tail += std::ranges::none_of(swept, [&](const Swept& s) {
-                return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m);
-            });
+            boxes.clear();
+            for (std::size_t k = 0; k < swept.size(); ++k)
+                if (is_swept(swept[k], point_m)) boxes.push_back(k);
+            if (boxes.empty() || std::ranges::any_of(swept, [&](const Swept& s) {
+                    return s.box->present(t_s) && s.box->holds(point_m, t_s, kNowMargin_m);
+                }))
+                continue;
+            ++part.n_tail;
+            for (const std::size_t k : boxes) ++part.n_of_box[k];
         }
         return part;
     });
-    return all.n_points > 0 ? double(all.n_tail) / double(all.n_points) : 0.0;
+}
+
+double share(const Tail& tail) {
+    return tail.n_points > 0 ? double(tail.n_tail) / double(tail.n_points) : 0.0;
 }
 
 }  // namespace
@@ -90,8 +103,18 @@ MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const 
                       const SweepMoment& seen) {
     const std::vector<Swept> swept = swept_boxes(sequence);
     if (swept.empty()) return {};
-    return {{"actors/tail_share", share(rendered, sequence, swept, seen)},
-            {"actors/tail_share_real", share(real, sequence, swept, seen)}};
+    return {{"actors/tail_share", share(count_tails(rendered, rendered.range_m, sequence, swept, seen))},
+            {"actors/tail_share_real", share(count_tails(real, real.range_m, sequence, swept, seen))}};
+}
+
+std::map<std::string, std::size_t> points_in_tails(const RangeImage& image,
+                                                   const std::vector<float>& points_m,
+                                                   const Sequence& sequence, const SweepMoment& seen) {
+    const std::vector<Swept> swept = swept_boxes(sequence);
+    const Tail tail = count_tails(image, points_m, sequence, swept, seen);
+    std::map<std::string, std::size_t> n_of_box;
+    for (std::size_t k = 0; k < tail.n_of_box.size(); ++k) n_of_box[swept[k].box->id] = tail.n_of_box[k];
+    return n_of_box;
 }
 
 }  // namespace relidar

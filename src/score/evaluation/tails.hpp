@@ -3,6 +3,11 @@
 // will be later, but is not now.
 #pragma once
 
+#include <cstddef>
+#include <map>
+#include <string>
+#include <vector>
+
 #include <relidar/log/range_image.hpp>
 #include <relidar/log/sequence.hpp>
 #include <relidar/score/metrics.hpp>
@@ -17,5 +22,12 @@ namespace relidar {
 /// no box moves
 MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence,
                       const SweepMoment& seen);
+/// Returns the number of returned points in the tail of each moving box. The tails of
+/// several boxes can contain the same point.
+/// @param points_m [n] ranges of the points of the image
+/// @return the number of points for the id of each box
+std::map<std::string, std::size_t> points_in_tails(const RangeImage& image,
+                                                   const std::vector<float>& points_m,
+                                                   const Sequence& sequence, const SweepMoment& seen);
 
 }  // namespace relidar

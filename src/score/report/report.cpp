@@ -50,6 +50,19 @@ std::string table(const std::string& head, const std::string& rows) {
         head, rows);
 }
 
+std::string text_table(const ReportTable& texts) {
+    if (texts.rows.size() < 2) return "";
+    std::string head, rows;
+    for (const std::string& cell : texts.rows.front()) head += "<th>" + escape_html(cell) + "</th>";
+    for (std::size_t r = 1; r < texts.rows.size(); ++r) {
+        std::string cells;
+        for (const std::string& cell : texts.rows[r])
+            cells += fmt::format("<td{}>{}</td>", cells.empty() ? " class=\"name\"" : "", escape_html(cell));
+        rows += "<tr>" + cells + "</tr>\n";
+    }
+    return table(head, rows) + "<p class=\"note\">" + escape_html(texts.note) + "</p>\n";
+}
+
 std::string facts(const Report& report) {
     if (report.facts.empty()) return "";
     std::string body;
@@ -258,6 +271,7 @@ std::string page(const Report& report) {
     for (std::size_t i = 0; i < figures.size(); ++i) html += section(report.figures[i].title, figures[i]);
     html += section("Curves", curves(report));
     for (const ReportBars& bars : report.bars) html += section(bars.title, export_detail::bars_html(bars));
+    for (const ReportTable& texts : report.tables) html += section(texts.title, text_table(texts));
     html += section("Scores", key_metrics(report));
     html += folded("All metrics", metrics(report)) + folded("The run", facts(report)) +
             folded("Time by kernel", timings(report));

@@ -32,6 +32,8 @@ Report some_report() {
                     "Of all rays.",
                     {"small", "large"},
                     {{"near", 8.0, {0.75, 0.25}}, {"far", 0.0, {0.0, 0.0}}}}};
+    report.tables = {{"Actors", "Worst first.", {{"actor", "m"}, {"van <1>", "0.12"}}},
+                     {"Empty table", "", {{"actor", "m"}}}};
     report.key_metrics = {{"peer/depth_rmse_m", "Range error, m", "less is better"},
                           {"peer/none", "Nothing", "not there"}};
     return report;
@@ -116,7 +118,8 @@ TEST_F(ReportFile, HoldsEverything) {
 TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
     const std::string html = written(folder, report_with_view());
     std::size_t before = 0;
-    for (const char* part : {"One paragraph.", "<canvas", "Frame 5", "<svg", "Errors", "Range error, m",
+    for (const char* part : {"One paragraph.", "<canvas", "Frame 5", "<svg", "Errors",
+                             "<td class=\"name\">van &lt;1&gt;</td><td>0.12</td>", "Range error, m",
                              "All metrics", "lavapipe", "backward"}) {
         const std::size_t here = html.find(part);
         ASSERT_NE(here, std::string::npos) << part;
@@ -130,6 +133,7 @@ TEST_F(ReportFile, BeginsWithWhatAPersonWantsToSee) {
         EXPECT_NE(html.find(part), std::string::npos) << part;
     EXPECT_EQ(html.find("not there"), std::string::npos);  // a metric without values
     EXPECT_EQ(html.find(">far<"), std::string::npos);      // a class without rays
+    EXPECT_EQ(html.find("Empty table"), std::string::npos);
 }
 
 TEST_F(ReportFile, PacksPointsInEightBytes) {

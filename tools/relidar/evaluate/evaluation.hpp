@@ -21,6 +21,8 @@ relidar::Progress shown_until_interrupted(Progress& progress);
 /// Returns the five most important scores for the terminal, one per line. A score is left
 /// out if the evaluation does not have it.
 std::string score_summary(const Evaluation& evaluation);
+/// Returns a table of the 20 worst moving boxes. The first row contains the titles.
+std::vector<std::vector<std::string>> actor_rows(const Evaluation& evaluation);
 /// Returns tables of all metrics for the terminal. They show the mean, lowest and highest
 /// value over the frames, errors by region, and the meaning of each metric.
 /// @param baseline if not null, its means are shown too
@@ -32,8 +34,8 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
 Evaluation joined(const Evaluation& mine, const Ranks& ranks);
 
 /// Returns the scored frames as JSON objects. Each object holds the frame number, LiDAR,
-/// time, number of rays, tracing time and metrics. Used in metrics.json and in messages
-/// between processes.
+/// time, number of rays, tracing time, metrics and the scores of each moving box. Used in
+/// metrics.json and in messages between processes.
 nlohmann::ordered_json frames_json(const Evaluation& evaluation);
 
 /// Origin of the scores, which metrics.json stores in addition to the scores.

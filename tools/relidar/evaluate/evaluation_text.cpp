@@ -41,12 +41,12 @@ constexpr const char* kRegions =
     "moving_boxes: labelled ones; discovered_boxes: those without a label that training found";
 constexpr const char* kActors =
     "tail_share: of the returned points (drop_prob < 0.5), those above ground where a moving box is at "
-    "another time of the log but none is "
-    "now; tail_share_real: of the log's; people_*: people and cyclists that move and really return 10 "
-    "points, in their boxes grown by "
-    "0.1 m and above the ground: Chamfer distance, both ways summed; share of the simulated points within 3 "
-    "cm of a real one; F1 of the "
-    "rays that return from a box grown by 0.3 m";
+    "another time of the log but none is now; tail_share_real: the same share of the real points; people_*, "
+    "vehicles_*: labelled moving boxes with 10 real points or more, people and cyclists or all others, boxes "
+    "enlarged by 0.1 m, without the lowest 0.15 m: median and signed median of the range errors, share of "
+    "errors above 0.3 m; Chamfer distance, both ways summed; share of the simulated points within 3 cm of a "
+    "real one; F1 of the rays that return from a box enlarged by 0.3 m; the table of actors has the same "
+    "for each moving box, labelled or discovered, with sums of points and means weighted by real points";
 constexpr const char* kColumns[] = {"pixels",      "returned",     "depth_medae_m",
                                     "depth_mae_m", "depth_rmse_m", "intensity_rmse"};
 
@@ -90,6 +90,13 @@ std::pair<double, double> spread_of(const Evaluation& evaluation, const std::str
     return {low, high};
 }
 
+Json actors_json(const std::vector<ActorScore>& actors) {
+    Json json = Json::array();
+    for (const ActorScore& actor : actors)
+        json.push_back({{"track", actor.track}, {"class", actor.category}, {"metrics", actor.metrics}});
+    return json;
+}
+
 std::string cell(const MetricRow& row, const std::string& name) {
     return row.contains(name) ? number(row.at(name)) : "-";
 }
@@ -124,6 +131,25 @@ Rows region_rows(const Evaluation& evaluation) {
 }
 
 }  // namespace
+
+std::vector<std::vector<std::string>> actor_rows(const Evaluation& evaluation) {
+    constexpr std::size_t kMost = 20;
+    const auto number_in = [](const MetricRow& row, const char* name, int digits) {
+        const auto it = row.find(name);
+        return it == row.end() ? "-" : fmt::format("{:.{}f}", it->second, digits);
+    };
+    Rows rows{{"actor, worst first", "class", "points", "real points", "median m", "bias m", "above 0.3 m",
+               "f1", "tail", "real tail"}};
+    for (const ActorScore& actor : evaluation.actors) {
+        if (rows.size() > kMost) break;
+        const MetricRow& m = actor.metrics;
+        rows.push_back({actor.track, actor.category, number_in(m, "points", 0),
+                        number_in(m, "points_real", 0), number_in(m, "range_medae_m", 3),
+                        number_in(m, "range_bias_m", 3), number_in(m, "range_above_30cm", 3),
+                        number_in(m, "f1", 3), number_in(m, "tail", 0), number_in(m, "tail_real", 0)});
+    }
+    return rows;
+}
 
 relidar::Progress shown_until_interrupted(Progress& progress) {
     return [show = shown_by(progress)](std::string_view what, double done) {
@@ -164,6 +190,7 @@ std::string metric_table(const Evaluation& evaluation, const Evaluation* baselin
         }
     std::string text = score_summary(evaluation) + "\n" + table(rows) + "\n" + table(region_rows(evaluation));
     if (baseline) text += "\n" + table(region_rows(*baseline));
+    if (const Rows actors = actor_rows(evaluation); actors.size() > 1) text += "\n" + table(actors);
     return text + fmt::format("\npeer     {}\nstrict   {}\npoints   {}\nregions  {}\nactors   {}\n", kPeer,
                               kStrict, kPoints, kRegions, kActors);
 }
@@ -176,7 +203,8 @@ Json frames_json(const Evaluation& evaluation) {
                           {"time_s", f.time_s},
                           {"n_rays", f.n_rays},
                           {"trace_ms", f.rendered.trace_ms},
-                          {"metrics", f.metrics}});
+                          {"metrics", f.metrics},
+                          {"actors", actors_json(f.actors)}});
     return frames;
 }
 
@@ -189,6 +217,7 @@ std::string metrics_json(const Evaluation& evaluation, const Config& config, con
                  {"dataset", config.dataset.path},
                  {"protocol", protocol_json(config)},
                  {"mean", evaluation.mean},
+                 {"actors", actors_json(evaluation.actors)},
                  {"frames", frames_json(evaluation)},
                  {"timings",
                   {{"kernel_ms", evaluation.kernel_ms},

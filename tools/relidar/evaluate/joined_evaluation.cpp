@@ -22,6 +22,9 @@ void add_frames(std::vector<ScoredFrame>& frames, const std::string& text) {
         frame.n_rays = json.at("n_rays");
         frame.rendered.trace_ms = json.at("trace_ms");
         frame.metrics = json.at("metrics").get<MetricRow>();
+        for (const Json& actor : json.at("actors"))
+            frame.actors.push_back(
+                {actor.at("track"), actor.at("class"), actor.at("metrics").get<MetricRow>()});
     }
 }
 

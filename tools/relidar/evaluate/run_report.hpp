@@ -26,8 +26,8 @@ struct EvaluationTitle {
     std::string real;    ///< Caption of the real images: "real" or "exact".
 };
 /// Adds the scores of an evaluation to a report: a column of metrics, a table of timings,
-/// errors by range, and points and pictures of one frame. The first call also extends the
-/// summary of the report.
+/// errors by range, moving objects, and points and pictures of one frame. The first call
+/// also extends the summary of the report.
 void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run,
                     const EvaluationTitle& title);
 

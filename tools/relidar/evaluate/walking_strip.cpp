@@ -121,8 +121,8 @@ std::optional<ReportFigure> walking_strip(Device& device, const Run& run) {
         sensor.follows_sweeps = false;
         sensor.rolling_shutter = run.sequence.rolling_shutter;
         const RenderedScan rendered = renderer.render(sensor, frame->time_s);
-        const PeoplePoints points = people_points(rendered.image, point_ranges(rendered, config), measured,
-                                                  run.sequence, moment_of(*frame), *walk.box);
+        const BoxPoints points = points_in_box(rendered.image, point_ranges(rendered, config), measured,
+                                               run.sequence, moment_of(*frame), *walk.box);
         n += points.real_m.size();
         real.push_back(points.real_m);
         simulated.push_back(points.simulated_m);

@@ -1,0 +1,202 @@
+// SPDX-License-Identifier: Apache-2.0
+// Compares the measured and simulated points of moving boxes in the frames of the boxes.
+#include "score/evaluation/actor_scores.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include <relidar/scene/scene.hpp>
+#include <relidar/score/evaluation.hpp>
+#include "score/evaluation/tails.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr double kMargin_m = 0.1, kSilhouette_m = 0.3;
+// Height above the bottom of a box. Points below this height belong to the ground.
+constexpr double kFloor_m = 0.15;
+constexpr double kNear_m = 0.03, kLargeError_m = 0.3;
+constexpr double kSweep_m = 2.0;  // Maximum distance that a box moves within one sweep.
+// Minimum number of real points of a person. People with fewer points are not scored.
+constexpr std::size_t kFewest = 10;
+
+/// A box at the time of a scan. Converts points from the sensor frame to the box frame.
+struct InScan {
+    const Sequence& sequence;
+    const SweepMoment& seen;
+    const BoxTrack& box;
+    glm::dvec3 centre_m;  ///< centre of the box at the scan's time, sensor frame
+
+    InScan(const Sequence& s, const SweepMoment& at, const BoxTrack& b)
+        : sequence(s),
+          seen(at),
+          box(b),
+          centre_m(inverse(sensor(at.time_s)) * b.world_from_box.at(at.time_s).translation) {}
+
+    Pose sensor(double t_s) const {
+        return sequence.world_from_vehicle.at(t_s,
+                                              sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor);
+    }
+    /// Converts a point to the frame of the box. Uses the poses of sensor and box at the
+    /// time at which the head faces the point. Returns nothing if the point is far from
+    /// the box.
+    std::optional<glm::dvec3> in_box(const glm::dvec3& in_sensor) const {
+        if (glm::distance(in_sensor, centre_m) > 0.5 * glm::length(box.size_m) + kSilhouette_m + kSweep_m)
+            return std::nullopt;
+        const double t_s = facing_time(sequence, in_sensor, seen);
+        return inverse(box.world_from_box.at(t_s)) * (sensor(t_s) * in_sensor);
+    }
+    bool holds(const std::optional<glm::dvec3>& p, double margin_m) const {
+        const glm::dvec3 half = 0.5 * box.size_m;
+        return p && std::abs(p->x) <= half.x + margin_m && std::abs(p->y) <= half.y + margin_m &&
+               p->z <= half.z + margin_m && p->z >= kFloor_m - half.z;
+    }
+};
+
+glm::dvec3 point_of(const RangeImage& image, std::size_t ray, float range_m) {
+    return glm::dvec3(image.origin[ray] + range_m * image.direction[ray]);
+}
+
+double mean_of(const std::vector<double>& values) {
+    double sum = 0.0;
+    for (const double v : values) sum += v;
+    return sum / double(std::max<std::size_t>(values.size(), 1));
+}
+
+double median_of(std::vector<double> values) {
+    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+    std::nth_element(values.begin(), middle, values.end());
+    return *middle;
+}
+
+/// Adds the median, the bias and the fraction of large errors. Adds nothing if there are
+/// no errors.
+/// @param prefix  prefix of the names
+void add_range_errors(MetricRow& row, const std::string& prefix, const std::vector<double>& error_m) {
+    if (error_m.empty()) return;
+    std::vector<double> absolute_m, large;
+    for (const double error : error_m) {
+        absolute_m.push_back(std::abs(error));
+        large.push_back(std::abs(error) > kLargeError_m ? 1.0 : 0.0);
+    }
+    row[prefix + "medae_m"] = median_of(absolute_m);
+    row[prefix + "bias_m"] = median_of(error_m);
+    row[prefix + "above_30cm"] = mean_of(large);
+}
+
+/// Sums over all people and cyclists, or over all other labelled boxes.
+struct GroupErrors {
+    std::vector<double> range_error_m, chamfer_m, near;
+    double both = 0.0, either = 0.0;
+
+    void add(const BoxPoints& p) {
+        range_error_m.insert(range_error_m.end(), p.range_error_m.begin(), p.range_error_m.end());
+        both += double(p.n_both);
+        either += double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
+        if (p.simulated_m.empty()) return;  // Without simulated points, only F1 can be computed.
+        const std::vector<double> to_real = nearest_distances(p.simulated_m, p.real_m);
+        chamfer_m.push_back(mean_of(to_real) + mean_of(nearest_distances(p.real_m, p.simulated_m)));
+        for (const double d : to_real) near.push_back(d <= kNear_m ? 1.0 : 0.0);
+    }
+    void add_scores(MetricRow& row, const std::string& prefix) const {
+        add_range_errors(row, prefix, range_error_m);
+        if (either > 0.0) row[prefix + "f1"] = both / either;
+        if (chamfer_m.empty()) return;
+        row[prefix + "cd_m"] = mean_of(chamfer_m);
+        row[prefix + "3cm"] = mean_of(near);
+    }
+};
+
+bool is_person(const BoxTrack& box) {
+    const ObjectKind kind = object_kind(box.category);
+    return kind == ObjectKind::person || kind == ObjectKind::cyclist;
+}
+
+MetricRow scores_of_box(const BoxPoints& p) {
+    MetricRow row{{"points", double(p.simulated_m.size())}, {"points_real", double(p.real_m.size())}};
+    add_range_errors(row, "range_", p.range_error_m);
+    const double either = double(p.n_both) + 0.5 * double(p.n_missed + p.n_false);
+    if (either > 0.0) row["f1"] = double(p.n_both) / either;
+    return row;
+}
+
+}  // namespace
+
+BoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& points_m,
+                        const RangeImage& real, const Sequence& sequence, const SweepMoment& seen,
+                        const BoxTrack& box) {
+    const InScan in_scan(sequence, seen, box);
+    BoxPoints result;
+    for (std::size_t i = 0; i < points_m.size(); ++i) {
+        std::optional<glm::dvec3> measured, simulated;
+        const bool returns = returned(rendered.drop_prob[i], points_m[i]);
+        if (real.range_m[i] > 0.0f) measured = in_scan.in_box(point_of(real, i, real.range_m[i]));
+        if (returns) simulated = in_scan.in_box(point_of(rendered, i, points_m[i]));
+        if (in_scan.holds(measured, kMargin_m)) {
+            result.real_m.push_back(*measured);
+            if (returns) result.range_error_m.push_back(double(points_m[i]) - double(real.range_m[i]));
+        }
+        if (in_scan.holds(simulated, kMargin_m)) result.simulated_m.push_back(*simulated);
+        const bool in_real = in_scan.holds(measured, kSilhouette_m),
+                   in_simulated = in_scan.holds(simulated, kSilhouette_m);
+        result.n_both += in_real && in_simulated;
+        result.n_missed += in_real && !in_simulated;
+        result.n_false += in_simulated && !in_real;
+    }
+    return result;
+}
+
+ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
+                         const RangeImage& real, const Sequence& sequence, const SweepMoment& seen) {
+    ActorScores scores;
+    const std::map<std::string, std::size_t> tails = points_in_tails(rendered, points_m, sequence, seen),
+                                             real_tails = points_in_tails(real, real.range_m, sequence, seen);
+    GroupErrors people, vehicles;
+    for (const BoxTrack& box : sequence.boxes) {
+        if (!tails.contains(box.id)) continue;  // Boxes that do not move have no tail.
+        BoxPoints p;
+        if (box.present(seen.time_s)) p = points_in_box(rendered, points_m, real, sequence, seen, box);
+        scores.actors.push_back({box.id, box.category, scores_of_box(p)});
+        scores.actors.back().metrics["tail"] = double(tails.at(box.id));
+        scores.actors.back().metrics["tail_real"] = double(real_tails.at(box.id));
+        if (p.real_m.size() < kFewest || box.category == kDiscoveredCategory) continue;
+        (is_person(box) ? people : vehicles).add(p);
+    }
+    people.add_scores(scores.metrics, "actors/people_");
+    vehicles.add_scores(scores.metrics, "actors/vehicles_");
+    return scores;
+}
+
+std::vector<ActorScore> over_frames(const std::vector<std::vector<ActorScore>>& frames) {
+    struct Sums {
+        std::string category;
+        MetricRow counts, weighted, weight;
+    };
+    std::map<std::string, Sums> sums;
+    for (const std::vector<ActorScore>& frame : frames)
+        for (const ActorScore& actor : frame) {
+            Sums& s = sums[actor.track];
+            s.category = actor.category;
+            for (const auto& [name, value] : actor.metrics) {
+                const bool is_count = name.starts_with("points") || name.starts_with("tail");
+                const double weight = actor.metrics.at("points_real");
+                if (is_count) s.counts[name] += value;
+                else s.weighted[name] += weight * value, s.weight[name] += weight;
+            }
+        }
+    std::vector<ActorScore> actors;
+    for (const auto& [track, s] : sums) {
+        actors.push_back({track, s.category, s.counts});
+        for (const auto& [name, value] : s.weighted)
+            if (s.weight.at(name) > 0.0) actors.back().metrics[name] = value / s.weight.at(name);
+    }
+    const auto badness = [](const ActorScore& actor) {
+        const auto it = actor.metrics.find("range_above_30cm");
+        return it == actor.metrics.end() ? -1.0 : it->second;
+    };
+    std::ranges::stable_sort(actors, std::greater{}, badness);
+    return actors;
+}
+
+}  // namespace relidar

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// Metrics for moving boxes. Separate metrics are needed because actors have so few points
+// that averages over a scan do not show their errors.
+#pragma once
+
+#include <vector>
+
+#include <relidar/log/range_image.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/score/evaluation.hpp>
+#include <relidar/score/metrics.hpp>
+
+namespace relidar {
+
+/// Scores of each moving box in a frame, and metrics over groups of boxes.
+struct ActorScores {
+    std::vector<ActorScore> actors;  ///< Labelled and discovered boxes.
+    /// Metrics over the labelled boxes with at least ten real points.
+    ///   actors/people_*            people and cyclists
+    ///   actors/vehicles_*          all other labelled boxes
+    ///   actors/*_{medae_m,bias_m,above_30cm}  as in ActorScore, over all points
+    ///   actors/*_cd_m              Chamfer distance: sum of both directions, mean over boxes
+    ///   actors/*_3cm               fraction of the simulated points with a real point
+    ///                              within 3 cm
+    ///   actors/*_f1                F1 score of the rays that return from the boxes
+    MetricRow metrics;
+};
+
+/// Computes the scores of all moving boxes in a frame.
+/// @param points_m [n] ranges of the simulated points
+ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
+                         const RangeImage& real, const Sequence& sequence, const SweepMoment& seen);
+
+/// Combines the scores of several frames, see Evaluation::actors.
+/// @param frames [frames][actors]
+std::vector<ActorScore> over_frames(const std::vector<std::vector<ActorScore>>& frames);
+
+}  // namespace relidar
