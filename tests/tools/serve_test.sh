@@ -77,11 +77,11 @@ printf 'seed = 5\nn_frames = 12\nrows = 8\ncolumns = 96\n' >street/street.toml
 
 bad 2 "RUN is required" serve
 bad 3 "nowhere" serve nowhere
-bad 2 "queue: found 0, expected 1 to" serve run --queue 0
+bad 2 "queue: found 0; expected" serve run --queue 0
 bad 2 "memory-mib: found -1" serve run --memory-mib -1
 bad 3 "serving run: it holds .* MiB of device memory, expected at most 1.0 \(--memory-mib\)" serve run --memory-mib 1
 bad 2 "weather: found snow=-1, expected 0 to 100 mm/h" serve run --weather snow=-1
-bad 2 "tls-cert and --tls-key: found only one of them" serve run --tls-cert x.pem
+bad 2 "tls-cert and --tls-key must be used together" serve run --tls-cert x.pem
 bad 3 "reading run/config.toml: found no PEM" serve run --tls-cert run/config.toml --tls-key run/config.toml
 bad 2 "found \"run\" as the name of both, expected another one, given as NAME=RUN" serve run "$PWD/run"
 bad 2 "listen: found 'nonsense', expected HOST:PORT with a port from 0 to 65535" serve run --listen nonsense
@@ -145,7 +145,7 @@ stop
 
 # The interface of another renderer beside ours, by a client that knows its wire alone.
 bad 2 "api: found 'alpasim', expected sensorsim" serve run --api alpasim
-bad 2 "sensorsim-poses: found it without --api sensorsim" serve run --sensorsim-poses rotation-first
+bad 2 "sensorsim-poses can only be used together with --api sensorsim" serve run --sensorsim-poses rotation-first
 bad 2 "sensorsim-poses: found 'xyz', expected rotation-first or translation-first" serve run --api sensorsim --sensorsim-poses xyz
 serve town=run --api sensorsim
 "$python" -B "$root/tests/tools/sensorsim_client.py" "$root" "$address" town >sensorsim.out 2>&1 \
