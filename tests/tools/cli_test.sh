@@ -32,7 +32,7 @@ help_tells() {
     says "^iterations = 30000$"
     good list settings --preset released
     says '^preset = "released"$'
-    says "^# [0-9]+ expert settings, all as the preset has them, are not shown: relidar list settings --all$"
+    says "^# [0-9]+ expert settings .* are not shown"
     check "an expert setting is shown" test -z "$(grep '^box = ' out)"
     good list settings --set loss.box=0.5
     says "^box = 0.5$"
@@ -70,7 +70,7 @@ wrong_usage() {
     bad 3 "nowhere: no such folder" info nowhere
     bad 3 "not a dataset" info .
     bad 2 "dataset kind 'kity': unknown" info kity:street
-    bad 3 "cannot be made a folder" train street --out broken.toml/run
+    bad 3 "cannot create the folder" train street --out broken.toml/run
     bad 3 "/proc/" train street --out /proc/relidar
     mkdir full && printf 'x' >full/file
     bad 2 "full: the folder is not empty" train street --out full --force
@@ -115,8 +115,8 @@ bad_paths() {
     fi
     relidar=$own
     for out in loop loop/run "$long" "a/$long"; do
-        bad 3 "cannot be made a folder: (Too many levels of symbolic links|File name too long)" train street --out "$out"
-        bad 3 "cannot be made a folder: (Too many levels of symbolic links|File name too long)" demo --out "$out"
+        bad 3 "cannot create the folder.*(Too many levels of symbolic links|File name too long)" train street --out "$out"
+        bad 3 "cannot create the folder.*(Too many levels of symbolic links|File name too long)" demo --out "$out"
     done
     bad 3 "cannot be read: (Too many levels of symbolic links|File name too long)" info loop
     bad 3 "cannot be read: File name too long" info "$long"
@@ -177,7 +177,7 @@ converting() {
     good info free --set dataset.poses=none
     bad 3 "nowhere: no such folder" convert nowhere --out x
     bad 2 "out is required" convert street
-    bad 3 "x.*: cannot be made a folder" convert street --out street/street.toml/x
+    bad 3 "cannot create the folder .*x" convert street --out street/street.toml/x
     printf 'seed = 5\nn_frames = 60\nrows = 32\ncolumns = 512\n' >long.toml && mkdir long && mv long.toml long/street.toml
     "$relidar" convert long --out stopped >out 2>err &
     local process=$!
@@ -348,7 +348,7 @@ rendering() {
     check "a second return is missing from the pcd" grep -aq "^FIELDS x y z intensity ring time instance return$" wide/frame_000005.pcd
     bad 2 "sensor.sub_rays: nothing is known of the beam divergence of XT32" render run --out x --sensor XT32 --set sensor.sub_rays=5
     bad 2 "sensor.returns: found 2 with sensor.sub_rays = 1" render run --out x --sensor VLP-16 --set sensor.returns=2
-    bad 3 "cannot be made a folder" render run --out broken.toml/x
+    bad 3 "cannot create the folder" render run --out broken.toml/x
     absent x
 }
 
@@ -427,7 +427,7 @@ own_paths() {
     printf '0,0,0,2,0\n1,nan,0,2,0\n' >nan.csv
     bad 3 "nan.csv: line 2: x: found \"nan\"" render run --out x --trajectory nan.csv
     printf '1,0,0,2,0\n0,1,0,2,0\n' >falling.csv
-    bad 3 "falling.csv: line 2: time_s: found 0 after 1, expected times that rise" render run --out x --trajectory falling.csv
+    bad 3 "falling.csv: line 2: time_s is 0 after 1" render run --out x --trajectory falling.csv
     bad 3 "none.csv" render run --out x --trajectory none.csv
     bad 2 "rate and --times need --trajectory" render run --out x --rate 20
     bad 2 "frames and --trajectory cannot" render run --out x --trajectory way.csv --frames 1:2
@@ -544,7 +544,7 @@ keeping_assets() {
 wrong_edits() {
     bad 2 "no edit is given" edit run --out x
     bad 2 'found no such track, did you mean "0"\?' edit run --out x --remove 00
-    bad 2 '--move 7:1,0,0: editing track "7"' edit run --out x --move 7:1,0,0
+    bad 2 '--move 7:1,0,0: cannot edit track "7"' edit run --out x --move 7:1,0,0
     bad 2 'move: found "0:1,2", expected TRACK:dx,dy,dz' edit run --out x --move 0:1,2
     bad 2 'move: found "x" in "1,x,2"' edit run --out x --move 0:1,x,2
     bad 2 'move: found "nan"' edit run --out x --move 0:1,nan,2
@@ -582,7 +582,7 @@ evaluation() {
     check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
     good eval run --out sub/metrics.json --set render.range=normalised
     exists sub/metrics.json
-    bad 3 "cannot be made a folder" eval run --out broken.toml/m.json
+    bad 3 "cannot create the folder" eval run --out broken.toml/m.json
     bad 3 "nowhere: no such folder" eval run --set dataset.path=nowhere
     mkdir short && sed 's/^n_frames.*/n_frames = 8/' street/street.toml >short/street.toml
     bad 3 "frame 10 is not there" eval run --set dataset.path=short
@@ -705,7 +705,7 @@ viewing() {
     bad 3 "nowhere: no such folder" view nowhere
     bad 2 "port: found 65536; expected .*65535" view run --port 65536
     bad 2 'found the address "example.com", expected one like 127.0.0.1' view run --bind example.com
-    bad 3 "run/config.toml: cannot be made a folder" view run --save-to run/config.toml
+    bad 3 "cannot create the folder .*run/config.toml" view run --save-to run/config.toml
     "$relidar" view run --port 0 --bind 0.0.0.0 --quiet >address 2>err &
     local pid=$! port
     for _ in $(seq 300); do

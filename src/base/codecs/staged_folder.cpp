@@ -49,7 +49,7 @@ StagedFolder::StagedFolder(const fs::path& wanted)
     fs::remove_all(path_, failed);
     fs::create_directories(path_, failed);
     if (failed)
-        throw DataError(fmt::format("{}: cannot be made a folder: {}", path_.string(), failed.message()));
+        throw DataError(fmt::format("cannot create the folder {}: {}", path_.string(), failed.message()));
 }
 
 StagedFolder::~StagedFolder() {
