@@ -159,7 +159,7 @@ class Evaluate(TestCase):
     def test_bad_input(self):
         self.assert_fails(relidar.UsageError, "expected nearest or nearest-actors", relidar.evaluate, run(), log(), baseline="nerest")
         part = relidar.load_sequence(street(), relidar.Config("quick", {"dataset.frames_end": 3}))
-        self.assert_fails(relidar.DataError, "frame 4 is not there", relidar.evaluate, run(), part)
+        self.assert_fails(relidar.DataError, "has no frame 4", relidar.evaluate, run(), part)
 
 
 class Pictures(TestCase):

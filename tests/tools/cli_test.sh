@@ -585,7 +585,7 @@ evaluation() {
     bad 3 "cannot create the folder" eval run --out broken.toml/m.json
     bad 3 "nowhere: no such folder" eval run --set dataset.path=nowhere
     mkdir short && sed 's/^n_frames.*/n_frames = 8/' street/street.toml >short/street.toml
-    bad 3 "frame 10 is not there" eval run --set dataset.path=short
+    bad 3 "has no frame 10" eval run --set dataset.path=short
 }
 
 # Eight rows of 48 rays are too few to place a scan by.
@@ -807,7 +807,7 @@ interruption() {
 resuming() {
     [[ -n $stopped_at ]] || return 0   # said above
     local total=$((stopped_at + 3))
-    bad 2 "resuming from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
+    bad 2 "resume from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
     good train --resume stopped --set train.iterations=$total --set train.checkpoint_minutes=1e-9 --no-eval
     says "^resume  from iteration $stopped_at$"
     check "the resumed log does not have each iteration once" diff <(seq 1 $total) <(grep -o '"iteration":[0-9]*' stopped/log.jsonl | cut -d: -f2)
@@ -847,11 +847,11 @@ network_resuming() {
     good train --resume half
     says "has already finished"
     good train --resume other --no-eval --set refine.epochs=1
-    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: resuming the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 15 as in the checkpoint; the network is .*trained from the beginning" err
+    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: cannot resume the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 15 as in the checkpoint; the network is .*trained from the beginning" err
     exists other/drop_network.safetensors
     stop_in_network refine other --no-eval --set refine.epochs=15
     check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: the network of other is unchanged; continue with: relidar refine --resume other$" err
-    bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
+    bad 2 "resume the ray-drop network from step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
     good refine --resume other --no-eval
     says "^resume  from step [1-9]"
     check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors
