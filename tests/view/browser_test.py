@@ -66,7 +66,7 @@ def moves(page):
     page.wait("a tap of W to drive half a metre", lambda: page.find("#place-x").get_attribute("value") == "0.5")
     page.type("#place-x", "1e9")
     assert page.find("#place-x").get_attribute("value") == "1", "it shows another place than it uses"
-    assert "out of reach" in page.find("#sensor-hint").text
+    assert "out of range" in page.find("#sensor-hint").text
     page.click("#reset-place")
     page.wait("the first image again", lambda: share_of_changes(before, page.strip()) < 0.01)
 
@@ -130,7 +130,7 @@ def edits(page, relidar, work):
     info = subprocess.run([relidar, "info", str(work / "saved/edited")], capture_output=True, text=True, check=True).stdout
     assert "--copy 0@" in info and "--remove 0" in info, info
     page.click("#save")
-    page.wait("a second run of that name refused", lambda: "it is there already" in page.find("#save-hint").text)
+    page.wait("a second run of that name refused", lambda: "already exists" in page.find("#save-hint").text)
 
 
 def shows_the_log(page):
