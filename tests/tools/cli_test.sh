@@ -543,7 +543,7 @@ keeping_assets() {
 
 wrong_edits() {
     bad 2 "no edit is given" edit run --out x
-    bad 2 'found no such track, did you mean "0"\?' edit run --out x --remove 00
+    bad 2 'no such track, did you mean "0"\?' edit run --out x --remove 00
     bad 2 '--move 7:1,0,0: cannot edit track "7"' edit run --out x --move 7:1,0,0
     bad 2 'move: found "0:1,2", expected TRACK:dx,dy,dz' edit run --out x --move 0:1,2
     bad 2 'move: found "x" in "1,x,2"' edit run --out x --move 0:1,x,2
@@ -554,7 +554,7 @@ wrong_edits() {
     bad 2 'copy: found "0@1,2,3,4,5", expected TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3,4,5
     bad 2 'copy: found "0@1,ground", expected TRACK@x,y,z,yaw_deg.* or TRACK@x,y,ground' edit run --out x --copy 0@1,ground
     bad 2 'copy: found "0@1,2,ground3", expected' edit run --out x --copy 0@1,2,ground3
-    bad 2 'copy 0@900,2,ground: placing 0 on the ground at 900,2 of the dataset.s world: found no surface' edit run --out x --copy 0@900,2,ground
+    bad 2 'copy 0@900,2,ground: place 0 on the ground at 900,2 .*no surface' edit run --out x --copy 0@900,2,ground
     bad 2 'insert run#7@1,2,ground: editing track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:

@@ -106,8 +106,7 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
                 session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
     session.progress = [show = shown_by(progress)](std::string_view what, double done) {
-        if (interrupted())
-            throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
+        if (interrupted()) throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
         show(what, done);
     };
     session.stop = interrupted;
