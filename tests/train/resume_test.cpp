@@ -409,7 +409,7 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
     config.train.scale_rate = 1e39;  // exceeds the range of float
     const std::string message = data_error([&] { run(config); });
     EXPECT_TRUE(std::regex_search(
-        message, std::regex("^training, iteration 1: array parameters/log_scale: row [0-9]+ holds")))
+        message, std::regex("^training failed at iteration 1: row [0-9]+ of array .parameters/log_scale.")))
         << message;
     EXPECT_TRUE(list_checkpoints(folder).empty());
 }

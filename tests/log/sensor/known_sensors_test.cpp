@@ -131,7 +131,7 @@ TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
         HasSubstr(
             "j.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'?"));
     EXPECT_THAT(message(write("k.csv", "elevation_deg,elevation_deg\n5,1\n")),
-                HasSubstr("'elevation_deg' is there twice"));
+                HasSubstr("'elevation_deg' occurs twice"));
 }
 
 TEST(KnownSensors, SizesThatNoSensorHasAreRefused) {

@@ -204,7 +204,7 @@ TEST(SensorFiles, WrongFilesAreNamed) {
                 HasSubstr("a.csv line 2: elevation_deg is 'nan'"));
     EXPECT_THAT(message(write("b.csv", "azimuth_deg,elevation_deg\n")), HasSubstr("b.csv: found 0 rays"));
     EXPECT_THAT(message(write("c.csv", "azimuth_deg,elevation_deg,wavelength\n1,1,905\n")),
-                HasSubstr("column 'wavelength' is not known"));
+                HasSubstr("column 'wavelength' is unknown"));
     EXPECT_THAT(message(write("d.csv", "azimuth_deg,elevation_deg,max_range_m\n1,1,50\n1,1,60\n")),
                 HasSubstr("d.csv line 3: max_range_m is 60, expected 50 as in the first line"));
     EXPECT_THAT(message(write("e.csv", "azimuth_deg,time_s\n1,1\n")),
@@ -262,7 +262,7 @@ TEST(SensorFiles, WhatSweepsIsDescribedInAFewNumbers) {
     EXPECT_NE(make_rays(flower, 0.0).direction, make_rays(flower, 0.1).direction);
     EXPECT_EQ(flower.limits.max_m, 80.0);
     EXPECT_THAT(message(write("j.json", R"({"window": {"rows": 3}})")),
-                HasSubstr("window.columns: missing, expected it"));
+                HasSubstr("window.columns is missing"));
     EXPECT_THAT(message(write("k.json", R"({"rosette": {"rays": 5, "petals": 3}})")),
                 HasSubstr("unknown member 'petals'"));
     EXPECT_THAT(

@@ -324,9 +324,7 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     std::string dots = "loss";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
-    EXPECT_NE(data_error([&] {
-                  load_config(config, folder / "c.toml");
-              }).find("c.toml:1: a key of more than 8 parts"),
+    EXPECT_NE(data_error([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: found a key"),
               std::string::npos);
     EXPECT_NE(
         data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"),

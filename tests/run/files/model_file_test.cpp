@@ -213,7 +213,7 @@ TEST_F(ModelFile, ModelsMustCoverTheSurfels) {
               std::string::npos);
     EXPECT_NE(error(R"(0,"count":4,"half_size_m":[1,-1,1]}])" + instances).find("half_size_m[1]: found -1"),
               std::string::npos);
-    EXPECT_NE(error(R"(0,"count":4}])" + instances).find("models[0].half_size_m: missing"),
+    EXPECT_NE(error(R"(0,"count":4}])" + instances).find("models[0].half_size_m is missing"),
               std::string::npos);
     EXPECT_NE(error(R"(0,"count":-4)" + box + instances).find("models[0].count: found -4"),
               std::string::npos);

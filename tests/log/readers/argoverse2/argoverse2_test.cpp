@@ -306,9 +306,9 @@ TEST(Argoverse2, SaysWhichFileIsWrong) {
            "column 'offset_ns': row 0 is 300000000, expected nanoseconds within 200000000");
     refuse(sweep, {test::number_column("x", std::vector<float>())}, "no points, expected a sweep");
     refuse(sweep, {test::number_column("x", std::vector<float>{1.0f})},
-           "column 'y': no such column among 'x'");
+           "column 'y': the file has no such column");
     const std::string original = test::read_text(sweep);
-    expect_refused(log, sweep, original.substr(0, original.size() / 2), "cut short");
+    expect_refused(log, sweep, original.substr(0, original.size() / 2), "truncated");
     expect_refused(log, sweep, "", "0 bytes");
 }
 

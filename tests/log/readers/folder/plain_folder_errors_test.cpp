@@ -95,7 +95,7 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", "", "sequence.json: not valid JSON");
     expect("sequence.json", head.substr(0, 40), "sequence.json: not valid JSON");
     expect("sequence.json", "[]", "expected an object");
-    expect("sequence.json", "{}", "format: missing");
+    expect("sequence.json", "{}", "format is missing");
     expect("sequence.json", replaced(head, "relidar log", "relidar"),
            "format: found another one, expected \"relidar log\"");
     expect("sequence.json", replaced(head, "1,", "2,"), "version: found 2");
@@ -113,7 +113,7 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [], \"columns\": 8}}]"),
            "beams: found 0 beams");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}]}}]"),
-           "columns: missing");
+           "columns is missing");
     expect("sequence.json",
            with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}, {\"elevation_deg\": 2}], "
                 "\"columns\": 8}}]"),
@@ -140,7 +140,7 @@ TEST_F(FolderDamage, OfListedFrames) {
     };
     const std::string a = R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd"})";
     expect("sequence.json", frames(""), "frames: found no frame");
-    expect("sequence.json", frames(R"({"number": 0, "scan": "scans/a.pcd"})"), "frames[0].time_s: missing");
+    expect("sequence.json", frames(R"({"number": 0, "scan": "scans/a.pcd"})"), "frames[0].time_s is missing");
     expect("sequence.json", frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"),
            "frames[0].number: found -1");
     expect("sequence.json", frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"),

@@ -235,18 +235,19 @@ TEST(Waymo, DamagedFilesAreRefused) {
         bytes[at] = char(bytes[at] ^ 0x10);
         return bytes;
     };
-    EXPECT_THAT(refusal(segment, ""), HasSubstr(".tfrecord: empty, expected records"));
+    EXPECT_THAT(refusal(segment, ""), HasSubstr(".tfrecord is empty"));
     EXPECT_THAT(refusal(segment, original.substr(0, first_size + 5)),
-                HasSubstr("record 1: truncated: 5 bytes of its header, expected 12"));
+                HasSubstr("record 1 is truncated: its header has 5 bytes"));
     EXPECT_THAT(refusal(segment, original.substr(0, original.size() - 1)),
-                HasSubstr("record 2: truncated: a length of "));
+                HasSubstr("record 2 is truncated: its length is "));
     EXPECT_THAT(refusal(segment, flipped(first_size + 100)),
-                HasSubstr("record 1: the CRC of its data is wrong"));
-    EXPECT_THAT(refusal(segment, flipped(first_size)), HasSubstr("record 1: the CRC of its length is wrong"));
+                HasSubstr("record 1: the checksum (CRC) of its data"));
+    EXPECT_THAT(refusal(segment, flipped(first_size)),
+                HasSubstr("record 1: the checksum (CRC) of its length"));
     const std::string absurd("\xff\xff\xff\xff\xff\xff\xff\x7f", 8);
     const std::string header = absurd + test::tfrecord(absurd).substr(20, 4);  // the CRC of these 8 bytes
     EXPECT_THAT(refusal(segment, header + original),
-                HasSubstr("record 0: truncated: a length of 9223372036854775807 bytes with"));
+                HasSubstr("record 0 is truncated: its length is 9223372036854775807 bytes"));
     EXPECT_THAT(refusal(segment, test::tfrecord("not a message")), HasSubstr("record 0: "));
     EXPECT_THAT(refusal(segment, test::tfrecord("")), HasSubstr("record 0: no pose, expected a Frame"));
 }
