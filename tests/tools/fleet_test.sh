@@ -47,7 +47,7 @@ score_tables() {
     bad 2 "found 2 runs as arguments; expected one run, or --table" eval scored/a scored/d
     bad 2 "table: found t.txt; expected .*.md, .csv or .html" eval scored/a --table t.txt
     bad 2 "--set cannot be used together with --table" eval scored/a --table t.md --set render.range=median
-    bad 3 "nowhere: not a run folder" eval scored/a nowhere --table t.md
+    bad 3 "nowhere is not a run folder" eval scored/a nowhere --table t.md
     mkdir scored/unscored scored/damaged
     touch scored/unscored/scene.json scored/damaged/scene.json
     printf '{"mean": ' >scored/damaged/metrics.json

@@ -303,7 +303,7 @@ TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
     run.sequence = weak_street();
     for (Frame& frame : run.sequence.frames)
         for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);
-    EXPECT_THAT(message(), ::testing::HasSubstr("found no dropped ray in any frame"));
+    EXPECT_THAT(message(), ::testing::HasSubstr("no training frame has a dropped ray"));
 }
 
 }  // namespace

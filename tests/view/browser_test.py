@@ -79,7 +79,7 @@ def changes_sensor(page, work):
     page.wait("3 rows of a file", lambda: page.find("#image-size").text.startswith("3 × "))
     (work / "bad.csv").write_text("elevation_deg,colour\n5,1\n")
     page.find("#sensor-file").send_keys(str(work / "bad.csv"))
-    page.wait("what is wrong with a file", lambda: "bad.csv line 1: column 'colour' is not known" in page.find("#sensor-hint").text)
+    page.wait("what is wrong with a file", lambda: "bad.csv line 1: column 'colour' is unknown" in page.find("#sensor-hint").text)
     Select(page.find("#sensor")).select_by_value("native")
     page.wait("32 rows again", lambda: page.find("#image-size").text == "32 × 512")
 

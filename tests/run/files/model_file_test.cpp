@@ -86,7 +86,8 @@ TEST_F(ModelFile, GaussiansHaveASixthArray) {
     EXPECT_EQ(metadata.at("primitive"), "gaussian");
     metadata.erase("primitive");
     write_safetensors(path, arrays, metadata);
-    EXPECT_NE(load_error().find("primitive: missing, expected one of surfel, gaussian"), std::string::npos);
+    EXPECT_NE(load_error().find("\"primitive\" is missing, expected one of surfel, gaussian"),
+              std::string::npos);
     metadata["primitive"] = "gaussian";
     array("log_scale_w").shape = {2, 2};
     write_safetensors(path, arrays, metadata);

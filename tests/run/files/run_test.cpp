@@ -433,7 +433,7 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"),
               std::string::npos);
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/columns", -1)
-                  .find("lidars[0].sensor.spinning.columns: found -1, expected an integer in 1.."),
+                  .find("lidars[0].sensor.spinning.columns: found -1, expected an integer from 1 to"),
               std::string::npos);
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1", {0.0, 1.0})
                   .find("lidars[0].sensor.spinning.beams[1]: found an array of 2, expected an object"),
