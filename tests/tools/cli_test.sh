@@ -311,7 +311,7 @@ rendering() {
     check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept has no held-out frames; all 12" err
     check "render of a run that held nothing out left frames out" test "$(ls kept_scans | wc -l)" = 13
     bad 2 "selects no frame of run" render run --out x --frames 100:200
-    bad 2 'format: found "npy", did you mean npz' render run --out x --format npy
+    bad 2 'format: "npy" is unknown, did you mean npz' render run --out x --format npy
     bad 2 "offset: found 2 numbers" render run --out x --offset 1,2
     bad 2 'format: "" is unknown .*npz' render run --out x --format npz,
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
@@ -321,7 +321,7 @@ rendering() {
     bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
     bad 2 "99999999 columns at 10 Hz, expected a whole number from 1 to 1000000" render run --out x --sensor beams.csv:99999999x10
     printf 'elevation_deg,azimuth_ofset_deg\n5,1\n' >typo.csv
-    bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
+    bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is unknown, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
     bad 2 "offset: found \"x\"" render run --out x --offset 1,2,x
     bad 2 "did you mean 'VLP-16'" render run --out x --sensor VLP16
     good list sensors

@@ -129,7 +129,7 @@ TEST(KnownSensors, ColumnsThatAreNotKnownAreErrors) {
     EXPECT_THAT(
         message(write("j.csv", "elevation_deg,azimuth_ofset_deg\n5,1\n")),
         HasSubstr(
-            "j.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'?"));
+            "j.csv line 1: column 'azimuth_ofset_deg' is unknown, did you mean 'azimuth_offset_deg'?"));
     EXPECT_THAT(message(write("k.csv", "elevation_deg,elevation_deg\n5,1\n")),
                 HasSubstr("'elevation_deg' occurs twice"));
 }

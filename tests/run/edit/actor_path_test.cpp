@@ -65,7 +65,7 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
                     1e-12)
             << text;
     }
-    EXPECT_NE(error("time_s,x,y,z,yaw\n").find("line 1: column 'yaw' is not known, did you mean 'yaw_"),
+    EXPECT_NE(error("time_s,x,y,z,yaw\n").find("line 1: column 'yaw' is unknown, did you mean 'yaw_"),
               std::string::npos);
     EXPECT_NE(error("time_s,x,y,z,yaw\n").find("known: time_s, x, y, z, yaw_deg"), std::string::npos);
     EXPECT_NE(error("time_s,x,y,z,pitch_deg\n").find("column 'yaw_deg' or 'yaw_rad' is missing"),

@@ -169,7 +169,7 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", "0 0 0 0 0.5 0 0 0\n", "a quaternion of length 0.5");
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "poses from 5 to 6 s, but frame 0 is at 0 s");
     expect("poses.txt", "# time_s x y z qw qx qy yaw\n0 0 0 0 1 0 0 0\n",
-           "poses.txt line 1: column 'yaw' is not known");
+           "poses.txt line 1: column 'yaw' is unknown");
     expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1: found no column 'qz'");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json: not valid JSON");
