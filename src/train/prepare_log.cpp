@@ -330,8 +330,8 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     if (!session.tell || !session.group.is_first()) session.tell = [](const std::string&) {};
     if (!has_poses(sequence, config) && !registers_sensor(config.train))
         throw UsageError(
-            "the log has no poses, or dataset.poses is none, so the poses must be estimated from the "
-            "scans; use train.refine_poses=sensor");
+            "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from "
+            "the scans; use train.refine_poses=sensor");
     begin_stage(session.stages, "register");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     begin_stage(session.stages, "calibrate");

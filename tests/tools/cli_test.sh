@@ -58,8 +58,8 @@ wrong_usage() {
     bad 2 'setting train.seed: found "-1"' train street --out x --seed -1
     bad 2 'device: found "x", expected an integer' train street --out x --device x
     bad 2 'traversal: found "x", expected auto' train street --out x --traversal x
-    bad 2 "dataset.sequence: found .kd1. for a synthetic street, which is one drive; expected none" info street --sequence kd1
-    bad 2 "lidar: found .rear., expected none: the log has one LiDAR" info street --set dataset.lidars=rear
+    bad 2 "dataset.sequence: found .kd1., but a synthetic street is a single drive" info street --sequence kd1
+    bad 2 "lidar: found .rear., expected none" info street --set dataset.lidars=rear
     bad 2 'empty range "5:5"' train street --out x --frames 5:5
     bad 2 'expected FIRST:END' train street --out x --frames 5
     bad 3 "missing.toml: no such file" train street --out x --config missing.toml
@@ -316,10 +316,10 @@ rendering() {
     bad 2 'format: "" is unknown .*npz' render run --out x --format npz,
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
     bad 2 "offset: found a yaw angle of 1000000000 in" render run --out x --offset 0,0,0,1e9
-    bad 2 'lidar: found "rear", expected none: the log has one LiDAR' render run --out x --lidar rear
+    bad 2 'lidar: found "rear", expected none' render run --out x --lidar rear
     bad 2 '--frame: found "wold", expected sensor or world' render run --out x --frame wold
     bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
-    bad 2 "99999999 columns at 10 Hz, expected a whole number from 1 to 1000000" render run --out x --sensor beams.csv:99999999x10
+    bad 2 "99999999 columns at 10 Hz, expected 1 to 1000000 columns" render run --out x --sensor beams.csv:99999999x10
     printf 'elevation_deg,azimuth_ofset_deg\n5,1\n' >typo.csv
     bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is unknown, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
     bad 2 "offset: found \"x\"" render run --out x --offset 1,2,x
@@ -366,7 +366,7 @@ range_limits() {
     check "an empty ply lacks its fields" test "$(grep -ac '^property' nothing/frame_000005.ply)" = 7
     good eval run --out limited.json --set dataset.max_range_m=20
     check "eval with another range limit gives the same numbers" test "$(grep -c depth_medae limited.json)" -gt 0 -a "$(grep -m1 strict/depth_rmse_m limited.json)" != "$(grep -m1 strict/depth_rmse_m run/metrics.json)"
-    bad 2 "range limits: 30 to 20 m, expected 0 <= dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
+    bad 2 "range limits are 30 to 20 m, expected 0 <= dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
 }
 
 points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
@@ -555,7 +555,7 @@ wrong_edits() {
     bad 2 'copy: found "0@1,ground", expected TRACK@x,y,z,yaw_deg.* or TRACK@x,y,ground' edit run --out x --copy 0@1,ground
     bad 2 'copy: found "0@1,2,ground3", expected' edit run --out x --copy 0@1,2,ground3
     bad 2 'copy 0@900,2,ground: place 0 on the ground at 900,2 .*no surface' edit run --out x --copy 0@900,2,ground
-    bad 2 'insert run#7@1,2,ground: editing track "7"' edit run --out x --insert run#7@1,2,ground
+    bad 2 'insert run#7@1,2,ground: cannot edit track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
     bad 2 'insert run@1,2,3,4: run: found 2 actors and none of them named, expected an asset, or RUN#TRACK with one of 0, 1' edit run --out x --insert run@1,2,3,4
@@ -619,7 +619,7 @@ baseline() {
     good eval street --baseline nearest --set dataset.test_frames=3,7:9 --quiet --pictures named
     for frame in 3 7 8; do exists named/range_00000$frame.png; done
     absent named/range_000010.png
-    bad 2 "dataset.test_frames: found 99, expected frames that are read of the log: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
+    bad 2 "dataset.test_frames: found frame 99, expected only frames that are read from the log: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
     for set in train.iterations=3 sensor.grid_method=cast dataset.path=elsewhere; do
         bad 2 "setting ${set%=*} has no effect in .relidar eval LOG --baseline." eval street --baseline nearest --set $set
     done

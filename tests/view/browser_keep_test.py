@@ -194,7 +194,7 @@ def goes_on_after_a_restart(page, relidar, work, viewer):
         page.wait("scans of the program that is new", lambda: page.strip() != before)
         viewer.end()
         viewer = Viewer(relidar, work, "saved/placed", "--port", port)
-        page.wait("another run to be noticed", lambda: "another run now, placed instead of run" in page.find("#note").text)
+        page.wait("another run to be noticed", lambda: "now shows the run placed instead of run" in page.find("#note").text)
         page.wait("the other run without the edits", lambda: page.find("#message").text == "" and page.points() > 5_000)
         page.driver.save_screenshot(str(work / "another_run.png"))
         assert "gone" not in page.find(".actor[data-track='1']").get_attribute("class")

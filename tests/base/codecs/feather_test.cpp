@@ -114,7 +114,7 @@ TEST(Feather, SaysWhatIsWrong) {
            [](const Feather& t) { t.numbers("x"); });
     const std::string large =
         test::feather_bytes({test::number_column("x", std::vector<std::uint64_t>{1, 1ull << 63})});
-    expect(large, "column 'x': 9223372036854775808 is beyond 63 bits",
+    expect(large, "column 'x': the integer 9223372036854775808 is too large",
            [](const Feather& t) { t.integers("x"); });
 }
 

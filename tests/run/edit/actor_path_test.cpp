@@ -71,7 +71,7 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
     EXPECT_NE(error("time_s,x,y,z,pitch_deg\n").find("column 'yaw_deg' or 'yaw_rad' is missing"),
               std::string::npos);
     EXPECT_NE(error("time_s,x,z,yaw_deg\n").find("column 'y' is missing"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,yaw_deg,yaw_rad\n").find("found both 'yaw_deg' and 'yaw_rad'"),
+    EXPECT_NE(error("time_s,x,y,z,yaw_deg,yaw_rad\n").find("found both columns 'yaw_deg' and 'yaw_rad'"),
               std::string::npos);
     EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3\n").find("line 2: found 4 columns, expected 5"),
               std::string::npos);

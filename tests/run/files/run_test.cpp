@@ -337,7 +337,7 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
     rays.erase("divergence_rad");
     rays["divergence"] = std::vector<double>(30, -1e-3);
     put(run.folder / "scene.json", broken.dump());
-    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("divergence in radians, number 0 is -0.001"),
+    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("entry 0 of divergence (radians) is -0.001"),
               std::string::npos);
 }
 
@@ -393,7 +393,8 @@ TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
     EXPECT_NE(replaced("/frames/1/world_from_vehicle/4", 5.0).find("quaternion of length"),
               std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_vehicle/0", 1e308)
-                  .find("frames[1].world_from_vehicle: found 1e+308, expected numbers within 1000000"),
+                  .find("frames[1].world_from_vehicle: found 1e+308, expected an absolute value of at most "
+                        "1000000"),
               std::string::npos);
     EXPECT_NE(
         replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"),
