@@ -282,7 +282,7 @@ rendering() {
     check "no rain changes a scan" cmp -s drawn/frame_000003.npz unclouded/frame_000003.npz
     bad 2 "weather: found fog=0, expected a visibility of 1 to 1e6 metres" render run --out x --weather fog=0
     bad 2 "weather: found rain=-3, expected 0 to 500 mm/h" render run --out x --weather rain=-3
-    bad 2 "weather: found rain=3 and snow=1, expected one of them" render run --out x --weather rain=3,snow=1
+    bad 2 "weather: found rain=3 and snow=1, expected only one of them" render run --out x --weather rain=3,snow=1
     bad 2 "weather: found \"hail\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES" render run --out x --weather hail
     good render run --out sunny --frames 2:4 --sample 7 --weather bloom,sun=90:10
     check "scans.json does not say all of the weather" grep -q '"weather": "bloom=0.00012,sun=90:10"' sunny/scans.json
@@ -341,13 +341,13 @@ rendering() {
     bad 2 "--merge needs a rig" render run --out x --sensor VLP-16 --merge
     bad 2 "--topic has no effect.*mcap or rosbag" render run --out x --topic /points
     bad 2 '--frame-id: found "a" for all sensors of a rig.*\{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
-    bad 2 'found topic "points", expected one as /lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
+    bad 2 'found topic "points", expected a name such as /lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
     absent x
     bad 2 "rig/top: the folder already contains rendered scans" render run --out rig --frames 5:6 --sensor rig.json
     good render run --out wide --frames 5:6 --sensor VLP-16 --format npz,pcd --set sensor.sub_rays=5 --set sensor.returns=2
     check "a second return is missing from the pcd" grep -aq "^FIELDS x y z intensity ring time instance return$" wide/frame_000005.pcd
-    bad 2 "sensor.sub_rays: nothing is known of the beam divergence of XT32" render run --out x --sensor XT32 --set sensor.sub_rays=5
-    bad 2 "sensor.returns: found 2 with sensor.sub_rays = 1" render run --out x --sensor VLP-16 --set sensor.returns=2
+    bad 2 "sensor.sub_rays: the beam divergence of XT32 is unknown" render run --out x --sensor XT32 --set sensor.sub_rays=5
+    bad 2 "sensor.returns=2 needs sensor.sub_rays" render run --out x --sensor VLP-16 --set sensor.returns=2
     bad 3 "cannot create the folder" render run --out broken.toml/x
     absent x
 }
@@ -558,7 +558,7 @@ wrong_edits() {
     bad 2 'insert run#7@1,2,ground: cannot edit track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
-    bad 2 'insert run@1,2,3,4: run: found 2 actors and none of them named, expected an asset, or RUN#TRACK with one of 0, 1' edit run --out x --insert run@1,2,3,4
+    bad 2 'insert run@1,2,3,4: run is a run with 2 actors, expected an asset, or RUN#TRACK with one of 0, 1' edit run --out x --insert run@1,2,3,4
     bad 3 'nowhere: no such folder' edit run --out x --insert nowhere@1,2,3,4
     bad 2 'insert: found "run#@1,2,3,4", expected RUN#TRACK' edit run --out x --insert run#@1,2,3,4
     bad 3 'nowhere: no such folder' edit run --out x --insert nowhere#0@1,2,3,4

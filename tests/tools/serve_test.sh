@@ -130,7 +130,7 @@ stop
 # Adds the other car of the street as an asset with a name chosen by the client. After its
 # removal the name must be free.
 bad 3 "nowhere: no such folder" serve run --assets nowhere
-bad 3 "street: found no asset in it" serve run --assets street
+bad 3 "street contains no asset" serve run --assets street
 "$relidar" assets run --out assets --least 0 --quiet || fail "no assets to serve"
 serve run --assets assets
 for round in first second; do

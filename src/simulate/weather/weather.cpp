@@ -28,7 +28,8 @@ constexpr const char* kExpected =
     "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, "
     "sun=AZIMUTH:ELEVATION or bloom=REFLECTIVITY, or several of them";
 constexpr const char* kSun =
-    "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to 150";
+    "sun=AZIMUTH:ELEVATION or sun=AZIMUTH:ELEVATION:KLUX with an azimuth from -360 to 360 "
+    "degrees, an elevation from 0 to 90 degrees and an illuminance above 0 and up to 150 klux";
 constexpr double kUsual_klux = 100.0;  // illuminance on a clear day
 
 struct Kind {
@@ -92,7 +93,7 @@ std::string sun_text(const Sun& sun) {
 /// @param equals position of the equals sign, or the length of the word
 void read_word(Weather& weather, std::string_view word, std::size_t equals) {
     const auto twice = [](std::string_view name) {
-        throw UsageError(fmt::format("weather: found {} twice, expected it once", name));
+        throw UsageError(fmt::format("weather: {} occurs twice, expected it once", name));
     };
     const std::string_view name = word.substr(0, equals),
                            text = word.substr(std::min(equals + 1, word.size()));
@@ -141,7 +142,7 @@ void check_weather(const Weather& weather) {
     if (weather.sun != Sun{} && !is_sun(weather.sun))
         throw UsageError(fmt::format("weather: found {}, expected {}", sun_text(weather.sun), kSun));
     if (weather.rain_mm_h > 0.0 && weather.snow_mm_h > 0.0)
-        throw UsageError(fmt::format("weather: found rain={} and snow={}, expected one of them",
+        throw UsageError(fmt::format("weather: found rain={} and snow={}, expected only one of them",
                                      weather.rain_mm_h, weather.snow_mm_h));
 }
 
