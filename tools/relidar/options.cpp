@@ -161,7 +161,7 @@ void add_log_part_options(CLI::App& command, LogPart& part) {
         ->type_name("A:B");
     command
         .add_option("--sequence", part.sequence,
-                    "name of the drive if the dataset holds several (default: the first)")
+                    "name of the drive if the dataset contains several (default: the first)")
         ->type_name("NAME");
 }
 

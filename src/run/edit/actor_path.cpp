@@ -75,8 +75,8 @@ std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& ce
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))
-            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number within {:.0e}", where,
-                                        kNames[f], excerpt(cell), kLargest));
+            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number of at most {:.0e}",
+                                        where, kNames[f], excerpt(cell), kLargest));
         row[f] = *value;
     }
     return row;

@@ -49,7 +49,7 @@ struct Source {
         const auto number = parse_number(trimmed(value));
         if (!number || !(std::abs(*number) <= kMost))
             fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"",
-                 fmt::format("a finite number within {:.0e}", kMost));
+                 fmt::format("a finite number of at most {:.0e}", kMost));
         return *number;
     }
 };

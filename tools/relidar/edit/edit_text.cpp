@@ -307,11 +307,13 @@ const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
         {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
-         "shift an actor along its whole path, in its own frame (forward, left, up), and turn it left"},
+         "shift an actor along its full path, in the frame of its box (forward, left, up), and "
+         "turn it to the left by yaw_deg"},
         {"--retime", "TRACK:seconds", "delay all motion of an actor by this time"},
         {"--trajectory", "TRACK:FILE.csv",
-         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; a header may "
-         "give these names in any order, with _rad for radians"},
+         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; an "
+         "optional header line names the columns in any order, and names that end in _rad are in "
+         "radians"},
         {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
          "add a copy of an actor that drives straight ahead at speed m/s; ground: take height and tilt from "
          "the surface below"},

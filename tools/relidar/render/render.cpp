@@ -509,11 +509,12 @@ void add_render(CLI::App& app, Call& call) {
                      "draw random scans with this seed: drops by their probability, ranges and intensities "
                      "with the noise of the log (default: the most likely scan, without noise)")
         ->check([](const std::string& text) {
-            return text.starts_with('-') ? fmt::format("found {}, expected a whole number from 0", text)
+            return text.starts_with('-') ? fmt::format("found {}, expected an integer of at least 0", text)
                                          : std::string();
         })
         ->type_name("SEED");
-    add_weather_option(*command, options->weather, "all scans; the seed is that of --sample, else 0");
+    add_weather_option(*command, options->weather,
+                       "all scans; the seed is that of --sample, or 0 without it");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
