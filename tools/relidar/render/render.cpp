@@ -513,8 +513,7 @@ void add_render(CLI::App& app, Call& call) {
                                          : std::string();
         })
         ->type_name("SEED");
-    add_weather_option(*command, options->weather,
-                       "all scans; the seed is that of --sample, or 0 without it");
+    add_weather_option(*command, options->weather, "all scans; the seed is --sample, or 0 without it");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
