@@ -28,12 +28,11 @@ std::vector<int> find_columns(const std::vector<std::string_view>& header,
         const auto f =
             static_cast<std::size_t>(std::find(known.begin(), known.end(), header[c]) - known.begin());
         if (f == known.size()) {
-            throw DataError(fmt::format("{}: column '{}' is not known{} (known: {})", where,
-                                        excerpt(header[c]), did_you_mean(header[c], known, "'"),
-                                        fmt::join(known, ", ")));
+            throw DataError(fmt::format("{}: column '{}' is unknown{} (known: {})", where, excerpt(header[c]),
+                                        did_you_mean(header[c], known, "'"), fmt::join(known, ", ")));
         }
         if (at[f] >= 0)
-            throw DataError(fmt::format("{}: column '{}' is there twice, expected once", where, header[c]));
+            throw DataError(fmt::format("{}: column '{}' occurs twice, expected it once", where, header[c]));
         at[f] = static_cast<int>(c);
     }
     return at;

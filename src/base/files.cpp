@@ -20,7 +20,7 @@ namespace fs = std::filesystem;
 namespace {
 
 DataError unreadable(const fs::path& path, const std::error_code& failed) {
-    return DataError(fmt::format("{}: cannot be read: {}", path.string(), failed.message()));
+    return DataError(fmt::format("cannot read {}: {}", path.string(), failed.message()));
 }
 
 /// Returns the file status of a path. Returns file_type::not_found if nothing exists at
@@ -46,8 +46,8 @@ std::string read_file(const fs::path& path) {
     std::string text(n_bytes, '\0');
     in.read(text.data(), static_cast<std::streamsize>(text.size()));
     if (in.gcount() != static_cast<std::streamsize>(text.size())) {
-        throw DataError(
-            fmt::format("{}: only {} of {} bytes could be read", path.string(), in.gcount(), text.size()));
+        throw DataError(fmt::format("cannot read {}: only {} of {} bytes could be read", path.string(),
+                                    in.gcount(), text.size()));
     }
     return text;
 }

@@ -51,7 +51,7 @@ JsonField JsonField::at(const std::string& key) const {
     if (!value_->is_object()) fail(describe_value(*value_), "expected an object");
     const auto it = value_->find(key);
     const std::string name = name_.empty() ? key : name_ + "." + key;
-    if (it == value_->end()) throw DataError(fmt::format("{}: {}: missing, expected it", *file_, name));
+    if (it == value_->end()) throw DataError(fmt::format("{}: {} is missing", *file_, name));
     return {*it, *file_, name};
 }
 
@@ -67,7 +67,8 @@ std::size_t JsonField::size() const {
 std::vector<double> JsonField::nested_numbers(int depth) const {
     std::vector<double> numbers;
     if (const nlohmann::json* wrong = collect_numbers(*value_, depth, numbers))
-        fail(wrong->is_array() ? "found lists nested too deep" : fmt::format("found {}", wrong->type_name()),
+        fail(wrong->is_array() ? "found lists that are nested too deeply"
+                               : fmt::format("found {}", wrong->type_name()),
              "expected numbers");
     return numbers;
 }
@@ -93,7 +94,7 @@ double JsonField::number() const {
 double JsonField::number(double low, double high) const {
     const double value = number();
     if (value < low || value > high)
-        fail(describe_value(*value_), fmt::format("expected a number in {:.15g}..{:.15g}", low, high));
+        fail(describe_value(*value_), fmt::format("expected a number from {:.15g} to {:.15g}", low, high));
     return value;
 }
 
@@ -102,7 +103,7 @@ std::int64_t JsonField::integer(std::int64_t low, std::int64_t high) const {
                       !(value_->is_number_unsigned() &&
                         value_->get<std::uint64_t>() > static_cast<std::uint64_t>(INT64_MAX));
     if (!fits || value_->get<std::int64_t>() < low || value_->get<std::int64_t>() > high) {
-        fail(describe_value(*value_), fmt::format("expected an integer in {}..{}", low, high));
+        fail(describe_value(*value_), fmt::format("expected an integer from {} to {}", low, high));
     }
     return value_->get<std::int64_t>();
 }

@@ -15,7 +15,7 @@ namespace relidar {
 /// ... 91 (78 in all)".
 inline std::string list_text(const std::vector<int>& numbers, std::size_t most = 6) {
     if (numbers.size() <= most) return fmt::format("{}", fmt::join(numbers, ", "));
-    return fmt::format("{}, ... {} ({} in all)",
+    return fmt::format("{}, ... {} ({} in total)",
                        fmt::join(numbers.begin(), numbers.begin() + std::ptrdiff_t(most) - 1, ", "),
                        numbers.back(), numbers.size());
 }

@@ -43,12 +43,15 @@ void check_toml_depth(std::string_view text, const std::string& file) {
         if (c == '{' || c == '[') ++depth;
         if (c == '}' || c == ']') depth = std::max(depth - 1, 0);
         if (parts > kMostParts)
-            throw DataError(fmt::format("{}:{}: a key of more than {} parts, expected settings of two", file,
-                                        line, kMostParts));
+            throw DataError(fmt::format(
+                "{}:{}: found a key with more than {} parts, expected settings with two parts such as "
+                "train.iterations",
+                file, line, kMostParts));
         if (depth > kDeepest)
-            throw DataError(
-                fmt::format("{}:{}: brackets more than {} deep, expected settings, one value each", file,
-                            line, kDeepest));
+            throw DataError(fmt::format(
+                "{}:{}: found brackets that are nested more than {} deep, expected settings with one "
+                "value each",
+                file, line, kDeepest));
         line += c == '\n';
         ++at;
     }

@@ -19,25 +19,27 @@ double mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
 [[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& what,
                                   VkResult result) {
-    gpu::fail(result, fmt::format("allocating {:.1f} MiB for {}: the driver answered {} with {:.1f} MiB in "
-                                  "use, expected room on {}",
-                                  mib(size), what, gpu::result_name(result), mib(device.allocated),
-                                  device.info.name));
+    gpu::fail(
+        result,
+        fmt::format("cannot allocate {:.1f} MiB for {}: the driver returned {} while {:.1f} MiB were in use "
+                    "on {}; use fewer frames or a device with more memory",
+                    mib(size), what, gpu::result_name(result), mib(device.allocated), device.info.name));
 }
 
 void check_size(const Device::Impl& device, std::size_t size, const std::string& what) {
     const auto& [limit, name] = device.largest_buffer;
     if (size <= limit) return;
     throw DeviceError(
-        fmt::format("allocating {:.1f} MiB for {} on {}: found {} = {:.1f} MiB, expected that one array fits",
+        fmt::format("cannot allocate {:.1f} MiB for {} on {}: the array is larger than {} = {:.1f} MiB, the "
+                    "limit of the driver",
                     mib(size), what, device.info.name, name, mib(limit)));
 }
 
 void check_budget(const Device::Impl& device, std::size_t size, const std::string& what) {
     if (device.memory_limit_bytes == 0 || device.allocated + size <= device.memory_limit_bytes) return;
     throw DeviceError(
-        fmt::format("allocating {:.1f} MiB for {}: found {:.1f} MiB in use, expected to stay within the "
-                    "limit of {:.1f} MiB",
+        fmt::format("cannot allocate {:.1f} MiB for {}: {:.1f} MiB are in use, and the memory limit is "
+                    "{:.1f} MiB (RELIDAR_MEMORY_LIMIT_MIB)",
                     mib(size), what, mib(device.allocated), mib(device.memory_limit_bytes)));
 }
 

@@ -20,7 +20,8 @@ namespace relidar::gpu {
 
 void check(VkResult result, const char* call) {
     if (result >= 0) return;
-    fail(result, fmt::format("{}: the driver answered {}, expected VK_SUCCESS", call, result_name(result)));
+    fail(result,
+         fmt::format("{} failed: the driver returned {}, expected VK_SUCCESS", call, result_name(result)));
 }
 
 void fail(VkResult result, const std::string& message) {
@@ -37,7 +38,7 @@ std::string result_name(VkResult result) {
         case VK_ERROR_INITIALIZATION_FAILED:
             return "VK_ERROR_INITIALIZATION_FAILED";
         case VK_ERROR_DEVICE_LOST:
-            return "VK_ERROR_DEVICE_LOST (the device hung, was taken away, or its driver was restarted)";
+            return "VK_ERROR_DEVICE_LOST (the device hung or was removed, or its driver was restarted)";
         case VK_ERROR_LAYER_NOT_PRESENT:
             return "VK_ERROR_LAYER_NOT_PRESENT";
         case VK_ERROR_EXTENSION_NOT_PRESENT:
@@ -77,7 +78,7 @@ VkDebugUtilsMessengerCreateInfoEXT messenger_info(Instance* instance) {
 
 Instance::Instance(bool validation) {
     if (volkInitialize() != VK_SUCCESS)
-        throw DeviceError("opening Vulkan: found no Vulkan loader (libvulkan.so.1), expected one");
+        throw DeviceError("cannot use Vulkan: the Vulkan loader (libvulkan.so.1) is not installed");
     VkApplicationInfo app{VK_STRUCTURE_TYPE_APPLICATION_INFO};
     app.pApplicationName = "relidar";
     app.apiVersion = VK_API_VERSION_1_3;
@@ -96,14 +97,12 @@ Instance::Instance(bool validation) {
     const VkResult result = vkCreateInstance(&info, nullptr, &handle);
     if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
         throw DeviceError(
-            "opening Vulkan: found a loader but no Vulkan driver, expected at least one (see "
-            "VK_DRIVER_FILES), such as Mesa's software "
-            "driver");
+            "cannot use Vulkan: no Vulkan driver is installed; install the driver of the GPU, or the "
+            "software driver of Mesa; VK_DRIVER_FILES can also select a driver");
     if (result == VK_ERROR_LAYER_NOT_PRESENT)
         throw DeviceError(
-            "opening Vulkan: found no VK_LAYER_KHRONOS_validation, expected it because validation was asked "
-            "for (package "
-            "vulkan-validationlayers)");
+            "cannot enable Vulkan validation: VK_LAYER_KHRONOS_validation is not installed; install "
+            "the package vulkan-validationlayers");
     check(result, "vkCreateInstance");
     volkLoadInstance(handle);
     if (!validation) return;
@@ -143,12 +142,12 @@ std::vector<DeviceInfo> describe_all(const std::vector<VkPhysicalDevice>& physic
 int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
     if (infos.empty())
         throw DeviceError(
-            "opening a device: found no Vulkan device, expected at least one, such as Mesa's software "
-            "driver");
+            "cannot open a device: this machine has no Vulkan device, expected at least one; install "
+            "a GPU driver or the software driver of Mesa");
     const int n = static_cast<int>(infos.size());
     if (options.index >= n)
         throw DeviceError(
-            fmt::format("opening device {}: found {} devices (0 to {}), expected the number of one of them",
+            fmt::format("cannot open device {}: this machine has {} devices, expected a number from 0 to {}",
                         options.index, n, n - 1));
     if (options.index >= 0) return options.index;
     int best = 0, best_score = -1;
@@ -169,26 +168,26 @@ int choose(const std::vector<DeviceInfo>& infos, const DeviceOptions& options) {
 
 void require(const DeviceInfo& info, Traversal traversal) {
     if (!info.why_not_usable.empty())
-        throw DeviceError(fmt::format("opening device {} ({}): it lacks {}, expected all of them", info.index,
-                                      info.name, info.why_not_usable));
+        throw DeviceError(fmt::format("cannot open device {} ({}): it lacks these required features: {}",
+                                      info.index, info.name, info.why_not_usable));
     if (traversal == Traversal::ray_query && !info.ray_query)
-        throw DeviceError(
-            fmt::format("opening device {} ({}) with ray query: it lacks {}, expected them, or that the "
-                        "choice is left to relidar",
-                        info.index, info.name, info.why_not_ray_query));
+        throw DeviceError(fmt::format(
+            "cannot open device {} ({}) with ray query: it lacks these required features: {}; use "
+            "--traversal auto",
+            info.index, info.name, info.why_not_ray_query));
     if (traversal == Traversal::software && !info.software)
-        throw DeviceError(
-            fmt::format("opening device {} ({}) with software traversal: it lacks {}, expected them, or that "
-                        "the choice is left to relidar",
-                        info.index, info.name, info.why_not_software));
+        throw DeviceError(fmt::format(
+            "cannot open device {} ({}) with software traversal: it lacks these required features: "
+            "{}; use --traversal auto",
+            info.index, info.name, info.why_not_software));
     // Accepts SwiftShader although it cannot run the tracing kernels, because tests run
     // the other kernels on it.
     const bool runs_the_rest = gpu::is_swiftshader(info);
     if (traversal == Traversal::automatic && best_traversal(info) == Traversal::automatic && !runs_the_rest)
-        throw DeviceError(
-            fmt::format("opening device {} ({}): for ray query it lacks {}, for software traversal {}, "
-                        "expected all of one of them",
-                        info.index, info.name, info.why_not_ray_query, info.why_not_software));
+        throw DeviceError(fmt::format(
+            "cannot open device {} ({}): for ray query it lacks {}, and for software traversal it "
+            "lacks {}; expected support for one of the two",
+            info.index, info.name, info.why_not_ray_query, info.why_not_software));
 }
 
 }  // namespace
@@ -250,7 +249,7 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
     transfers = std::make_unique<gpu::Transfers>(*this);
     constexpr std::size_t kNothingBytes = 64 << 10;
     nothing = std::make_unique<Buffer::Impl>(*this, kNothingBytes, gpu::MemoryUse::parameters,
-                                             "arrays that are left out");
+                                             "placeholder for optional arrays");
     std::memset(nothing->mapped, 0, kNothingBytes);
 }
 

@@ -112,7 +112,7 @@ bool is_old_lavapipe(const VkPhysicalDeviceDriverProperties& driver) {
            std::pair(major, minor) < std::pair(24, 1);
 }
 
-constexpr const char* kNoCompiler = "a compiler for kernels that trace, which SwiftShader's is not";
+constexpr const char* kNoCompiler = "a driver that can compile the tracing kernels (SwiftShader cannot)";
 
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,
                                  const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
@@ -126,7 +126,7 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
     groups.need(operations(VK_SUBGROUP_FEATURE_BALLOT_BIT), "subgroup ballots in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
-    groups.need(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups of 4 to 64 lanes");
+    groups.need(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups with 4 to 64 lanes");
     groups.need(known_subgroups(sizes, optional),
                 "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
@@ -158,7 +158,7 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
                                 const VkPhysicalDeviceSubgroupProperties& subgroup) {
     Missing base;
     base.need(properties.apiVersion >= VK_API_VERSION_1_3, "Vulkan 1.3");
-    base.need(!is_old_lavapipe(driver), "a lavapipe of Mesa 24.1 or newer");
+    base.need(!is_old_lavapipe(driver), "lavapipe from Mesa 24.1 or newer");
     base.need(v12.bufferDeviceAddress, "bufferDeviceAddress");
     base.need(v12.scalarBlockLayout, "scalarBlockLayout");
     base.need(v12.timelineSemaphore, "timelineSemaphore");
@@ -167,7 +167,7 @@ std::string missing_for_kernels(const VkPhysicalDeviceProperties& properties,
     base.need((subgroup.supportedStages & VK_SHADER_STAGE_COMPUTE_BIT) &&
                   (subgroup.supportedOperations & kSubgroupOperations) == kSubgroupOperations,
               "subgroup arithmetic and ballots in compute");
-    base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups of 4 to 64 lanes");
+    base.need(subgroup.subgroupSize >= 4 && subgroup.subgroupSize <= 64, "subgroups with 4 to 64 lanes");
     return base.text;
 }
 

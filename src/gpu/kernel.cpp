@@ -26,9 +26,8 @@ std::span<const std::uint32_t> find_words(std::string_view name) {
         if (kernel.name == name) return kernel.words;
     throw Error(
         ExitCode::bug,
-        fmt::format(
-            "making kernel {}: it is not embedded in this build, expected a line in src/CMakeLists.txt",
-            name));
+        fmt::format("cannot create kernel {}: it is not embedded in this build; add it to src/CMakeLists.txt",
+                    name));
 }
 
 /// Kernels whose lanes cooperate inside branches, or in loops that lanes leave at
@@ -188,8 +187,8 @@ VkPipeline KernelBase::Impl::pipeline() {
     const gpu::Pipelines::Made made = made_.get();
     if (made.result != VK_SUCCESS)
         gpu::fail(made.result,
-                  fmt::format("making kernel {} on {}: the driver answered {}, expected VK_SUCCESS", module,
-                              device->info.name, gpu::result_name(made.result)));
+                  fmt::format("cannot create kernel {} on {}: the driver returned {}, expected VK_SUCCESS",
+                              module, device->info.name, gpu::result_name(made.result)));
     return pipeline_ = made.pipeline;
 }
 

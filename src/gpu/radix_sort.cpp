@@ -32,13 +32,14 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
       counts_(device, RELIDAR_SORT_DIGITS * tiles_of(capacity), "sort counts"),
       totals_(device, RELIDAR_SORT_DIGITS, "sort totals") {
     if (const int lanes = device.info().subgroup_size; lanes < 4 || lanes > 64)
-        throw DeviceError(fmt::format("making a sort on {}: found subgroups of {} lanes, expected 4 to 64",
-                                      device.info().name, lanes));
-    if (!device.info().known_subgroups)
         throw DeviceError(
-            fmt::format("making a sort on {}: found subgroups of varying size, expected subgroupSizeControl "
-                        "and computeFullSubgroups",
-                        device.info().name));
+            fmt::format("cannot create a sort on {}: it has subgroups with {} lanes, expected 4 to 64",
+                        device.info().name, lanes));
+    if (!device.info().known_subgroups)
+        throw DeviceError(fmt::format(
+            "cannot create a sort on {}: its subgroup size varies, and it lacks subgroupSizeControl "
+            "and computeFullSubgroups",
+            device.info().name));
 }
 
 SortSet RadixSort::run(Stream& stream, SortSet from, SortSet other, std::uint32_t key_bits,

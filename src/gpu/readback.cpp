@@ -36,7 +36,8 @@ void Readback::record(Stream& stream, const Buffer& from, std::size_t n_bytes, s
         throw Error(
             ExitCode::bug,
             fmt::format(
-                "reading back {}: found bytes {} to {} of {}, expected them to be there and at most {}",
+                "cannot read back {}: requested bytes {} to {} of a buffer of {} bytes, expected a range "
+                "inside the buffer of at most {} bytes",
                 r.what, offset_bytes, offset_bytes + n_bytes, from.size_bytes(), r.host->n_bytes));
     impl_of(stream).read_back(impl_of(from), r.host, {offset_bytes, 0, n_bytes});
     r.ticket = impl_of(stream).last_ticket + 1;
@@ -50,7 +51,7 @@ const void* Readback::wait(Stream& stream) {
     if (r.ticket == 0 || r.ticket > impl_of(stream).last_ticket)
         throw Error(
             ExitCode::bug,
-            fmt::format("waiting for {}: found no submitted copy, expected record() and submit() before",
+            fmt::format("cannot wait for {}: its copy was not submitted; call record() and submit() first",
                         r.what));
     stream.wait(r.ticket);
     r.pending = false;

@@ -185,9 +185,8 @@ std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const voi
 void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes,
                           std::size_t n_bytes) {
     if (device->compile_only)
-        throw Error(ExitCode::bug,
-                    fmt::format("launching {}: the device was opened to compile only, expected one that runs",
-                                kernel.impl().name));
+        throw Error(ExitCode::bug, fmt::format("cannot launch {}: the device was opened only for compilation",
+                                               kernel.impl().name));
     const VkPipeline pipeline = kernel.impl().pipeline();
     const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
                                               device->nothing->address};
@@ -212,8 +211,9 @@ void Stream::Impl::wait(std::uint64_t ticket) {
     info.pValues = &ticket;
     const VkResult result = vkWaitSemaphores(device->device, &info, ~std::uint64_t(0));
     if (result != VK_SUCCESS)
-        gpu::fail(result, fmt::format("waiting for {}: the driver answered {} (last kernel recorded: {})",
-                                      device->info.name, gpu::result_name(result), last_kernel));
+        gpu::fail(result,
+                  fmt::format("waiting for {} failed: the driver returned {} (last recorded kernel: {})",
+                              device->info.name, gpu::result_name(result), last_kernel));
 }
 
 void Stream::Impl::collect_times(Slot& slot) {
@@ -257,8 +257,8 @@ Strands::Strands(Stream& stream, std::size_t n) : stream_(stream) {
     Stream::Impl& s = impl_of(stream);
     if (n == 0 || !s.strands.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
-                    "recording in strands: found none, others, or an open Concurrent scope, expected one "
-                    "strand at least");
+                    "cannot record in strands: expected at least one strand, no other strands and no open "
+                    "Concurrent scope");
     s.strands.resize(n);
     s.strand = 0;
 }
@@ -274,8 +274,10 @@ void Strands::choose(std::size_t strand) {
     if (strand >= s.strands.size() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,
-            fmt::format("choosing strand {} of {}: expected one of them, and no open Concurrent scope",
-                        strand, s.strands.size()));
+            fmt::format(
+                "cannot choose strand {} of {}: expected the index of a strand and no open Concurrent "
+                "scope",
+                strand, s.strands.size()));
     s.strand = strand;
 }
 
@@ -283,7 +285,7 @@ std::uint64_t Stream::submit() {
     Impl& s = *impl_;
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
-        throw Error(ExitCode::bug, "submitting: found an open Concurrent scope, expected its end before");
+        throw Error(ExitCode::bug, "cannot submit commands: a Concurrent scope is still open");
     s.record_strands();
     VkCommandBuffer commands = s.commands();
     gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");

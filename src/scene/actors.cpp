@@ -106,13 +106,14 @@ bool bends(const BoxTrack& box, const InitialiseOptions& options) {
 void check_box(const BoxTrack& box) {
     const glm::dvec3& s = box.size_m;
     if (!(s.x > 0.0 && s.y > 0.0 && s.z > 0.0) || !std::isfinite(s.x + s.y + s.z))
-        throw DataError(fmt::format("box {}: found a size of {} x {} x {} m, expected all above 0", box.id,
-                                    s.x, s.y, s.z));
+        throw DataError(fmt::format("box {} has the size {} x {} x {} m, expected three lengths above 0",
+                                    box.id, s.x, s.y, s.z));
     for (std::size_t i = 0; i < box.world_from_box.pose.size(); ++i) {
         const Pose& pose = box.world_from_box.pose[i];
         if (!std::isfinite(glm::dot(pose.translation, glm::dvec3(1.0)) +
                            glm::dot(pose.rotation, pose.rotation)))
-            throw DataError(fmt::format("box {}: observation {} is not finite, expected a pose", box.id, i));
+            throw DataError(fmt::format(
+                "box {}: the pose of observation {} is not finite, expected a finite pose", box.id, i));
     }
 }
 
@@ -304,9 +305,9 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
         if (!instance.track.empty()) tracks.push_back(instance.track);
     for (const auto& [track, poses] : world_from_actor)
         if (std::find(tracks.begin(), tracks.end(), track) == tracks.end())
-            throw UsageError(
-                fmt::format("placing actors: found a pose of \"{}\", expected a track of the scene{}", track,
-                            tracks.empty() ? ", which has no actor" : did_you_mean(track, tracks, "\"")));
+            throw UsageError(fmt::format(
+                "cannot place actors: found a pose of \"{}\", expected a track of the scene{}", track,
+                tracks.empty() ? ", which has no actors" : did_you_mean(track, tracks, "\"")));
     return place_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;

@@ -27,8 +27,8 @@ namespace {
 void check_primitive(Primitive found, const ImageModel& model) {
     if (found == model.primitive) return;
     throw UsageError(
-        fmt::format("image.primitive={}: the scene is made of {}, expected image.primitive={}: a scene keeps "
-                    "the primitive it was trained with",
+        fmt::format("cannot use image.primitive={}: the scene consists of {}; use image.primitive={}, "
+                    "because the primitive cannot change after training",
                     kind_of(model.primitive).name, kind_of(found).label, kind_of(found).name));
 }
 
@@ -39,17 +39,19 @@ void check_layout(const Scene& scene) {
     for (const Model& model : scene.models) {
         if (model.first != next)
             throw DataError(fmt::format(
-                "loading scene: model {} starts at surfel {}, expected {}, where the model before ends",
+                "cannot load the scene: model {} starts at surfel {}, expected {}, which is the end of "
+                "the previous model",
                 model.name, model.first, next));
         next += model.count;
     }
     if (next != scene.surfels.size())
-        throw DataError(fmt::format("loading scene: the models end at surfel {}, expected {}", next,
+        throw DataError(fmt::format("cannot load the scene: the models end at surfel {}, expected {}", next,
                                     scene.surfels.size()));
     for (const Instance& instance : scene.instances)
         if (instance.model >= scene.models.size())
-            throw DataError(fmt::format("loading scene: an instance places model {}, expected one of {}",
-                                        instance.model, scene.models.size()));
+            throw DataError(fmt::format(
+                "cannot load the scene: an instance uses model {}, expected the index of one of {} models",
+                instance.model, scene.models.size()));
 }
 
 std::vector<Constant> activation_constants(bool stage_harmonics) {
@@ -151,8 +153,8 @@ struct DeviceScene::Impl {
     /// an absent instance has no surfels
     std::vector<shared::InstanceEntry> instance_table(const std::vector<InstancePose>& placed) {
         if (placed.size() != layout.instances.size())
-            throw DataError(fmt::format("placing instances: found {} poses, expected {}", placed.size(),
-                                        layout.instances.size()));
+            throw DataError(fmt::format("cannot place the instances: found {} poses, expected {}",
+                                        placed.size(), layout.instances.size()));
         poses = placed;
         std::vector<shared::InstanceEntry> entries;
         for (std::size_t i = 0; i < placed.size(); ++i) {

@@ -109,7 +109,7 @@ void place(Surfels& s, const Pose& world_from_model) {
 
 Surfels freeze(const Scene& scene, const std::vector<InstancePose>& placed) {
     if (placed.size() != scene.instances.size())
-        throw DataError(fmt::format("freezing a scene: found {} poses, expected {}", placed.size(),
+        throw DataError(fmt::format("cannot freeze the scene: found {} poses, expected {}", placed.size(),
                                     scene.instances.size()));
     Surfels all;
     all.primitive = scene.surfels.primitive;

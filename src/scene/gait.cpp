@@ -189,16 +189,17 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
     constexpr double kClearly = 0.9, kStep = 1.01;
     constexpr std::size_t kBeside = 2;
     if (samples.size() < kFewest)
-        return {0.0, fmt::format("{} points, expected {} or more", samples.size(), kFewest)};
+        return {0.0, fmt::format("it has only {} points, and detecting a gait needs at least {}",
+                                 samples.size(), kFewest)};
     const auto [first, last] = std::ranges::minmax(samples, {}, &Sample::walked_m);
     const double walked = double(last.walked_m) - double(first.walked_m),
                  most = std::min(range.most_m, walked / kTurns);
     if (most < range.least_m)
-        return {0.0,
-                fmt::format("it came {:.1f} m, expected {:.1f} m or more", walked, kTurns * range.least_m)};
+        return {0.0, fmt::format("it walked only {:.1f} m, and detecting a gait needs at least {:.1f} m",
+                                 walked, kTurns * range.least_m)};
     const FrameGaps gaps = frame_gaps(samples);
     if (gaps.walked_m.size() < kFewestFrames)
-        return {0.0, fmt::format("it is seen in {} frames, expected {} or more to find a gait",
+        return {0.0, fmt::format("it is observed in only {} frames, and detecting a gait needs at least {}",
                                  gaps.walked_m.size(), kFewestFrames)};
     std::vector<double> strides;
     for (double stride = range.least_m; stride <= most; stride *= kStep) strides.push_back(stride);
@@ -210,15 +211,16 @@ FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& r
     for (std::size_t i = kBeside; i + kBeside < shares.size(); ++i)
         smooth.push_back(std::accumulate(&shares[i - kBeside], &shares[i + kBeside] + 1, 0.0) /
                          (2 * kBeside + 1));
-    if (smooth.size() < 3) return {0.0, "it came too few strides"};
+    if (smooth.size() < 3) return {0.0, "it walked too few strides"};
     const std::size_t best = std::size_t(std::ranges::min_element(smooth) - smooth.begin());
     const double stride = strides[best + kBeside];
     if (smooth[best] > kClearly || best == 0 || best + 1 == smooth.size())
         return {0.0,
-                fmt::format("its points show no gait: of strides from {:.1f} to {:.1f} m one of {:.2f} m "
-                            "fits best, and points of the "
-                            "same phase then lie {:.2f} times as far apart as others, expected {} or less",
-                            strides.front(), strides.back(), stride, smooth[best], kClearly)};
+                fmt::format(
+                    "its points show no gait: the best stride length between {:.1f} and {:.1f} m is {:.2f} "
+                    "m, but the distance between points of the same phase is {:.2f} times that between other "
+                    "points, expected at most {} times",
+                    strides.front(), strides.back(), stride, smooth[best], kClearly)};
     return {stride, {}};
 }
 

@@ -198,8 +198,8 @@ Surfels initialise_background(const Sequence& sequence, const std::vector<int>& 
         samples = without_movers(samples, sequence, train_positions, progress);
     if (samples.empty())
         throw DataError(
-            fmt::format("initialising the background of {}: found no return outside moving boxes in {} "
-                        "training frames, expected at least one",
+            fmt::format("cannot initialise the background of {}: none of its {} training frames has a return "
+                        "outside moving boxes",
                         sequence.name, train_positions.size()));
     return surfels_from_points(samples, options, sequence.intensity_response.incidence, progress);
 }

@@ -29,7 +29,8 @@ ParameterSet stored_parameters(const std::map<std::string, std::string>& texts, 
     for (const PrimitiveKind& kind : kPrimitives) names.emplace_back(kind.name);
     const auto text = texts.find(key);
     if (text == texts.end())
-        throw DataError(fmt::format("{}: missing, expected one of {}", key, fmt::join(names, ", ")));
+        throw DataError(fmt::format("the metadata key \"{}\" is missing, expected one of {}", key,
+                                    fmt::join(names, ", ")));
     for (const PrimitiveKind& kind : kPrimitives)
         if (kind.name == text->second) return {kind.primitive, has_array(kParameterGroups.front().name)};
     throw DataError(fmt::format("{}: found \"{}\", expected one of {}", key, text->second.substr(0, 40),
@@ -46,11 +47,11 @@ SurfelArrays::SurfelArrays(Device& device, std::uint32_t count, const std::strin
 void SurfelArrays::upload(const Surfels& s) {
     s.check_shapes();
     if (s.size() > 0 && s.primitive != primitive)
-        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays",
+        throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
                                     kind_of(s.primitive).label, kind_of(primitive).label));
     if (s.size() > 0 && s.bends != bends)
-        throw DataError(fmt::format("uploading surfels: found {}, expected {} as in the arrays",
-                                    s.bends ? "a gait" : "none of a gait", bends ? "a gait" : "none"));
+        throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the arrays",
+                                    s.bends ? "a gait" : "no gait", bends ? "a gait" : "no gait"));
     for (const ParameterGroup& group : groups_of(parameters()))
         group.mutable_device(*this).upload(group.values(s));
 }

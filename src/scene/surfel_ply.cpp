@@ -126,8 +126,8 @@ std::size_t size_of_type(const std::string& type) {
         if (type == t) return 4;
     for (const char* t : {"double", "float64"})
         if (type == t) return 8;
-    throw DataError(
-        fmt::format("found a property of type \"{}\", expected a number (no lists)", excerpt(type)));
+    throw DataError(fmt::format(
+        "found a property of type \"{}\", expected a number type (lists are not supported)", excerpt(type)));
 }
 
 std::size_t parse_count(const std::string& text) {
@@ -142,7 +142,7 @@ std::size_t parse_count(const std::string& text) {
 void add_field(Layout& layout, const std::string& type, const std::string& name) {
     if (std::any_of(layout.fields.begin(), layout.fields.end(),
                     [&](const Layout::Field& f) { return f.name == name; }))
-        throw DataError(fmt::format("property {}: found twice, expected once", excerpt(name)));
+        throw DataError(fmt::format("property {} occurs twice, expected it once", excerpt(name)));
     layout.fields.push_back({name, type == "float" || type == "float32", layout.stride});
     layout.stride += size_of_type(type);
 }
@@ -166,18 +166,19 @@ Layout parse_ply_header(const std::string& header) {
         } else if (what == "element") {
             if (first != "vertex" || has_vertex)
                 throw DataError(
-                    fmt::format("found element {}, expected one element, vertex", excerpt(first)));
+                    fmt::format("found element {}, expected only the element vertex", excerpt(first)));
             has_vertex = true;
             layout.count = parse_count(second);
         } else if (what == "property") {
             if (!has_vertex)
                 throw DataError(
-                    fmt::format("property {}: found before an element, expected it after element vertex",
+                    fmt::format("property {} is before the element vertex, expected it after this element",
                                 excerpt(second)));
             add_field(layout, first, second);
         }
     }
-    if (!has_format || !has_vertex) throw DataError("found no format or no element vertex, expected both");
+    if (!has_format || !has_vertex)
+        throw DataError("the format or the element vertex is missing, expected both");
     return layout;
 }
 
@@ -194,10 +195,10 @@ Columns find_columns(const Layout& layout, ParameterSet of) {
         const auto it = std::find_if(layout.fields.begin(), layout.fields.end(),
                                      [&](const Layout::Field& f) { return f.name == p.name; });
         if (it == layout.fields.end())
-            throw DataError(
-                fmt::format("property {}: missing, expected it as write_surfel_ply() writes it", p.name));
+            throw DataError(fmt::format(
+                "property {} is missing, expected all properties that `relidar export` writes", p.name));
         if (!it->is_float)
-            throw DataError(fmt::format("property {}: found another type, expected float", p.name));
+            throw DataError(fmt::format("property {} has another type, expected float", p.name));
         columns.property.push_back(p);
         columns.offset.push_back(it->offset);
     }
@@ -250,7 +251,7 @@ Scene parse_surfels(const std::vector<std::byte>& file, const Scene& scene_layou
     const std::size_t end = find_end_of_header(start);
     if (!start.starts_with("ply")) throw DataError("the file does not begin with \"ply\"");
     if (end == std::string::npos)
-        throw DataError(fmt::format("found no end_header in the first {} bytes, expected it", start.size()));
+        throw DataError(fmt::format("end_header is missing in the first {} bytes", start.size()));
     const Layout layout = parse_ply_header(start.substr(0, end));
     const std::size_t data = start.find('\n', end + 1) + 1, n_bytes = file.size() - data;
     const Columns columns = find_columns(layout, of);
@@ -297,12 +298,13 @@ void check_models(const Scene& scene) {
     std::size_t next = 0;
     for (const Model& m : scene.models) {
         if (m.first != next)
-            throw DataError(fmt::format("model {}: begins at surfel {}, expected {}", m.name, m.first, next));
+            throw DataError(fmt::format("model {} starts at surfel {}, expected {}", m.name, m.first, next));
         next += m.count;
     }
     if (next != scene.surfels.size() || scene.models.size() > kMaxModels)
-        throw DataError(fmt::format("{} models of {} surfels, expected at most {} of {}", scene.models.size(),
-                                    next, kMaxModels, scene.surfels.size()));
+        throw DataError(
+            fmt::format("found {} models with {} surfels, expected at most {} models and {} surfels",
+                        scene.models.size(), next, kMaxModels, scene.surfels.size()));
 }
 
 }  // namespace
@@ -339,7 +341,7 @@ Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Pr
             std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; });
         return parse_surfels(file, layout, {primitive, walks});
     } catch (const DataError& error) {
-        throw DataError(fmt::format("reading PLY '{}': {}", path.string(), error.what()));
+        throw DataError(fmt::format("cannot read PLY '{}': {}", path.string(), error.what()));
     }
 }
 

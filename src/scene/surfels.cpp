@@ -55,18 +55,19 @@ void Surfels::check_shapes() const {
         const std::size_t found = group.values(*this).size(),
                           expected = is_there ? size() * group.floats() : 0;
         if (found != expected)
-            throw DataError(
-                fmt::format("reading {}: {} has {} values, expected {}: {} for each of the {} means",
-                            kind_of(primitive).label, group.name, found, expected,
-                            is_there ? group.floats() : 0, size()));
+            throw DataError(fmt::format(
+                "cannot use {}: {} has {} values, expected {}, which is {} for each of the {} means",
+                kind_of(primitive).label, group.name, found, expected, is_there ? group.floats() : 0,
+                size()));
     }
 }
 
 void Surfels::append(const Surfels& other) {
     if (size() > 0 && other.size() > 0 && primitive != other.primitive)
-        throw DataError(fmt::format(
-            "joining {} surfels and {}: found {} beside {}, expected one primitive (image.primitive)", size(),
-            other.size(), kind_of(primitive).label, kind_of(other.primitive).label));
+        throw DataError(
+            fmt::format("cannot join {} and {} primitives: found {} and {}, expected the same primitive "
+                        "(image.primitive)",
+                        size(), other.size(), kind_of(primitive).label, kind_of(other.primitive).label));
     if (other.size() > 0) primitive = other.primitive;
     if (other.bends) add_gait();
     const std::size_t n = size() + other.size();

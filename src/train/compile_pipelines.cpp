@@ -94,7 +94,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         set_key(config, setting.key, setting.value);
         compile(device, street, config);
     }
-    report("ways to search and to sum");
+    report("nearest-neighbour search and summation kernels");
     compile_searches(device, street);
     for (const char* network : {"small", "paper", "pixel"}) {
         report(std::string("refine.network=") + network);
@@ -102,7 +102,7 @@ void compile_pipelines(Device& device, const std::function<void(const std::strin
         options.network = network;
         compile_drop_network(device, options);
     }
-    report("sums of hits in a fixed order");
+    report("summation of hits in a fixed order");
     // compiled here, because BackwardPass creates this sort only for its first batch
     const RadixSort by_row(device, 1, 1);
 }

@@ -64,8 +64,8 @@ void IterationReports::add_up(const Closed& report, const float* terms) {
             const float term = *terms++;
             if (!std::isfinite(term))
                 throw DataError(fmt::format(
-                    "training, iteration {}, frame {}: the {} loss is {}, expected a finite number", step,
-                    frame, kLossTermNames[k], term));
+                    "training failed at iteration {}, frame {}: the {} loss is {}, expected a finite number",
+                    step, frame, kLossTermNames[k], term));
             sums_[k] += term;
         }
     }

@@ -43,7 +43,7 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, cons
         for (const int position : positions) {
             if (session.stop && session.stop()) return {};
             if (session.progress)
-                session.progress("learning how intensities scatter",
+                session.progress("learning the scatter of intensities",
                                  double(images.size()) / double(positions.size()));
             const Frame& frame = run.sequence.frames[std::size_t(position)];
             const RenderedScan scan =
@@ -51,7 +51,7 @@ std::vector<IntensityScatter> learn_scatter(Device& device, const Run& run, cons
             images.push_back({rendered_intensities(scan), measured_intensities(run.sequence, frame, masks)});
         }
         result.push_back(fit_scatter(images));
-        if (session.progress) session.progress("learning how intensities scatter", 1.0);
+        if (session.progress) session.progress("learning the scatter of intensities", 1.0);
     }
     return result;
 }

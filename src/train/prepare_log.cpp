@@ -72,8 +72,9 @@ struct PoseCorrections {
     }
     std::string text() const {
         return fmt::format(
-            "corrections of {:.3f} m and {:.2f} degrees (median) to {:.3f} m and {:.2f} degrees", median_m,
-            median_deg, most_m, most_deg);
+            "poses were corrected by {:.3f} m and {:.2f} degrees (median), at most {:.3f} m and "
+            "{:.2f} degrees",
+            median_m, median_deg, most_m, most_deg);
     }
     /// Returns a warning if the corrections are larger than the usual errors of good
     /// vehicle poses. Otherwise returns an empty text.
@@ -81,11 +82,10 @@ struct PoseCorrections {
         constexpr double kLarge_m = 0.5, kLarge_deg = 5.0;
         if (most_m <= kLarge_m && most_deg <= kLarge_deg) return "";
         return fmt::format(
-            "warning: the log's poses do not fit its scans: {}. Usual reasons: quaternions in x y z w order "
-            "instead of w x y z, poses "
-            "of another frame or without the lever arm to the LiDAR, drifting GNSS, or times that are off; "
-            "dataset.poses=none does "
-            "without them",
+            "warning: the log's poses do not fit its scans: {}. Usual reasons: quaternions in x y z "
+            "w order instead of w x y z, poses of another frame, a missing lever arm between the "
+            "vehicle and the LiDAR, drifting GNSS, or wrong times. Use dataset.poses=none to "
+            "estimate the poses from the scans only",
             text());
     }
 };
@@ -99,8 +99,10 @@ std::string way_text(const PoseTrack& track) {
 
 std::string loops_text(const Registration& registration) {
     if (registration.places_again == 0) return "";
-    return fmt::format("; {} loops closed (places that the vehicle passed again), up to {:.2f} m corrected",
-                       registration.places_again, registration.loops_off_m);
+    return fmt::format(
+        "; {} loops closed, where the vehicle returned to the same position, with corrections of "
+        "up to {:.2f} m",
+        registration.places_again, registration.loops_off_m);
 }
 
 // maximum fraction of scans that could not be registered; one such scan is always allowed
@@ -121,11 +123,11 @@ void report_lost_scans(const Sequence& sequence, const Registration& registratio
                                          n, list_text(frames));
     if (double(frames.size()) > std::max(1.0, kMostLost * double(n)) && !config.train.allow_lost_scans)
         throw DataError(
-            fmt::format("registering the scans of {}: {}; expected at most {:.0f} %. "
-                        "train.allow_lost_scans=true moves them with their "
-                        "neighbours; train.refine_poses=none keeps the poses of the log",
+            fmt::format("cannot register the scans of {}: {}; expected at most {:.0f} % of the scans. Use "
+                        "train.allow_lost_scans=true to interpolate their poses from their neighbours, or "
+                        "train.refine_poses=none to keep the poses of the log",
                         sequence.name, text, 100.0 * kMostLost));
-    session.tell(text + "; they were moved with their neighbours");
+    session.tell(text + "; their poses are interpolated from their neighbours");
 }
 
 /// Registers the scans of the log, which means that it estimates their poses.
@@ -141,17 +143,17 @@ Registration register_log(Sequence& sequence, const Split& split, const Config& 
         registration = register_scans(sequence, split, options);
     } catch (const DataError& error) {
         if (!config.train.allow_lost_scans) throw;
-        session.tell(fmt::format("{}; the poses of the log are used", error.what()));
+        session.tell(fmt::format("{}; the poses of the log are used instead", error.what()));
         return {};
     }
     if (registration.stopped)
         throw Error(ExitCode::interrupted,
-                    "interrupted during the registration of scans, before training started");
+                    "interrupted during the registration of scans, before the training started");
     if (!registration.done) return registration;
     const PoseCorrections corrections(sequence.world_from_vehicle, registration.world_from_vehicle);
     session.tell(fmt::format(
-        "scans registered: {:.0f} % of the points are on planes that several scans share, at a mean distance "
-        "of {:.3f} m; {}{}",
+        "scans registered: {:.0f} % of the points are on planes that several scans have "
+        "observed, with a mean distance of {:.3f} m from these planes; {}{}",
         100.0 * registration.on_planes, registration.rounds.back().residual_m,
         has_poses(sequence, config) ? corrections.text() : way_text(registration.world_from_vehicle),
         loops_text(registration)));
@@ -189,12 +191,13 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
     const IntensityCalibration calibration = calibrate_intensity(sequence, split.train);
     const IntensityResponse& r = sequence.intensity_response;
     const std::string fall = fmt::format(
-        "intensity falls to {:.2f} at 40 m and to {:.2f} at 60 degrees of "
-        "incidence, relative to 10 m and 0 degrees",
+        "the intensity decreases to a factor of {:.2f} at 40 m and {:.2f} at an incidence angle "
+        "of 60 degrees, relative to 10 m and 0 degrees",
         r.at_range(40.0) / r.at_range(10.0), r.at_cosine(0.5));
-    const std::string start =
-        fmt::format("intensity calibration ({:.1f} million returns): returns of one surface differ by {:.3f}",
-                    double(calibration.returns) * 1e-6, calibration.rms_before);
+    const std::string start = fmt::format(
+        "intensity calibration ({:.1f} million returns): intensities of the same surface differ "
+        "by {:.3f} (RMS)",
+        double(calibration.returns) * 1e-6, calibration.rms_before);
     session.tell(!calibration.shared && !calibration.beams
                      ? start + "; a correction does not reduce this, so no correction is used"
                      : fmt::format("{}, {:.3f} after the correction; {}{}{}", start, calibration.rms_after,
@@ -206,11 +209,11 @@ void calibrate_intensities(Sequence& sequence, const Split& split, const Prepare
 void report_noise(const Sequence& sequence, const PrepareSession& session) {
     for (const Lidar& lidar : sequence.lidars)
         if (!lidar.range_noise.sigma_m.empty())
-            session.tell(
-                fmt::format("range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (one standard deviation, "
-                            "perpendicular surfaces)",
-                            lidar.name.empty() ? "" : " of " + lidar.name,
-                            1e3 * lidar.range_noise.at(10.0, 1.0), 1e3 * lidar.range_noise.at(40.0, 1.0)));
+            session.tell(fmt::format(
+                "range noise{}: {:.0f} mm at 10 m and {:.0f} mm at 40 m (standard deviation on surfaces "
+                "perpendicular to the beam)",
+                lidar.name.empty() ? "" : " of " + lidar.name, 1e3 * lidar.range_noise.at(10.0, 1.0),
+                1e3 * lidar.range_noise.at(40.0, 1.0)));
 }
 
 /// Throws an error if the user has interrupted the program.
@@ -218,7 +221,7 @@ void report_noise(const Sequence& sequence, const PrepareSession& session) {
 void throw_if_interrupted(const PrepareSession& session) {
     if (session.stop && session.stop())
         throw Error(ExitCode::interrupted,
-                    "interrupted during the preparation of the log, before training started");
+                    "interrupted during the preparation of the log, before the training started");
 }
 
 /// Calibrates the beams in the first process, and sends the results to all processes of
@@ -254,9 +257,10 @@ std::string box_text(const BoxTrack& box) {
     const PoseTrack& track = box.world_from_box;
     const double seconds = track.time_s.back() - track.time_s.front();
     return fmt::format(
-        "{} {:.1f} x {:.1f} m{} at {:.1f} m/s for {:.1f} s", box.id, box.size_m.x, box.size_m.y,
-        box.size_guess.empty() ? ""
-                               : fmt::format(" (a guess: a {} of which one side was seen)", box.size_guess),
+        "{} ({:.1f} x {:.1f} m{}, {:.1f} m/s, {:.1f} s)", box.id, box.size_m.x, box.size_m.y,
+        box.size_guess.empty()
+            ? ""
+            : fmt::format(" estimated from the class {} because only one side was seen", box.size_guess),
         glm::distance(track.pose.front().translation, track.pose.back().translation) / seconds, seconds);
 }
 
@@ -284,11 +288,12 @@ void add_discovered(Sequence& sequence, const Split& split, const PrepareSession
             sequence.boxes.push_back(std::move(box));
         }
     }
-    session.tell(fmt::format("{} moving object{} without a label detected{}{}", movers.size(),
+    session.tell(fmt::format("detected {} moving object{} without a labelled box{}{}", movers.size(),
                              movers.size() == 1 ? "" : "s", movers.empty() ? "" : ": ",
                              fmt::join(movers, ", ")));
     if (!extended.empty())
-        session.tell(fmt::format("tracks extended beyond their labels: {}", fmt::join(extended, ", ")));
+        session.tell(fmt::format("tracks of labelled objects extended to frames without a label: {}",
+                                 fmt::join(extended, ", ")));
 }
 
 /// Registers the points of moving boxes in the first process. Sends the corrected poses
@@ -304,8 +309,8 @@ void register_boxes(Sequence& sequence, const Split& split, const PrepareSession
         box.world_from_box.pose = session.group.broadcast(std::move(box.world_from_box.pose));
     if (registration.n_actors == 0) return;
     session.tell(fmt::format(
-        "{} of {} moving boxes registered by their points, moved by {:.3f} m (median); {} "
-        "boxes stand although their labels drift",
+        "{} of {} moving boxes aligned to their points, moved by {:.3f} m (median); {} boxes "
+        "have moving labels but their points do not move",
         registration.n_registered, registration.n_actors, registration.moved_m, registration.n_standing));
 }
 
@@ -325,8 +330,8 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
     if (!session.tell || !session.group.is_first()) session.tell = [](const std::string&) {};
     if (!has_poses(sequence, config) && !registers_sensor(config.train))
         throw UsageError(
-            "the log has no poses, or dataset.poses=none: they have to be found from the scans; expected "
-            "train.refine_poses=sensor");
+            "the log has no poses, or dataset.poses=none is set, so the poses must be estimated from "
+            "the scans; use train.refine_poses=sensor");
     begin_stage(session.stages, "register");
     if (registers_sensor(config.train)) register_sensor(sequence, split, config, session);
     begin_stage(session.stages, "calibrate");

@@ -20,12 +20,13 @@ constexpr int kWarmUp = 5;
 
 StepTimes time_steps(Device& device, const Run& run, int n_steps, const std::function<bool()>& stop) {
     if (!run.scene.blocks.empty())
-        throw UsageError(
-            fmt::format("timing steps of {}: found a run in blocks, expected one whose scene is whole",
-                        run.folder.string()));
+        throw UsageError(fmt::format(
+            "cannot measure the training speed of {}: the run is divided into blocks; use a run that "
+            "was trained without blocks",
+            run.folder.string()));
     if (n_steps < 1 || n_steps > kMostTimedSteps)
-        throw UsageError(
-            fmt::format("timing steps: found {} steps, expected 1 to {}", n_steps, kMostTimedSteps));
+        throw UsageError(fmt::format("cannot measure the training speed: found {} steps, expected 1 to {}",
+                                     n_steps, kMostTimedSteps));
     TrainLoop loop(device, run.sequence, run.split, run.scene, run.config);
     const int first = std::max(1, run.config.train.iterations - n_steps - kWarmUp + 1);
     for (int k = 0; k < kWarmUp; ++k) loop.iterate(first + k);

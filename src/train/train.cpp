@@ -52,9 +52,8 @@ void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Con
     const std::vector<BoxTrack> masked = masked_boxes(scene, sequence, config.init);
     if (masked.empty() || !session.note) return;
     session.note(
-        fmt::format("{} moving boxes are left out of training: {}. init.actor_classes lists the classes that "
-                    "become actors, "
-                    "init.actor_min_points what they need",
+        fmt::format("points and losses in {} moving boxes are ignored: {}. Only classes in "
+                    "init.actor_classes with at least init.actor_min_points points become actors",
                     masked.size(), names_of(masked)));
 }
 
@@ -62,8 +61,8 @@ void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Con
 void report_sent_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
     if (frames.n_staying() == frames.all().size() || !session.note) return;
     session.note(
-        fmt::format("{} of {} training frames stay on the device (train.frame_memory_mib={}), the others are "
-                    "sent in their turn",
+        fmt::format("{} of {} training frames fit into the device memory for frames "
+                    "(train.frame_memory_mib={}); the others are uploaded whenever a step uses them",
                     frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
 }
 
@@ -81,10 +80,12 @@ Config with_findable_poses(Config config, const Sequence& sequence, const Split&
     };
     if (config.train.refines("sensor") && std::ranges::all_of(split.train, of_first_sweep)) {
         config.train.refine_poses = config.train.refines("actors") ? "actors" : "none";
-        report("train.refine_poses=sensor: one sweep is trained on, its pose stays as it is");
+        report(
+            "train.refine_poses=sensor has no effect, because training uses only one sweep, whose "
+            "pose is fixed");
     }
     if (config.train.refine_poses == "actors" && initial.instances.size() < 2)
-        report("train.refine_poses=actors: the scene has no actor, no pose is refined");
+        report("train.refine_poses=actors has no effect, because the scene has no actors");
     return config;
 }
 
@@ -113,8 +114,8 @@ void read_scene(TrainLoop& loop, Device& device, const Sequence& sequence, const
 TrainResult train(Device& device, const Sequence& sequence, const Split& split, const Config& config,
                   const ProgressCallback& progress, const TrainSession& session) {
     if (split.train.empty())
-        throw DataError(
-            fmt::format("training on {}: found no training frames, expected at least one", sequence.name));
+        throw DataError(fmt::format("cannot train on {}: it has no training frames; expected at least one",
+                                    sequence.name));
     if (session.start) check_resumable(*session.start, sequence, split, config);
     TrainResult result;
     const Clock::time_point begin = Clock::now();
@@ -127,9 +128,9 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     begin_stage(session.stages, "train");
     // The settings need a variable, because the loop keeps a reference to them.
     const Config findable = with_findable_poses(config, sequence, split, initial, session);
-    if (session.progress) session.progress("memory and kernels", 0.0);
+    if (session.progress) session.progress("allocating memory and loading kernels", 0.0);
     TrainLoop loop(device, sequence, split, initial, findable);
-    if (session.progress) session.progress("memory and kernels", 1.0);
+    if (session.progress) session.progress("allocating memory and loading kernels", 1.0);
     report_sent_frames(loop.frames(), config, session);
     if (session.start) {
         loop.restore(*session.start);

@@ -156,10 +156,10 @@ std::optional<RangeGrid> trained_grid(const Config& config) {
                                                         {config.blocks.length_m > 0.0, "blocks.length_m"}};
     for (const auto& [is_set, setting] : of_own_rays)
         if (is_set)
-            throw UsageError(
-                fmt::format("setting train.grid={}: found {} too, which is of the sensor's own rays, "
-                            "expected one of them",
-                            config.train.grid, setting));
+            throw UsageError(fmt::format(
+                "the setting train.grid={} cannot be combined with {}, which needs the rays of the "
+                "sensor (train.grid=native)",
+                config.train.grid, setting));
     return find_grid(config.train.grid);
 }
 
@@ -287,10 +287,10 @@ void TrainLoop::close_report(int step, bool ends_line) {
 void TrainLoop::look_at_reports(int last) {
     while (const std::optional<IterationReports::Report> report = reports_.take(stream_, last)) {
         if (report->pass_cap > 0)
-            throw DeviceError(
-                fmt::format("training, iterations {} to {}: {} rays reached the cap of passes or filled the "
-                            "traversal stack, expected every ray to end",
-                            report->first_step, report->last_step, report->pass_cap));
+            throw DeviceError(fmt::format(
+                "training failed in iterations {} to {}: {} rays exceeded the maximum number of "
+                "traversal passes or the traversal stack; the scene may have too many overlapping surfels",
+                report->first_step, report->last_step, report->pass_cap));
         check_room(*report);
         keep_more_hits(*report);
     }
@@ -298,11 +298,10 @@ void TrainLoop::look_at_reports(int last) {
 
 void TrainLoop::check_room(const IterationReports::Report& report) {
     if (report.most_hits > report.hit_capacity)
-        throw DeviceError(
-            fmt::format("training, iterations {} to {}, in a fixed order: found {} hits in one of them, "
-                        "expected at most {}; "
-                        "fewer rays of a step (train.rays_per_iteration) have fewer",
-                        report.first_step, report.last_step, report.most_hits, report.hit_capacity));
+        throw DeviceError(fmt::format(
+            "training failed in iterations {} to {} with train.deterministic=true: one iteration has "
+            "{} hits, expected at most {}; use fewer rays per iteration (train.rays_per_iteration)",
+            report.first_step, report.last_step, report.most_hits, report.hit_capacity));
     if (report.most_hits <= renderer_.backward_pass().hit_capacity() / 2) return;
     close_report(last_step_, false);  // finishes the report of the iterations with the current capacity
     // Reserves twice the number of hits, before the capacity is exceeded.
@@ -344,12 +343,12 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
     last_step_ = checkpoint.iteration;
     if (!sampler_.is_sound(frames_.all().size()) || !reports_.is_sound())
         throw DataError(
-            fmt::format("resuming from iteration {}: the order of frames or the sums of losses are not those "
-                        "of {} frames and {} terms",
+            fmt::format("cannot resume from iteration {}: the stored frame order and loss sums do not fit {} "
+                        "frames and {} loss terms",
                         checkpoint.iteration, frames_.all().size(), kLossTerms));
     if (!refiner_.take_over())
         throw DataError(
-            fmt::format("resuming from iteration {}: the corrections of poses are not those of this log",
+            fmt::format("cannot resume from iteration {}: the stored pose corrections do not fit this log",
                         checkpoint.iteration));
 }
 

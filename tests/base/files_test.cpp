@@ -46,16 +46,12 @@ TEST_F(Files, WhatCannotBeReadIsToldApartFromWhatIsMissing) {
           std::function<void(const fs::path&)>([](const fs::path& p) { list_folder(p); }),
           std::function<void(const fs::path&)>([](const fs::path& p) { path_exists(p); })}) {
         EXPECT_THAT(data_error([&] { read(locked / "inside"); }),
-                    testing::HasSubstr("inside: cannot be read: Permission denied"));
-        EXPECT_THAT(data_error([&] { read(loop); }),
-                    testing::HasSubstr("loop: cannot be read: Too many levels"));
-        EXPECT_THAT(data_error([&] { read(long_name); }),
-                    testing::HasSubstr("cannot be read: File name too long"));
+                    testing::HasSubstr("inside: Permission denied"));
+        EXPECT_THAT(data_error([&] { read(loop); }), testing::HasSubstr("loop: Too many levels"));
+        EXPECT_THAT(data_error([&] { read(long_name); }), testing::HasSubstr("File name too long"));
     }
-    EXPECT_THAT(data_error([&] { read_file(file); }),
-                testing::HasSubstr("file: cannot be read: Permission denied"));
-    EXPECT_THAT(data_error([&] { list_folder(locked); }),
-                testing::HasSubstr("locked: cannot be read: Permission denied"));
+    EXPECT_THAT(data_error([&] { read_file(file); }), testing::HasSubstr("file: Permission denied"));
+    EXPECT_THAT(data_error([&] { list_folder(locked); }), testing::HasSubstr("locked: Permission denied"));
     EXPECT_THAT(data_error([&] { read_file(folder / "nothing"); }),
                 testing::HasSubstr("nothing: no such file"));
     EXPECT_THAT(data_error([&] { list_folder(folder / "nothing"); }),
@@ -97,15 +93,13 @@ TEST(TomlDepth, DeepKeysAndBracketsAreRefused) {
     };
     std::string dots = "a";
     for (int i = 0; i < 40000; ++i) dots += ".a";
-    EXPECT_THAT(refused("x = 1\n" + dots + " = 1\n"),
-                testing::HasSubstr("f.toml:2: a key of more than 8 parts"));
-    EXPECT_THAT(refused("[" + dots + "]\n"), testing::HasSubstr("f.toml:1: a key"));
+    EXPECT_THAT(refused("x = 1\n" + dots + " = 1\n"), testing::HasSubstr("f.toml:2: found a key"));
+    EXPECT_THAT(refused("[" + dots + "]\n"), testing::HasSubstr("f.toml:1: found a key"));
     EXPECT_THAT(refused("a = {" + dots + " = 1}\n"), testing::HasSubstr("a key"));
     EXPECT_THAT(refused("a.\"b.\".'c'.d . e.f.g.h.i = 1\n"), testing::HasSubstr("a key"));
-    EXPECT_THAT(refused("a = " + std::string(9, '[')),
-                testing::HasSubstr("f.toml:1: brackets more than 8 deep"));
+    EXPECT_THAT(refused("a = " + std::string(9, '[')), testing::HasSubstr("f.toml:1: found brackets"));
     EXPECT_THAT(refused("a = {b = [\n{c = [\n{d = [\n{e = [\n{f = 1"),
-                testing::HasSubstr("f.toml:5: brackets"));
+                testing::HasSubstr("f.toml:5: found brackets"));
     EXPECT_NO_THROW(
         check_toml_depth("# ........................\na = \"..........\\\"..........\"\nb = "
                          "'..........'\nc.d.e.f.g.h.i.j = 1.5\n[k]\nl = "

@@ -69,8 +69,7 @@ TEST_F(Gpu, MemoryLimitIsKept) {
         FAIL() << "4 MiB and 8 MiB do not fit into 8";
     } catch (const DeviceError& error) {
         EXPECT_NE(std::string(error.what())
-                      .find("twice the first half: found 4.0 MiB in use, expected to stay within the limit "
-                            "of 8.0 MiB"),
+                      .find("twice the first half: 4.0 MiB are in use, and the memory limit is 8.0 MiB"),
                   std::string::npos)
             << error.what();
     }

@@ -75,7 +75,7 @@ class Runs(TestCase):
         for name, array in run().surfels.items():
             self.assert_same(again.surfels[name], array)
         self.assertEqual(again.held_out, run().held_out)
-        self.assert_fails(relidar.UsageError, "found a run there", run().save, FOLDER / "again")
+        self.assert_fails(relidar.UsageError, "already contains a run", run().save, FOLDER / "again")
         run().save(FOLDER / "again", overwrite=True)
         run().save(FOLDER / "run", overwrite=True)   # where it belongs
 
@@ -86,7 +86,7 @@ class Runs(TestCase):
         np.testing.assert_allclose(raised.surfels["mean"][:, 2] - run().surfels["mean"][:, 2], 5, atol=1e-5)
         self.assert_fails(relidar.DataError, "expected", run().with_surfels, {name: array[:-1] for name, array in surfels.items()})
         self.assert_fails(relidar.UsageError, 'did you mean "mean"', run().with_surfels, dict(surfels, maen=surfels["mean"]))
-        self.assert_fails(relidar.DataError, 'no array "sh"', run().with_surfels, {k: v for k, v in surfels.items() if k != "sh"})
+        self.assert_fails(relidar.DataError, 'array "sh" is missing', run().with_surfels, {k: v for k, v in surfels.items() if k != "sh"})
         doubles = dict(surfels, mean=surfels["mean"].astype(float))
         self.assert_fails(relidar.DataError, "surfels: mean: found float64", run().with_surfels, doubles)
         self.assert_fails(relidar.DataError, "in C order", run().with_surfels, dict(surfels, mean=np.asfortranarray(surfels["mean"])))

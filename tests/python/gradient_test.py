@@ -131,7 +131,7 @@ class Gradient(TestCase):
         self.assert_fails(relidar.DataError, "directions: found float32 [3,60]", forward, origins, directions.T)
         self.assert_fails(relidar.DataError, "in C order", forward, np.asfortranarray(origins), directions)
         self.assert_fails(relidar.DataError, "in C order", forward, origins[::2], directions[::2])
-        self.assert_fails(relidar.DataError, "found 59 beside 60 origins", forward, origins, directions[:59])
+        self.assert_fails(relidar.DataError, "found 59 directions and 60 origins", forward, origins, directions[:59])
         self.assert_fails(relidar.DataError, "found an object of type list", forward, origins.tolist(), directions)
         self.assert_fails(relidar.DataError, ">f4", forward, origins.astype(">f4"), directions)
         self.assert_fails(relidar.DataError, "depth: found float32 [3], expected an array of float32 [60]", backward, {"depth": three})

@@ -44,7 +44,7 @@ class Train(TestCase):
 
     def test_the_device_is_busy_for_the_callback(self):
         renders = lambda progress: run().render(time=0.0)  # noqa: E731
-        self.assert_fails(relidar.UsageError, "found it busy", relidar.train, log(), config(), callback=renders)
+        self.assert_fails(relidar.UsageError, "it is busy", relidar.train, log(), config(), callback=renders)
 
     def test_ctrl_c_and_resume(self):
         checkpoints = FOLDER / "checkpoints"
@@ -60,7 +60,7 @@ class Train(TestCase):
         self.assertGreater(lines[0], 20)
         self.assertEqual(lines[-1], 60)
         self.assertGreater(len(resumed.scene), 100)
-        self.assert_fails(relidar.UsageError, "resume=True without checkpoints", relidar.train, log(), config(), resume=True)
+        self.assert_fails(relidar.UsageError, "resume=True needs the argument checkpoints", relidar.train, log(), config(), resume=True)
         other = config().copy()
         other["loss.depth"] = 0.9
         self.assert_fails(relidar.UsageError, "loss.depth", relidar.train, log(), other, checkpoints=checkpoints, resume=True)
@@ -159,7 +159,7 @@ class Evaluate(TestCase):
     def test_bad_input(self):
         self.assert_fails(relidar.UsageError, "expected nearest or nearest-actors", relidar.evaluate, run(), log(), baseline="nerest")
         part = relidar.load_sequence(street(), relidar.Config("quick", {"dataset.frames_end": 3}))
-        self.assert_fails(relidar.DataError, "frame 4 is not there", relidar.evaluate, run(), part)
+        self.assert_fails(relidar.DataError, "has no frame 4", relidar.evaluate, run(), part)
 
 
 class Pictures(TestCase):
@@ -167,7 +167,7 @@ class Pictures(TestCase):
         for scan in (run().render(time=run().times[0]), log().scan(0)):
             relidar.write_picture(FOLDER / "scan.png", scan)
             self.assertEqual((FOLDER / "scan.png").read_bytes()[:8], b"\x89PNG\r\n\x1a\n")
-        self.assert_fails(relidar.DataError, 'without "range"', relidar.write_picture, FOLDER / "scan.png", {})
+        self.assert_fails(relidar.DataError, 'no entry "range"', relidar.write_picture, FOLDER / "scan.png", {})
 
 
 if __name__ == "__main__":

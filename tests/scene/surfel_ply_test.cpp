@@ -112,7 +112,7 @@ TEST_F(SurfelPly, GaussiansHaveTheirThirdScale) {
     put(folder / "b.ply", file.header + file.data);
     const std::string message =
         data_error([&] { (void)read_surfel_ply(folder / "b.ply", scene, Primitive::gaussian); });
-    EXPECT_NE(message.find("property scale_2: missing"), std::string::npos) << message;
+    EXPECT_NE(message.find("property scale_2 is missing"), std::string::npos) << message;
 }
 
 TEST_F(SurfelPly, HasTheLayoutOfGaussianSplatting) {
@@ -202,17 +202,17 @@ TEST_F(SurfelPly, RefusesFilesThatLie) {
     refused("found format binary_big_endian",
             [](Parts& p) { p.replace("binary_little_endian", "binary_big_endian"); });
     refused("does not begin with \"ply\"", [](Parts& p) { p.header[0] = 'x'; });
-    refused("found no end_header", [](Parts& p) { p.replace("end_header\n", "end_hea"); });
-    refused("property drop_3: missing", [](Parts& p) { p.replace("drop_3\n", "dropped_3\n"); });
-    refused("property x: missing", [](Parts& p) { p.replace("float x\n", "float q\n"); });
-    refused("property f_rest_4: found another type",
+    refused("end_header is missing", [](Parts& p) { p.replace("end_header\n", "end_hea"); });
+    refused("property drop_3 is missing", [](Parts& p) { p.replace("drop_3\n", "dropped_3\n"); });
+    refused("property x is missing", [](Parts& p) { p.replace("float x\n", "float q\n"); });
+    refused("property f_rest_4 has another type",
             [](Parts& p) { p.replace("float f_rest_4\n", "double f_rest_4\n"); });
-    refused("property y: found twice", [](Parts& p) { p.replace("float z\n", "float y\n"); });
+    refused("property y occurs twice", [](Parts& p) { p.replace("float z\n", "float y\n"); });
     refused("type \"list\"", [](Parts& p) { p.replace("float nx\n", "list uchar int nx\n"); });
     refused("found element face", [](Parts& p) { p.replace("end_header", "element face 3\nend_header"); });
-    refused("before an element",
+    refused("before the element",
             [](Parts& p) { p.replace("element vertex 7\n", "property float e\nelement vertex 7\n"); });
-    refused("found no format or no element",
+    refused("the format or the element vertex is missing",
             [](Parts& p) { p.replace("format binary_little_endian 1.0\n", ""); });
     for (const char* count : {"6", "8", "0", "4294967295"})
         refused("expected " + std::string(count) + " vertices",

@@ -105,7 +105,7 @@ TEST_F(Load, FullQueueTurnsAwayAndServesAgainWhenThereIsRoom) {
     const grpc::Status status = call(*calls);
     EXPECT_EQ(status.error_code(), Code::RESOURCE_EXHAUSTED);
     EXPECT_EQ(status.error_message(),
-              "queueing a request: found all 2 places taken, expected a free one: try again later");
+              "cannot queue the request: all 2 slots of the queue are occupied; try again later");
     EXPECT_EQ(one.leave().error_code(), Code::CANCELLED);
     EXPECT_EQ(two.leave().error_code(), Code::CANCELLED);
     grpc::Status after = call(*calls);

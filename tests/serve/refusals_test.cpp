@@ -34,13 +34,13 @@ v1::ActorTrack& actor(v1::RenderLidarRequest& r, const std::string& name) {
 const std::vector<Case>& cases_of_poses() {
     static const std::vector<Case> all = {
         {"no path", [](auto& r) { r.clear_path(); }, Code::INVALID_ARGUMENT,
-         "reading path: found 0 poses, expected 1 to"},
+         "cannot read path: found 0 poses, expected 1 to"},
         {"NaN pose", [](auto& r) { pose(r).mutable_translation()->set_y(kNan); }, Code::INVALID_ARGUMENT,
-         "reading path[0].pose.translation.y: found nan, expected a finite number within 1e10"},
+         "cannot read path[0].pose.translation.y: found nan, expected a finite number of at most 1e10"},
         {"infinite pose", [](auto& r) { pose(r).mutable_translation()->set_x(1e300); },
          Code::INVALID_ARGUMENT, "found 1e+300"},
         {"NaN rotation", [](auto& r) { pose(r).mutable_rotation()->set_w(kNan); }, Code::INVALID_ARGUMENT,
-         "reading path[0].pose.rotation: found a quaternion of length nan, expected 1"},
+         "cannot read path[0].pose.rotation: found a quaternion of length nan, expected 1"},
         {"quaternion of length 2", [](auto& r) { pose(r).mutable_rotation()->set_w(2.0); },
          Code::INVALID_ARGUMENT, "of length 2"},
         {"empty quaternion", [](auto& r) { pose(r).mutable_rotation()->Clear(); }, Code::INVALID_ARGUMENT,
@@ -48,25 +48,26 @@ const std::vector<Case>& cases_of_poses() {
         {"NaN time of a pose", [](auto& r) { r.mutable_path(0)->set_time_s(kNan); }, Code::INVALID_ARGUMENT,
          "path[0].time_s: found nan"},
         {"times that fall", [](auto& r) { add_pose(*r.mutable_path(), 0.4, at_x(0)); },
-         Code::INVALID_ARGUMENT, "reading path[1].time_s: found 0.4 after 0.5, expected times that rise"},
+         Code::INVALID_ARGUMENT,
+         "cannot read path[1].time_s: found 0.4 after 0.5, expected increasing times"},
         {"NaN time", [](auto& r) { r.set_time_s(kNan); }, Code::INVALID_ARGUMENT,
-         "reading time_s: found nan"},
+         "cannot read time_s: found nan"},
         {"microseconds", [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(500000.0); },
-         Code::INVALID_ARGUMENT, "reading time_s: found 500000 with a path from 0.5 to 0.6"},
+         Code::INVALID_ARGUMENT, "cannot read time_s: found 500000 for a path from 0.5 to 0.6"},
         {"two seconds behind the path",
          [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_time_s(2.7); },
-         Code::INVALID_ARGUMENT, "reading time_s: found 2.7 with a path from 0.5 to 0.6"},
+         Code::INVALID_ARGUMENT, "cannot read time_s: found 2.7 for a path from 0.5 to 0.6"},
         {"points elsewhen",
          [](auto& r) { add_pose(*r.mutable_path(), 0.6, at_x(0)), r.set_points_at_s(-500.0); },
-         Code::INVALID_ARGUMENT, "reading points_at_s"},
+         Code::INVALID_ARGUMENT, "cannot read points_at_s"},
         {"unknown scene", [](auto& r) { r.set_scene("smal"); }, Code::NOT_FOUND,
-         "reading scene: found \"smal\", expected one that is there, as \"small\""},
+         "cannot read scene: found \"smal\", expected an existing name such as \"small\""},
         {"no weather", [](auto& r) { r.set_weather("fog=0"); }, Code::INVALID_ARGUMENT,
-         "reading weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
+         "cannot read weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
         {"unknown lidar", [](auto& r) { r.set_lidar("roof"); }, Code::NOT_FOUND,
-         "reading lidar: found \"roof\""},
+         "cannot read lidar: found \"roof\""},
         {"unknown actor", [](auto& r) { add_pose(*actor(r, "cat").mutable_poses(), 0, at_x(0)); },
-         Code::NOT_FOUND, "actors.actors[0].name: found \"cat\", expected one that is there, as \"car\""},
+         Code::NOT_FOUND, "actors.actors[0].name: found \"cat\", expected an existing name such as \"car\""},
         {"actor without a pose", [](auto& r) { actor(r, "car"); }, Code::INVALID_ARGUMENT,
          "actors.actors[0].poses: found 0 poses"},
         {"actor of another time",
@@ -76,7 +77,8 @@ const std::vector<Case>& cases_of_poses() {
              add_pose(*car.mutable_poses(), 3.0, at_x(4)), add_pose(*car.mutable_poses(), 4.0, at_x(5));
          },
          Code::INVALID_ARGUMENT,
-         "reading actors.actors[0].poses: found poses from 3 to 4 s for a scan at 0.5 s, expected poses that "
+         "cannot read actors.actors[0].poses: found poses from 3 to 4 s for a scan at 0.5 s, expected poses "
+         "that "
          "cover the scan's time"},
         {"actor twice",
          [](auto& r) {
@@ -90,13 +92,13 @@ const std::vector<Case>& cases_of_poses() {
 const std::vector<Case>& cases_of_sensors() {
     static const std::vector<Case> all = {
         {"unknown sensor", [](auto& r) { r.mutable_sensor()->set_name("VLP-17"); }, Code::INVALID_ARGUMENT,
-         "found \"VLP-17\", expected a name that ListScenes gives, as VLP-16"},
+         "found \"VLP-17\", expected a name that ListScenes returns, such as VLP-16"},
         {"a file of the server", [](auto& r) { r.mutable_sensor()->set_name("/etc/passwd"); },
          Code::INVALID_ARGUMENT, "\"/etc/passwd\""},
         {"a file behind a name", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:../../x.csv"); },
-         Code::INVALID_ARGUMENT, "expected a name that ListScenes gives"},
+         Code::INVALID_ARGUMENT, "expected a name that ListScenes returns"},
         {"endless columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:1000000x10"); },
-         Code::INVALID_ARGUMENT, "found 16000000 rays of a scan, expected 1 to 1048576"},
+         Code::INVALID_ARGUMENT, "found 16000000 rays per scan, expected 1 to 1048576"},
         {"no columns", [](auto& r) { r.mutable_sensor()->set_name("VLP-16:0x10"); }, Code::INVALID_ARGUMENT,
          "0 columns"},
         {"a very long name", [](auto& r) { r.mutable_sensor()->set_name(std::string(100000, 'x')); },
@@ -107,11 +109,10 @@ const std::vector<Case>& cases_of_sensors() {
          [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_name(std::string(201, 'x')); },
          Code::INVALID_ARGUMENT, "sensor.spec.name"},
         {"forgotten handle", [](auto& r) { r.mutable_sensor()->set_handle("sensor-9"); }, Code::NOT_FOUND,
-         "upload it again"},
+         "upload the sensor again"},
         {"empty spec", [](auto& r) { spec(r); }, Code::INVALID_ARGUMENT,
          "found no pattern, expected rays, spinning, window or rosette"},
-        {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT,
-         "found 0 rays of a scan"},
+        {"no rays", [](auto& r) { spec(r).mutable_rays(); }, Code::INVALID_ARGUMENT, "found 0 rays per scan"},
         {"half a ray", [](auto& r) { spec(r).mutable_rays()->set_direction("1234567"); },
          Code::INVALID_ARGUMENT, "7 bytes, expected 12"},
         {"wrong rows",
@@ -119,10 +120,10 @@ const std::vector<Case>& cases_of_sensors() {
              spec(r) = rays_ahead(3);
              spec(r).mutable_rays()->set_rows(2), spec(r).mutable_rays()->set_columns(2);
          },
-         Code::INVALID_ARGUMENT, "found 2 rows of 2 columns and 3 directions"},
+         Code::INVALID_ARGUMENT, "found 2 rows, 2 columns and 3 directions"},
         {"times for some rays",
          [](auto& r) { spec(r) = rays_ahead(3), spec(r).mutable_rays()->set_time_s(std::string(8, '\0')); },
-         Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12: 4 a ray of 3"},
+         Code::INVALID_ARGUMENT, "rays.time_s: found 8 bytes, expected 12, which is 4 for each of 3 rays"},
         {"directions of no length",
          [](auto& r) { spec(r).mutable_rays()->set_direction(std::string(12, '\0')); },
          Code::INVALID_ARGUMENT, "direction of ray 0: found 0, expected a length of 1"},
@@ -165,7 +166,7 @@ const std::vector<Case>& cases_of_patterns() {
                  s.set_period_s(0.1);
          },
          Code::INVALID_ARGUMENT,
-         "beams: found -0.1 rad first and 0.1 rad last, expected beams from the highest down"},
+         "beams: found -0.1 rad first and 0.1 rad last, expected beams from the highest to the lowest"},
         {"a window upside down",
          [](auto& r) {
              v1::ScanningWindow& w = *spec(r).mutable_window();
@@ -180,7 +181,7 @@ const std::vector<Case>& cases_of_patterns() {
              spec(r).mutable_window()->set_rows(4294967295u),
                  spec(r).mutable_window()->set_columns(4294967295u);
          },
-         Code::INVALID_ARGUMENT, "rays of a scan, expected 1 to"},
+         Code::INVALID_ARGUMENT, "rays per scan, expected 1 to"},
         {"NaN rosette",
          [](auto& r) {
              v1::Rosette& s = *spec(r).mutable_rosette();
@@ -190,7 +191,7 @@ const std::vector<Case>& cases_of_patterns() {
         {"negative range", [](auto& r) { spec(r) = rays_ahead(1), spec(r).set_max_range_m(-1.0); },
          Code::INVALID_ARGUMENT, "max_range_m"},
         {"three returns", [](auto& r) { r.set_returns(3); }, Code::INVALID_ARGUMENT,
-         "found 3, expected 1 or 2"},
+         "found 3, expected 0, 1 or 2"},
         {"two returns of an ideal ray", [](auto& r) { spec(r) = rays_ahead(1), r.set_returns(2); },
          Code::INVALID_ARGUMENT, "divergence"},
     };
@@ -243,7 +244,7 @@ TEST_F(Refusals, TablesBeyondTheLimits) {
     EXPECT_TRUE(uploaded(kMost).ok());
     const grpc::Status one_more = uploaded(kMost + 1), message_too_large = uploaded(4 * kMost);
     EXPECT_EQ(one_more.error_code(), Code::INVALID_ARGUMENT);
-    EXPECT_THAT(one_more.error_message(), HasSubstr("found 1048577 rays of a scan, expected 1 to 1048576"));
+    EXPECT_THAT(one_more.error_message(), HasSubstr("found 1048577 rays per scan, expected 1 to 1048576"));
     EXPECT_EQ(message_too_large.error_code(), Code::RESOURCE_EXHAUSTED) << "gRPC's own limit";
     EXPECT_TRUE(uploaded(1).ok());
 }
@@ -285,7 +286,7 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
     };
     v1::RenderRigRequest request;
     *request.mutable_rig() = standing();
-    EXPECT_THAT(status_of(request).error_message(), HasSubstr("found 0 sensors of a rig, expected 1 to"));
+    EXPECT_THAT(status_of(request).error_message(), HasSubstr("found a rig with 0 sensors, expected 1 to"));
     request.add_sensors()->set_name("good");
     request.add_sensors()->mutable_sensor()->set_name("no such");
     const grpc::Status status = status_of(request);
@@ -296,7 +297,7 @@ TEST_F(Refusals, RigsAreLookedAtBeforeAnythingIsRendered) {
     for (v1::RigSensor& sensor : *request.mutable_sensors())
         sensor.mutable_rig_from_sensor()->mutable_rotation()->set_w(1.0);
     EXPECT_EQ(status_of(request).error_message(),
-              "reading sensors[1].name: found \"good\" again, expected another name for each sensor");
+              "cannot read sensors[1].name: found \"good\" again, expected a different name for each sensor");
 }
 
 }  // namespace

@@ -99,7 +99,7 @@ TEST_F(Scenes, OneThatFillsTheMemoryIsNotCopied) {
 
 TEST_F(Scenes, OneThatNeverFitsIsRefusedAtTheStart) {
     const std::string message = data_error([&] { SceneSet(device(), sources, 1000, no_assets); });
-    EXPECT_THAT(message, HasSubstr("serving " + (folder / "a").string() + ": it holds"));
+    EXPECT_THAT(message, HasSubstr("cannot serve " + (folder / "a").string() + ": it needs"));
     EXPECT_THAT(message, HasSubstr("--memory-mib"));
 }
 

@@ -183,10 +183,12 @@ TEST_F(Sensorsim, AggregatesLidarScansAlone) {
     };
     for (int i = 2; i < 65; ++i) request.add_lidar();
     EXPECT_EQ(refused().error_code(), Code::INVALID_ARGUMENT);
-    EXPECT_THAT(refused().error_message(), HasSubstr("reading lidar: found 65 scans, expected at most 64"));
+    EXPECT_THAT(refused().error_message(),
+                HasSubstr("cannot read lidar: found 65 scans, expected at most 64"));
     request.add_rgb();
     EXPECT_EQ(refused().error_code(), Code::UNIMPLEMENTED);
-    EXPECT_THAT(refused().error_message(), HasSubstr("found 1 images wanted, expected LiDAR scans alone"));
+    EXPECT_THAT(refused().error_message(),
+                HasSubstr("found a request for 1 images, expected only LiDAR scans"));
 }
 
 TEST_F(Sensorsim, IsOfferedWhereItIsWantedAlone) {
@@ -207,36 +209,37 @@ TEST_F(Sensorsim, SaysWhatMakesNoSense) {
     const Pose here{};
     const std::vector<SensorsimCase> cases = {
         {"unknown scene", [](auto& r) { r.set_scene_id("smal"); }, Code::NOT_FOUND,
-         "reading scene_id: found \"smal\", expected one that is there, as \"small\""},
+         "cannot read scene_id: found \"smal\", expected an existing name such as \"small\""},
         {"no pose", [](auto& r) { r.clear_sensor_pose(); }, Code::INVALID_ARGUMENT,
-         "reading sensor_pose: found no pose at the start"},
+         "cannot read sensor_pose: found no pose at the start"},
         {"half a pair", [](auto& r) { r.mutable_sensor_pose()->clear_end(); }, Code::INVALID_ARGUMENT,
          "found no pose at the end"},
         {"no rotation", [](auto& r) { r.mutable_sensor_pose()->mutable_end()->clear_rotation(); },
-         Code::INVALID_ARGUMENT, "reading sensor_pose.end: found no rotation, expected both"},
+         Code::INVALID_ARGUMENT, "cannot read sensor_pose.end: found no rotation, expected both"},
         {"empty rotation",
          [](auto& r) { r.mutable_sensor_pose()->mutable_end()->mutable_rotation()->Clear(); },
-         Code::INVALID_ARGUMENT, "reading sensor_pose.end.rotation: found a quaternion of length 0"},
+         Code::INVALID_ARGUMENT, "cannot read sensor_pose.end.rotation: found a quaternion of length 0"},
         {"not a number",
          [](auto& r) { r.mutable_sensor_pose()->mutable_start()->mutable_translation()->set_z(NAN); },
-         Code::INVALID_ARGUMENT, "reading sensor_pose.start.translation.z: found nan"},
+         Code::INVALID_ARGUMENT, "cannot read sensor_pose.start.translation.z: found nan"},
         {"times that fall", [](auto& r) { r.set_frame_end_us(399'999); }, Code::INVALID_ARGUMENT,
-         "reading frame_end_us: found 399999 with frame_start_us 400000"},
+         "cannot read frame_end_us: found 399999 with frame_start_us 400000"},
         {"nanoseconds", [](auto& r) { r.set_frame_end_us(400'000 + 100'000'000); }, Code::INVALID_ARGUMENT,
-         "reading frame_end_us"},
+         "cannot read frame_end_us"},
         {"a moment of two poses", [](auto& r) { r.set_frame_end_us(400'000); }, Code::INVALID_ARGUMENT,
-         "reading sensor_pose: found two poses in a frame that takes no time"},
+         "cannot read sensor_pose: found two different poses in a frame without duration"},
         {"unknown sensor", [](auto& r) { r.mutable_lidar()->set_lidar_type(wire::LidarType(7)); },
-         Code::INVALID_ARGUMENT, "reading lidar.lidar_type: found 7, expected 0 (PANDAR128) or 1 (AT128)"},
+         Code::INVALID_ARGUMENT,
+         "cannot read lidar.lidar_type: found 7, expected 0 (PANDAR128) or 1 (AT128)"},
         {"unknown object",
          [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->set_track_id("cat"); },
          Code::NOT_FOUND,
-         "reading dynamic_objects[0].track_id: found \"cat\", expected one that is there, as \"car\""},
+         "cannot read dynamic_objects[0].track_id: found \"cat\", expected an existing name such as \"car\""},
         {"object without a pose",
          [&](auto& r) { add_car(r, here, here), r.mutable_dynamic_objects(0)->clear_pose(); },
-         Code::INVALID_ARGUMENT, "reading dynamic_objects[0].pose: found no pose at the start"},
+         Code::INVALID_ARGUMENT, "cannot read dynamic_objects[0].pose: found no pose at the start"},
         {"object twice", [&](auto& r) { add_car(r, here, here), add_car(r, here, here); },
-         Code::INVALID_ARGUMENT, "reading dynamic_objects[1].track_id: found \"car\" again"},
+         Code::INVALID_ARGUMENT, "cannot read dynamic_objects[1].track_id: found \"car\" again"},
     };
     for (const SensorsimCase& wrong : cases) {
         wire::LidarRenderRequest request = moving();

@@ -198,35 +198,36 @@ TEST_F(Spawn, WhatMakesNoSenseIsRefusedByNameAndChangesNothing) {
     start();
     spawned({{"mine", "car"}});
     expect_refused(spawn_request({{"mine", "car"}}), Code::ALREADY_EXISTS,
-                   "spawning \"mine\": found an actor of that name");
-    expect_refused(spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS, "spawning \"mine\"");
+                   "cannot spawn \"mine\": an actor with this name exists");
+    expect_refused(spawn_request({{"x", "car"}, {"mine", "car"}}), Code::ALREADY_EXISTS,
+                   "cannot spawn \"mine\"");
     expect_refused(spawn_request({{"x", "car"}, {"x", "asset van-1"}}), Code::ALREADY_EXISTS,
-                   "spawning \"x\"");
+                   "cannot spawn \"x\"");
     expect_refused(spawn_request({{"car", "asset van-1"}}), Code::ALREADY_EXISTS,
                    "which is an actor of the run");
     expect_refused(spawn_request({{"x", "cat"}}), Code::NOT_FOUND,
-                   "actors[0].actor: found \"cat\", expected one that is there, as \"c");
+                   "actors[0].actor: found \"cat\", expected an existing name such as \"c");
     expect_refused(spawn_request({{"x", "asset van-2"}}), Code::NOT_FOUND,
-                   "actors[0].asset: found \"van-2\", expected one that is");
+                   "actors[0].asset: found \"van-2\", expected an existing name");
     expect_refused(spawn_request({{"x", "mine"}}), Code::NOT_FOUND, "actors[0].actor: found \"mine\"");
     expect_refused(spawn_request({{"x", ""}}), Code::INVALID_ARGUMENT, "neither actor nor asset");
     expect_refused(spawn_request({{"", "car"}}), Code::INVALID_ARGUMENT, "actors[0].name");
     expect_refused(spawn_request({{std::string(201, 'x'), "car"}}), Code::INVALID_ARGUMENT, "of 201 bytes");
-    expect_refused({}, Code::INVALID_ARGUMENT, "reading actors: found none");
+    expect_refused({}, Code::INVALID_ARGUMENT, "cannot read actors: found none");
     expect_refused(spawn_request({{"x", "asset gauss"}}), Code::FAILED_PRECONDITION, "3D Gaussians");
     std::vector<std::pair<std::string, std::string>> many;
     for (std::size_t i = 0; i <= SpawnedActors::kMostPlaces; ++i)
         many.emplace_back(fmt::format("n{}", i), "car");
-    expect_refused(spawn_request(many), Code::RESOURCE_EXHAUSTED, "found 4096 places");
+    expect_refused(spawn_request(many), Code::RESOURCE_EXHAUSTED, "already has 4096 spawned actors");
     v1::SpawnActorsRequest elsewhere = spawn_request({{"x", "car"}});
     elsewhere.set_scene("nowhere");
-    expect_refused(elsewhere, Code::NOT_FOUND, "reading scene: found \"nowhere\"");
+    expect_refused(elsewhere, Code::NOT_FOUND, "cannot read scene: found \"nowhere\"");
     std::uint32_t left = 0;
     for (const std::vector<std::string>& names :
          {std::vector<std::string>{"x"}, {"mine", "mine"}, {"car"}, {""}}) {
         const grpc::Status status = despawn(names, left);
         EXPECT_EQ(status.error_code(), Code::NOT_FOUND) << names[0];
-        EXPECT_THAT(status.error_message(), HasSubstr("despawning \"" + names[0] + "\""));
+        EXPECT_THAT(status.error_message(), HasSubstr("cannot despawn \"" + names[0] + "\""));
     }
     EXPECT_THAT(listed(), ElementsAre("mine"));
     v1::RenderLidarRequest request = standing();
@@ -328,7 +329,7 @@ TEST_F(Spawn, AnAssetsNameIsGivenOnce) {
     const std::string message = error_message<UsageError>([&] {
         AssetShelf({(folder / "assets").string(), (folder / "others").string()});
     });
-    EXPECT_THAT(message, HasSubstr("found van-1 in"));
+    EXPECT_THAT(message, HasSubstr("found van-1 also in"));
     EXPECT_THAT(data_error([&] { AssetShelf({folder.string() + "/nowhere"}); }), HasSubstr("nowhere"));
 }
 

@@ -52,13 +52,13 @@ wrong_lengths() {
 
 whole() {
     good train street --out one --blocks 30m "${settings[@]}"
-    says "^blocks  3 of 26.[0-9] m, with sweeps up to 40 m outside them$"
+    says "^blocks  3 .* of 26.[0-9] m .* up to 40 m"
     says "^block   3 of 3, metres 53 to 79: .* training frames, .* held out"
     for file in report.html metrics.json log.jsonl blocks/002/scene.json; do exists one/$file; done
     absent one/blocks/000/checkpoints
     check "log.jsonl does not have each iteration once" diff <(seq 1 6) <(grep -o '"iteration":[0-9]*' one/log.jsonl | cut -d: -f2)
     good info one
-    says "^blocks +3 of the background"
+    says "^blocks .* 3 blocks"
     good info one/blocks/001   # a run by itself
     good render one --out scans --frames 28:31
     good edit one --out edited --remove 0
@@ -69,8 +69,8 @@ whole() {
     blocks=$("$relidar" info one | sed -n 's/^surfels  *\([0-9]*\).*/\1/p')
     check "one.ply has $surfels surfels, info says $blocks" test "$surfels" = "$blocks"
     good train --resume one
-    says "nothing to do"
-    bad 2 "the folder is not empty" train street --out one --blocks 30m
+    says "has already finished"
+    bad 2 "already contains a run" train street --out one --blocks 30m
 }
 
 # Interrupted in the second block, killed in the third: each time it goes on where it was.
@@ -92,7 +92,7 @@ stopped() {
     wait $pid 2>/dev/null
     local first
     first=$(stat -c %Y stopped/blocks/000/model.safetensors)
-    bad 3 "blocks/000 was trained with loss.depth = .*, found 0.3, expected the same" train --resume stopped --set loss.depth=0.3
+    bad 3 "blocks/000 was trained with loss.depth = .* is 0.3" train --resume stopped --set loss.depth=0.3
     flock --no-fork stopped/.lock sleep 1 &   # a process of the job before that has not ended yet
     while flock --nonblock stopped/.lock true; do sleep 0.05; done
     good train --resume stopped
@@ -106,7 +106,7 @@ stopped() {
     kill -INT $pid
     wait $pid
     check "interrupted behind its training it ended with $?, expected 130" test $? = 130
-    check "the message does not say what was interrupted" grep -Eq "interrupted while held-out (scans were placed and scatter was learnt|frames were scored); stopped holds the scene; continue with: relidar train --resume stopped$" err
+    check "the message does not say what was interrupted" grep -Eq "interrupted while held-out .*; .*continue with: relidar train --resume stopped$" err
     absent stopped/report.html
     good train --resume stopped
     same stopped
@@ -123,7 +123,7 @@ lost_device() {
     for after in 10 220; do
         "${losing[@]}" RELIDAR_LOSE_DEVICE_AFTER=$after "$relidar" train street --out gone --force --blocks 30m "${settings[@]}" --quiet >out 2>err
         check "device lost after $after submissions: exit code $?, expected 4" test $? = 4
-        check "the message lacks the driver's answer" grep -Eq "^relidar: block 1 of 3: .*VK_ERROR_DEVICE_LOST.*; trained blocks are kept, continue with: relidar train --resume gone" err
+        check "the message lacks the driver's answer" grep -Eq "^relidar: block 1 of 3: .*VK_ERROR_DEVICE_LOST.*; .* continue with: relidar train --resume gone" err
         check "more than one line" test "$(wc -l <err)" = 1
         absent gone/scene.json
     done
@@ -173,7 +173,7 @@ ranks() {
     same two
     mpi 2 "$relidar" train street --out piece "${settings[@]}" >out 2>err
     check "a log in one piece by two processes: exit code 0" test $? != 0
-    check "the message lacks --blocks" grep -Eq "training with 2 processes: .*expected --blocks" err
+    check "the message lacks --blocks" grep -Eq "training with 2 MPI processes needs --blocks" err
 
     mpi 2 "$relidar" train street --out endless --blocks 30m "${settings[@]}" --set train.iterations=100000 >out 2>err &
     local pid=$!
@@ -211,11 +211,11 @@ misfits() {
     cp "$relidar" other && printf x >>other
     mpi_pair "$relidar" train street --out misfit --blocks 30m "${settings[@]}" -- ./other train street --out misfit --blocks 30m "${settings[@]}" >out 2>err
     check "two builds: exit code $?, expected 2" test $? = 2
-    check "the message lacks the build" grep -Eq "process 1 is another build of relidar than the first" err
+    check "the message lacks the build" grep -Eq "process 1 runs a different build" err
     [[ ! -d misfit ]] || flock -w 20 misfit/.lock true   # mpirun may end before a process that it has told to end
     mpi_pair "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" -- "$relidar" train street --out misfit --force --blocks 30m "${settings[@]}" --device 99 >out 2>err
     check "a device that one process lacks: exit code $?, expected 4" test $? = 4
-    check "the message lacks the device" grep -Eq "^relidar: opening device 99: found" err
+    check "the message lacks the device" grep -Eq "^relidar: cannot open device 99: " err
     absent misfit/scene.json
     mpi 2 "$relidar" train --resume misfit street --blocks 30m "${settings[@]}" >out 2>err
     check "resumed after a device failed: exit code $?, expected 0" test $? = 0
@@ -226,7 +226,7 @@ misfits() {
     # model.
     mpi 2 "$relidar" train street --out full/run --blocks 30m "${settings[@]}" --set train.checkpoint_minutes=10 --quiet >out 2>err
     check "a full folder: exit code $?, expected 3" test $? = 3
-    check "the message lacks the block" grep -Eq "^relidar: block . of 3: writing .*: No space left on device; trained blocks are kept, continue with: relidar train --resume full/run" err
+    check "the message lacks the block" grep -Eq "^relidar: block . of 3: writing .*: No space left on device; .* continue with: relidar train --resume full/run" err
     absent full/run/scene.json
     check "nothing is kept in the full folder" compgen -G "full/run/blocks/*/scene.json" >/dev/null   # of the block that was first
     mount -o remount,size=64m full
@@ -256,13 +256,13 @@ frames() {
     done
     mpi 2 "$relidar" render one --out together --frames 20:25 >out 2>err
     check "two processes overwrite a rendering" test $? != 0
-    check "the message lacks --force" grep -Eq "holds another rendering .*--force" err
+    check "the message lacks --force" grep -Eq "already contains rendered scans.*--force" err
     exists together/frame_000020.npz
     mpi 2 "$relidar" render one --out together --frames 20:25 --force --quiet >out 2>err
     check "render --force by two processes: exit code $?, expected 0" test $? = 0
     mpi 2 "$relidar" render one --out film --format mcap >out 2>err
     check "two processes write one recording" test $? != 0
-    check "the message lacks mcap" grep -Eq -- "--format mcap: found 2 processes, expected one" err
+    check "the message lacks mcap" grep -Eq -- "--format mcap: found 2 MPI processes" err
     absent film
 
     good eval one --out alone.json --baseline nearest --pictures alone_pictures --quiet

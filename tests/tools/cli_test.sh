@@ -32,7 +32,7 @@ help_tells() {
     says "^iterations = 30000$"
     good list settings --preset released
     says '^preset = "released"$'
-    says "^# [0-9]+ expert settings, all as the preset has them, are not shown: relidar list settings --all$"
+    says "^# [0-9]+ expert settings .* are not shown"
     check "an expert setting is shown" test -z "$(grep '^box = ' out)"
     good list settings --set loss.box=0.5
     says "^box = 0.5$"
@@ -42,26 +42,26 @@ help_tells() {
 }
 
 wrong_usage() {
-    bad 2 "found no command"
-    bad 2 "command trian: unknown, did you mean train\?" trian
-    bad 2 "option --sed: unknown, did you mean --" train street --out x --sed 1
+    bad 2 "no command is given"
+    bad 2 "unknown command trian, did you mean train\?" trian
+    bad 2 "unknown option --sed, did you mean --" train street --out x --sed 1
     bad 2 "DATASET is required" train
     bad 2 "out is required, or --resume" train street
-    bad 2 "DATASET is required: nowhere has no config.toml" train --resume nowhere
+    bad 2 "DATASET is required.* nowhere has no config.toml" train --resume nowhere
     bad 2 "out is required, or --resume with a run folder" train --resume
-    bad 2 "argument extra: not expected" info street extra
+    bad 2 "unexpected argument extra" info street extra
     bad 2 "setting loss.dept: unknown key, did you mean loss.depth\?" train street --out x --set loss.dept=1
     bad 2 'setting loss.depth: found "abc", expected a number >= 0' train street --out x --set loss.depth=abc
     bad 2 'setting loss.depth: found "nan"' train street --out x --set loss.depth=nan
-    bad 2 '--set: found "loss.depth", expected key=value' train street --out x --set loss.depth
+    bad 2 '--set: found "loss.depth"; expected KEY=VALUE' train street --out x --set loss.depth
     bad 2 "preset 'papr': unknown, did you mean 'paper'" train street --out x --preset papr
     bad 2 'setting train.seed: found "-1"' train street --out x --seed -1
     bad 2 'device: found "x", expected an integer' train street --out x --device x
     bad 2 'traversal: found "x", expected auto' train street --out x --traversal x
-    bad 2 "dataset.sequence: found .kd1. for a synthetic street, which is one drive; expected none" info street --sequence kd1
-    bad 2 "lidar: found .rear., expected none: the log has one LiDAR" info street --set dataset.lidars=rear
-    bad 2 'an empty range, expected first < end' train street --out x --frames 5:5
-    bad 2 'expected first:end' train street --out x --frames 5
+    bad 2 "dataset.sequence: found .kd1., but a synthetic street is a single drive" info street --sequence kd1
+    bad 2 "lidar: found .rear., expected none" info street --set dataset.lidars=rear
+    bad 2 'empty range "5:5"' train street --out x --frames 5:5
+    bad 2 'expected FIRST:END' train street --out x --frames 5
     bad 3 "missing.toml: no such file" train street --out x --config missing.toml
     printf '[loss]\ndepth = \n' >broken.toml
     bad 3 "broken.toml:2: not valid TOML" list settings --config broken.toml
@@ -70,28 +70,28 @@ wrong_usage() {
     bad 3 "nowhere: no such folder" info nowhere
     bad 3 "not a dataset" info .
     bad 2 "dataset kind 'kity': unknown" info kity:street
-    bad 3 "cannot be made a folder" train street --out broken.toml/run
+    bad 3 "cannot create the folder" train street --out broken.toml/run
     bad 3 "/proc/" train street --out /proc/relidar
     mkdir full && printf 'x' >full/file
-    bad 2 "full: the folder is not empty and holds no run" train street --out full --force
-    bad 2 "street: the folder holds a log" train street --out street --force
-    bad 2 "street: the folder holds a log" train street --out street --resume
+    bad 2 "full: the folder is not empty" train street --out full --force
+    bad 2 "street: this folder contains a log" train street --out street --force
+    bad 2 "street: this folder contains a log" train street --out street --resume
     check "the log, or what was beside no run, was touched" test -s street/street.toml -a -s full/file -a "$(ls -A street full | wc -l)" = 5
     bad_paths
     bad 3 "nowhere: no such folder" render nowhere --out x
     bad 3 "nowhere: no such folder" eval nowhere
     bad 2 'baseline: found "nerest", expected nearest or nearest-actors' eval street --baseline nerest
     bad 3 "nowhere: no such folder" eval nowhere --baseline nearest
-    bad 3 "street: no frame was held out" eval street --baseline nearest --frames 0:5
-    bad 2 "open: found a log, expected a run" eval street --baseline nearest --open
+    bad 3 "street: it has no held-out frames" eval street --baseline nearest --frames 0:5
+    bad 2 "open: the argument is a log" eval street --baseline nearest --open
     bad 3 "nowhere: no such folder" export nowhere --out x.ply
     bad 2 "x.obj: found the ending .obj, expected a name that ends in .ply" export run --out x.obj
     bad 2 'setting train.iterations: found "-1"' demo --out x --set train.iterations=-1
     bad 3 "nowhere: no such folder" edit nowhere --from-ply scene.ply --out x
-    bad 2 "found no subcommand, expected devices, sensors, settings" list
-    bad 2 "command sensor: unknown, did you mean sensors\?" list sensor
-    bad 2 "option --jso: unknown, did you mean --json\? .see .relidar list devices --help" list devices --jso
-    bad 3 "found a folder, expected a file name" bench --json .
+    bad 2 "no subcommand is given; expected one of devices, sensors, settings" list
+    bad 2 "unknown command sensor, did you mean sensors\?" list sensor
+    bad 2 "unknown option --jso, did you mean --json\? .see .relidar list devices --help" list devices --jso
+    bad 3 "--json .: this is a folder" bench --json .
     absent x
 }
 
@@ -107,19 +107,19 @@ bad_paths() {
     local long
     long=$(printf 'x%.0s' {1..300})
     if [[ $(id -u) != 0 || $relidar != "$own" ]]; then
-        for command in "train street" "demo" "render street" "edit run --remove 0" "edit run --from-ply a.ply"; do bad 3 "(locked|run).*(Permission denied|no such folder|config.toml: no such file)" $command --out locked/run; done
-        bad 3 "unreadable/street.toml: cannot be read: Permission denied" info unreadable
-        bad 3 "locked: cannot be read: Permission denied|locked/.*cannot be read: Permission denied" info locked
-        bad 3 "locked/run: cannot be read: Permission denied" info locked/run
-        bad 3 "beams.csv: cannot be read: Permission denied" info street --set dataset.poses=beams.csv
+        for command in "train street" "demo" "render street" "edit run --remove 0" "edit run --from-ply a.ply"; do bad 3 "(locked|run).*(Permission denied|no such folder|config.toml is missing)" $command --out locked/run; done
+        bad 3 "cannot read .*unreadable/street.toml: Permission denied" info unreadable
+        bad 3 "cannot read .*locked.*: Permission denied" info locked
+        bad 3 "cannot read .*locked/run: Permission denied" info locked/run
+        bad 3 "cannot read .*beams.csv: Permission denied" info street --set dataset.poses=beams.csv
     fi
     relidar=$own
     for out in loop loop/run "$long" "a/$long"; do
-        bad 3 "cannot be made a folder: (Too many levels of symbolic links|File name too long)" train street --out "$out"
-        bad 3 "cannot be made a folder: (Too many levels of symbolic links|File name too long)" demo --out "$out"
+        bad 3 "cannot create the folder.*(Too many levels of symbolic links|File name too long)" train street --out "$out"
+        bad 3 "cannot create the folder.*(Too many levels of symbolic links|File name too long)" demo --out "$out"
     done
-    bad 3 "cannot be read: (Too many levels of symbolic links|File name too long)" info loop
-    bad 3 "cannot be read: File name too long" info "$long"
+    bad 3 "cannot read .*(Too many levels of symbolic links|File name too long)" info loop
+    bad 3 "cannot read .*: File name too long" info "$long"
     chmod 755 locked && rm -rf locked unreadable loop beams.csv a as_nobody
 }
 
@@ -177,7 +177,7 @@ converting() {
     good info free --set dataset.poses=none
     bad 3 "nowhere: no such folder" convert nowhere --out x
     bad 2 "out is required" convert street
-    bad 3 "x.*: cannot be made a folder" convert street --out street/street.toml/x
+    bad 3 "cannot create the folder .*x" convert street --out street/street.toml/x
     printf 'seed = 5\nn_frames = 60\nrows = 32\ncolumns = 512\n' >long.toml && mkdir long && mv long.toml long/street.toml
     "$relidar" convert long --out stopped >out 2>err &
     local process=$!
@@ -200,7 +200,7 @@ training() {
     check "config.toml lacks the seed" grep -qx "seed = 3" run/config.toml
     check "config.toml lacks the iterations" grep -qx "iterations = 6" run/config.toml
     check "progress lacks rate and eta" grep -Eq "^iteration 6/6  [0-9.]+ it/s  eta 0:00  loss [0-9.e-]+ \(depth" err
-    bad 2 "run: the folder is not empty" train street --out run
+    bad 2 "run: the folder already contains a run" train street --out run
     good train street --out again --config run/config.toml --set train.iterations=0 --no-eval --quiet
     check "--quiet prints" test ! -s out -a ! -s err
     absent again/metrics.json
@@ -252,11 +252,11 @@ rendering() {
     flock --no-fork scans/.lock sleep 60 &   # another process writes it
     local writer=$!
     while flock --nonblock scans/.lock true; do sleep 0.05; done
-    bad 3 "scans: another relidar is writing this folder" render run --out scans --force
-    bad 3 "scans: another relidar is writing this folder" export run --out scans --frames 2:3
+    bad 3 "scans: another relidar process is writing" render run --out scans --force
+    bad 3 "scans: another relidar process is writing" export run --out scans --frames 2:3
     kill -KILL $writer
     wait $writer 2>/dev/null
-    bad 2 "scans: the folder holds another rendering \(13 files.*--force replaces it" render run --out scans --frames 2:3
+    bad 2 "scans: the folder already contains rendered scans \(13 files.*--force" render run --out scans --frames 2:3
     printf 'mine' >scans/frame_notes.txt
     good render run --out scans --frames 2:3 --format NPZ --force
     check "--force removed a file of the user's" grep -qx mine scans/frame_notes.txt
@@ -264,8 +264,8 @@ rendering() {
     check "--force left frames of the rendering before" test "$(ls scans | tr '\n' ' ')" = "frame_000002.npz scans.json "
     good render run --out recorded --frames 2:4 --format mcap,rosbag
     check "recordings are other than one file each" test "$(ls -A recorded | tr '\n' ' ')" = "rosbag.mcap scans.json scans.mcap "
-    bad 2 "out run: found a run, expected another folder" render run --out run
-    bad 2 "recorded: the folder holds another rendering \(3 files" render run --out recorded --format mcap
+    bad 2 "out run: this is a run folder" render run --out run
+    bad 2 "recorded: the folder already contains rendered scans \(3 files" render run --out recorded --format mcap
     good render run --out drawn --frames 2:4 --sample 7
     good render run --out drawn_again --frames 2:4 --sample 7
     good render run --out drawn_otherwise --frames 2:4 --sample 8
@@ -273,7 +273,7 @@ rendering() {
     check "scans drawn with two seeds are the same" test "$(cmp -s drawn/frame_000003.npz drawn_otherwise/frame_000003.npz; echo $?)" = 1
     check "scans.json does not say how scans were drawn" grep -q '"sample": 7' drawn/scans.json
     good render run --out foggy --frames 2:4 --sample 7 --weather fog=40 --format npz,ply
-    check "weather is not noted" grep -q "^relidar: note: weather fog=40: the sensors' wavelength is unknown, assuming 905 nm" err
+    check "weather is not noted" grep -q "^relidar: note: weather fog=40: the sensors' wavelength is unknown and assumed to be 905 nm" err
     check "scans.json does not say the weather" grep -q '"weather": "fog=40"' foggy/scans.json
     check "points do not say why they are there" grep -qa "property int source" foggy/frame_000003.ply
     good render run --out foggy_again --frames 2:4 --sample 7 --weather fog=40
@@ -282,20 +282,20 @@ rendering() {
     check "no rain changes a scan" cmp -s drawn/frame_000003.npz unclouded/frame_000003.npz
     bad 2 "weather: found fog=0, expected a visibility of 1 to 1e6 metres" render run --out x --weather fog=0
     bad 2 "weather: found rain=-3, expected 0 to 500 mm/h" render run --out x --weather rain=-3
-    bad 2 "weather: found rain=3 and snow=1, expected one of them" render run --out x --weather rain=3,snow=1
+    bad 2 "weather: found rain=3 and snow=1, expected only one of them" render run --out x --weather rain=3,snow=1
     bad 2 "weather: found \"hail\", expected fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES" render run --out x --weather hail
     good render run --out sunny --frames 2:4 --sample 7 --weather bloom,sun=90:10
     check "scans.json does not say all of the weather" grep -q '"weather": "bloom=0.00012,sun=90:10"' sunny/scans.json
-    check "the log's own place is called unseen" test -z "$(grep -o 'cross space that the log has not seen' err)"
+    check "the log's own place is called unseen" test -z "$(grep -o 'cross space that the log has not observed' err)"
     good render run --out left --frames 2:4 --offset -1,2.5,1,90
     exists left/frame_000002.npz
     exists left/frame_000003.npz
     good render run --out below --frames 2:4 --offset 0,0,-5
     check "a sensor under the ground is not warned of" \
-        grep -q "^relidar: note: below: in 2 of 2 scans more than 20 % of the rays cross space that the log has not seen, in number [23] 9" err
+        grep -q "^relidar: note: below: in 2 of 2 scans, more than 20 % of the rays .*scan [23] has the most, 9" err
     check "scans.json does not say how much is unseen" grep -q '"unseen":0.9' <(tr -d ' \n' <below/scans.json)
     good render run --out far_off --frames 2:3 --offset 9000,0,0 --channels seen
-    check "the summary does not say how much is unseen" grep -q "0.0 % return, 100.0 % cross space that the log has not seen" out
+    check "the summary does not say how much is unseen" grep -q "0.0 % of the rays return, 100.0 % of the rays cross space" out
     good render run --out other --frames 11: --sensor VLP-16
     good render run --out grid --frames all --sensor kitti360 --quiet
     check "--frames all wrote other than 12 files and scans.json" test "$(ls grid | wc -l)" = 13
@@ -308,20 +308,20 @@ rendering() {
     check "frames beyond the log are left out without a word" grep -q "^relidar: note: frames 11:14: run ends with frame 11" err
     good train street --out kept --preset quick --set train.iterations=1 --set dataset.test_every=0 --no-eval --quiet
     good render kept --out kept_scans
-    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept has no held-out frames: rendering all 12" err
+    check "render of a run that held nothing out does not say so" grep -q "^relidar: note: kept has no held-out frames; all 12" err
     check "render of a run that held nothing out left frames out" test "$(ls kept_scans | wc -l)" = 13
     bad 2 "selects no frame of run" render run --out x --frames 100:200
-    bad 2 'format: found "npy", did you mean npz' render run --out x --format npy
+    bad 2 'format: "npy" is unknown, did you mean npz' render run --out x --format npy
     bad 2 "offset: found 2 numbers" render run --out x --offset 1,2
-    bad 2 'format: found "" \(known: npz' render run --out x --format npz,
+    bad 2 'format: "" is unknown .*npz' render run --out x --format npz,
     bad 2 "offset: found 1e[+]?30 in .*between -10000 and 10000" render run --out x --offset 1e30,0,0,0
-    bad 2 "offset: found a turn of 1000000000 in" render run --out x --offset 0,0,0,1e9
-    bad 2 'lidar: found "rear", expected none: the log has one LiDAR' render run --out x --lidar rear
+    bad 2 "offset: found a yaw angle of 1000000000 in" render run --out x --offset 0,0,0,1e9
+    bad 2 'lidar: found "rear", expected none' render run --out x --lidar rear
     bad 2 '--frame: found "wold", expected sensor or world' render run --out x --frame wold
     bad 2 "known: native, kitti360, HDL-64E" render run --out x --sensor nativ
-    bad 2 "99999999 columns at 10 Hz, expected a whole number from 1 to 1000000" render run --out x --sensor beams.csv:99999999x10
+    bad 2 "99999999 columns at 10 Hz, expected 1 to 1000000 columns" render run --out x --sensor beams.csv:99999999x10
     printf 'elevation_deg,azimuth_ofset_deg\n5,1\n' >typo.csv
-    bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is not known, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
+    bad 3 "typo.csv line 1: column 'azimuth_ofset_deg' is unknown, did you mean 'azimuth_offset_deg'" render run --out x --sensor typo.csv
     bad 2 "offset: found \"x\"" render run --out x --offset 1,2,x
     bad 2 "did you mean 'VLP-16'" render run --out x --sensor VLP16
     good list sensors
@@ -330,7 +330,7 @@ rendering() {
     says "^rays +32768 \\(64 rows of 512\\)"
     check "sensors --out writes no png" test "$(head -c 4 pattern.png | tail -c 3)" = PNG
     bad 2 "did you mean 'VLP-16'" list sensors VLP16
-    bad 2 "--out: found no sensor" list sensors --out x.png
+    bad 2 "--out needs a sensor" list sensors --out x.png
     printf '%s' '{"sensors": [{"name": "top", "sensor": "VLP-16"}, {"name": "left", "sensor": "rosette", "translation_m": [0, 1, 0],' \
         ' "yaw_pitch_roll_deg": [90, 0, 0]}]}' >rig.json
     good render run --out rig --frames 5:6 --sensor rig.json --format pcd,npz
@@ -338,17 +338,17 @@ rendering() {
     good render run --out merged --frames 5:6 --sensor rig.json --format pcd --merge
     check "a merged rig has not the points of its sensors" test "$(points_of merged/frame_000005.pcd)" -eq \
         "$(($(points_of rig/top/frame_000005.pcd) + $(points_of rig/left/frame_000005.pcd)))"
-    bad 2 "--merge: found a single sensor" render run --out x --sensor VLP-16 --merge
-    bad 2 "--topic: found no recording in --format, expected mcap or rosbag" render run --out x --topic /points
-    bad 2 '--frame-id: found "a" for all sensors of a rig, expected \{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
-    bad 2 'found topic "points", expected one as /lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
+    bad 2 "--merge needs a rig" render run --out x --sensor VLP-16 --merge
+    bad 2 "--topic has no effect.*mcap or rosbag" render run --out x --topic /points
+    bad 2 '--frame-id: found "a" for all sensors of a rig.*\{name\}' render run --out x --sensor rig.json --format mcap --frame-id a
+    bad 2 'found topic "points", expected a name such as /lidar/points' render run --out x --frames 2:3 --format rosbag --topic points
     absent x
-    bad 2 "rig/top: the folder holds another rendering" render run --out rig --frames 5:6 --sensor rig.json
+    bad 2 "rig/top: the folder already contains rendered scans" render run --out rig --frames 5:6 --sensor rig.json
     good render run --out wide --frames 5:6 --sensor VLP-16 --format npz,pcd --set sensor.sub_rays=5 --set sensor.returns=2
     check "a second return is missing from the pcd" grep -aq "^FIELDS x y z intensity ring time instance return$" wide/frame_000005.pcd
-    bad 2 "sensor.sub_rays: nothing is known of the beam divergence of XT32" render run --out x --sensor XT32 --set sensor.sub_rays=5
-    bad 2 "sensor.returns: found 2 with sensor.sub_rays = 1" render run --out x --sensor VLP-16 --set sensor.returns=2
-    bad 3 "cannot be made a folder" render run --out broken.toml/x
+    bad 2 "sensor.sub_rays: the beam divergence of XT32 is unknown" render run --out x --sensor XT32 --set sensor.sub_rays=5
+    bad 2 "sensor.returns=2 needs sensor.sub_rays" render run --out x --sensor VLP-16 --set sensor.returns=2
+    bad 3 "cannot create the folder" render run --out broken.toml/x
     absent x
 }
 
@@ -366,7 +366,7 @@ range_limits() {
     check "an empty ply lacks its fields" test "$(grep -ac '^property' nothing/frame_000005.ply)" = 7
     good eval run --out limited.json --set dataset.max_range_m=20
     check "eval with another range limit gives the same numbers" test "$(grep -c depth_medae limited.json)" -gt 0 -a "$(grep -m1 strict/depth_rmse_m limited.json)" != "$(grep -m1 strict/depth_rmse_m run/metrics.json)"
-    bad 2 "range limits: 30 to 20 m, expected 0 <= dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
+    bad 2 "range limits are 30 to 20 m, expected 0 <= dataset.min_range_m < dataset.max_range_m" info street --set dataset.max_range_m=20 --set dataset.min_range_m=30
 }
 
 points_of() { grep -am1 "^POINTS" "$1" | cut -d" " -f2; }
@@ -384,25 +384,25 @@ ray_drop() {
     cp -r run cells
     good refine cells --set sensor.grid=kitti360 --set refine.image=grid --set refine.network=small --set refine.epochs=1 --set refine.frames=3
     says "^strict/drop_accuracy"
-    says '^"baseline" is without the network$'
+    says '"baseline" is without the network'
     check "progress of the network lacks rate and eta" grep -Eq "^ray-drop network, epoch 1/1  step 3/3  [0-9.]+ it/s  eta 0:00  entropy" err
     good info cells
     says "parameters that reads kitti360 images$"
     good render cells --out of_cells --frames 5:6 --sensor VLP-16
     check "render does not say that a network does not fit" \
-        grep -q "^relidar: note: cells: its ray-drop network reads kitti360 images of at least 8 x 8; scans of VLP-16 use the" err
+        grep -q "^relidar: note: the ray-drop network of cells needs kitti360 images of at least 8 x 8 pixels; scans of VLP-16" err
     good train street --out surfels --config run/config.toml --set refine.enabled=false --no-eval --quiet
     absent surfels/drop_network.safetensors
     good refine surfels --no-eval --quiet
     check "--quiet prints" test ! -s out -a ! -s err
-    bad 3 "network, image 0: an image of 8 x 96 pixels, expected at least 16 x 16 for a network of 4 levels" \
+    bad 3 "network with image 0: found 8 x 96 pixels, expected at least 16 x 16" \
         refine surfels --quiet --set refine.network=paper
     bad 2 'setting refine.network: found "large", expected one of small, paper, pixel' refine surfels --set refine.network=large
     bad 3 "nowhere: no such folder" refine nowhere
     printf 'short' >surfels/drop_network.safetensors
     bad 3 "surfels/drop_network.safetensors" render surfels --out x
     good train street --out surfels --config run/config.toml --set refine.network=paper --no-eval --force
-    check "training does not say that its network was not trained" grep -q "^relidar: note: training the ray-drop network, image 0" err
+    check "training does not say that its network was not trained" grep -q "^relidar: note: cannot train the ray-drop network with image 0" err
     absent surfels/drop_network.safetensors
     absent x
 }
@@ -427,16 +427,16 @@ own_paths() {
     printf '0,0,0,2,0\n1,nan,0,2,0\n' >nan.csv
     bad 3 "nan.csv: line 2: x: found \"nan\"" render run --out x --trajectory nan.csv
     printf '1,0,0,2,0\n0,1,0,2,0\n' >falling.csv
-    bad 3 "falling.csv: line 2: time_s: found 0 after 1, expected times that rise" render run --out x --trajectory falling.csv
+    bad 3 "falling.csv: line 2: time_s is 0 after 1" render run --out x --trajectory falling.csv
     bad 3 "none.csv" render run --out x --trajectory none.csv
-    bad 2 "rate and --times: found no --trajectory" render run --out x --rate 20
-    bad 2 "frames: found --trajectory too" render run --out x --trajectory way.csv --frames 1:2
-    bad 2 "rate: found --times too" render run --out x --trajectory way.csv --rate 5 --times 0:1:0.1
-    bad 2 "rate: found 0, expected scans per second, above 0" render run --out x --trajectory way.csv --rate 0
+    bad 2 "rate and --times need --trajectory" render run --out x --rate 20
+    bad 2 "frames and --trajectory cannot" render run --out x --trajectory way.csv --frames 1:2
+    bad 2 "rate and --times cannot" render run --out x --trajectory way.csv --rate 5 --times 0:1:0.1
+    bad 2 "rate: found 0; expected" render run --out x --trajectory way.csv --rate 0
     bad 2 "at most 1e\+06" render run --out x --trajectory way.csv --rate 1e9
-    bad 2 "times: found \"0:1\", expected first:last:step" render run --out x --trajectory way.csv --times 0:1
-    bad 2 "times: found 0 to 50 s, expected times of the trajectory" render run --out x --trajectory way.csv --times 0:50:1
-    bad 2 "expected first < last and a step above 0" render run --out x --trajectory way.csv --times 1:0:0.1
+    bad 2 "times: found \"0:1\"; expected FIRST:LAST:STEP" render run --out x --trajectory way.csv --times 0:1
+    bad 2 "times: found 0 to 50 s; expected" render run --out x --trajectory way.csv --times 0:50:1
+    bad 2 "expected FIRST < LAST and a STEP above 0" render run --out x --trajectory way.csv --times 1:0:0.1
     bad 2 "ends in .ply \(surfels\) or .csv" export run --out way.txt
     absent x
 }
@@ -447,7 +447,7 @@ start_of() { "$relidar" info "$1" | awk -v track="$2" '$1 == track { for (i = 1;
 editing() {
     good info run
     says "^ +0 +Car .* 0-11 .* m/s .* 1 +[0-9]+$"
-    says "^instances +3, the background is 0"
+    says "^instances +3, .*0 is the background"
     good edit run --out removed --remove 0
     says "^removed 0$"
     good info removed
@@ -497,18 +497,18 @@ XOSC
     says "0-insert-1 follows Van of cut_in.xosc"
     bad 2 'expected also Van=TRACK, Van=RUN#TRACK, Van=ASSET or Van=-' edit run --out x --scenario cut_in.xosc
     bad 2 'expected entities of the file; Bus is not in the file' edit run --out x --scenario cut_in.xosc@Van=1,Bus=0
-    bad 2 'an entity that follows a trajectory; Ego follows none' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
+    bad 2 'an entity with a trajectory, but Ego has no trajectory' edit run --out x --scenario cut_in.xosc@Van=1,Ego=0
     bad 2 'expected Van=TRACK of the run, RUN#TRACK or ASSET' edit run --out x --scenario cut_in.xosc@Van=7
     bad 2 'scenario with at least one entity that follows' edit run --out x --scenario cut_in.xosc@Van=-
     bad 2 'expected FILE.xosc\[@ENTITY=TRACK' edit run --out x --scenario cut_in.xosc@Van
     bad 3 'none.xosc' edit run --out x --scenario none.xosc
     good edit run --out late --retime 0:100
-    says "note: track 0 is present at no frame of the log"
+    says "note: track 0 is not visible in any frame"
     sed 's/"name": "synthetic"/"name": "other"/' -i removed/scene.json
     good edit run --out both --force --insert "removed#1@$start"
     says "note: removed was recorded by another sensor"
     good eval moved --out edited.json
-    says "the street was rendered again with the run's edits"
+    says "street was rendered again with the run's edits"
     says "^edited +[0-9.]+ +[0-9.]+ +[0-9.]+"
     good eval path --out path.json   # of a name that no car of the street has
     good render run --out cars --frames 5:6 --only actors
@@ -520,7 +520,7 @@ keeping_assets() {
     good assets run --out assets --least 0.1
     says "^asset +class +score +front +rear +left +right +top +completed"
     says "^car-0 +Car +0\.[0-9]+ "
-    says "^2 of 2 actors in assets$"
+    says "^saved 2 of 2 actors in assets$"
     for name in car-0 car-1; do exists "assets/$name/asset.json"; exists "assets/$name/views.png"; done
     good info assets/car-0
     says "^boxes +1: "
@@ -530,21 +530,21 @@ keeping_assets() {
     good render assets/car-0 --out asset_scans --frames 5:6 --format ply
     local most
     most=$("$relidar" assets run --out every --least 0 2>/dev/null | awk '/^car-/ && $3 > most { most = $3 } END { print most }')
-    bad 3 "run: found no actor with a sufficient score: skipped 0 \(Car\): score 0.*expected 1.00 \(--least\): seen front" assets run --out none --least 1
+    bad 3 "run has a sufficient score: skipped 0 \(Car\): its score is 0.*1.00 \(--least\); it was seen front" assets run --out none --least 1
     absent none
     check "a score above 1: $most" awk "BEGIN { exit !($most <= 1) }"
     bad 2 "assets: the folder is not empty, expected a new or empty folder" assets run --out assets
-    bad 2 "least: found 2, expected 0 to 1" assets run --out none --least 2
-    bad 2 "found no actor, expected at least one" assets again2 --out none
+    bad 2 "least: found 2; expected" assets run --out none --least 2
+    bad 2 "has no actor" assets again2 --out none
     bad 3 "nowhere: no such folder" assets nowhere --out none
     absent none
     check "unfinished folders were left behind" test -z "$(find . -maxdepth 1 -name '.*tmp*')"
 }
 
 wrong_edits() {
-    bad 2 "found no edit" edit run --out x
-    bad 2 'found no such track, did you mean "0"\?' edit run --out x --remove 00
-    bad 2 '--move 7:1,0,0: editing track "7"' edit run --out x --move 7:1,0,0
+    bad 2 "no edit is given" edit run --out x
+    bad 2 'no such track, did you mean "0"\?' edit run --out x --remove 00
+    bad 2 '--move 7:1,0,0: cannot edit track "7"' edit run --out x --move 7:1,0,0
     bad 2 'move: found "0:1,2", expected TRACK:dx,dy,dz' edit run --out x --move 0:1,2
     bad 2 'move: found "x" in "1,x,2"' edit run --out x --move 0:1,x,2
     bad 2 'move: found "nan"' edit run --out x --move 0:1,nan,2
@@ -554,11 +554,11 @@ wrong_edits() {
     bad 2 'copy: found "0@1,2,3,4,5", expected TRACK@x,y,z,yaw_deg' edit run --out x --copy 0@1,2,3,4,5
     bad 2 'copy: found "0@1,ground", expected TRACK@x,y,z,yaw_deg.* or TRACK@x,y,ground' edit run --out x --copy 0@1,ground
     bad 2 'copy: found "0@1,2,ground3", expected' edit run --out x --copy 0@1,2,ground3
-    bad 2 'copy 0@900,2,ground: placing 0 on the ground at 900,2 of the dataset.s world: found no surface' edit run --out x --copy 0@900,2,ground
-    bad 2 'insert run#7@1,2,ground: editing track "7"' edit run --out x --insert run#7@1,2,ground
+    bad 2 'copy 0@900,2,ground: place 0 on the ground at 900,2 .*no surface' edit run --out x --copy 0@900,2,ground
+    bad 2 'insert run#7@1,2,ground: cannot edit track "7"' edit run --out x --insert run#7@1,2,ground
     bad 2 'copy: found "@1,2,3,4", expected' edit run --out x --copy @1,2,3,4
     bad 2 'copy: found "" in ""' edit run --out x --copy 0@1,2,3,4:
-    bad 2 'insert run@1,2,3,4: run: found 2 actors and none of them named, expected an asset, or RUN#TRACK with one of 0, 1' edit run --out x --insert run@1,2,3,4
+    bad 2 'insert run@1,2,3,4: run is a run with 2 actors, expected an asset, or RUN#TRACK with one of 0, 1' edit run --out x --insert run@1,2,3,4
     bad 3 'nowhere: no such folder' edit run --out x --insert nowhere@1,2,3,4
     bad 2 'insert: found "run#@1,2,3,4", expected RUN#TRACK' edit run --out x --insert run#@1,2,3,4
     bad 3 'nowhere: no such folder' edit run --out x --insert nowhere#0@1,2,3,4
@@ -566,10 +566,10 @@ wrong_edits() {
     bad 3 'none.csv' edit run --out x --trajectory 0:none.csv
     printf '0,1,2,3,0\n' >one.csv
     bad 3 'one.csv: found 1 poses' edit run --out x --trajectory 0:one.csv
-    bad 2 'found the run to edit' edit run --out ./run --remove 0
-    bad 2 'removed: the folder is not empty' edit run --out removed --remove 0
+    bad 2 'this is the folder of the run to edit' edit run --out ./run --remove 0
+    bad 2 'removed: the folder already contains a run' edit run --out removed --remove 0
     bad 3 'nowhere: no such folder' edit nowhere --out x --remove 0
-    bad 2 'found "cars" \(there are: background' render run --out x --only cars
+    bad 2 'part "cars" of the scene.*background' render run --out x --only cars
     absent x
 }
 
@@ -582,10 +582,10 @@ evaluation() {
     check "eval gives other numbers than train" diff <(sed -n '/"mean"/,/}/p' before.json) <(sed -n '/"mean"/,/}/p' run/metrics.json)
     good eval run --out sub/metrics.json --set render.range=normalised
     exists sub/metrics.json
-    bad 3 "cannot be made a folder" eval run --out broken.toml/m.json
+    bad 3 "cannot create the folder" eval run --out broken.toml/m.json
     bad 3 "nowhere: no such folder" eval run --set dataset.path=nowhere
     mkdir short && sed 's/^n_frames.*/n_frames = 8/' street/street.toml >short/street.toml
-    bad 3 "frame 10 is not there" eval run --set dataset.path=short
+    bad 3 "has no frame 10" eval run --set dataset.path=short
 }
 
 # Eight rows of 48 rays are too few to place a scan by.
@@ -619,9 +619,9 @@ baseline() {
     good eval street --baseline nearest --set dataset.test_frames=3,7:9 --quiet --pictures named
     for frame in 3 7 8; do exists named/range_00000$frame.png; done
     absent named/range_000010.png
-    bad 2 "dataset.test_frames: found 99, expected frames that are read of the log: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
+    bad 2 "dataset.test_frames: found frame 99, expected only frames that are read from the log: 0, 1," eval street --baseline nearest --set dataset.test_frames=3,99
     for set in train.iterations=3 sensor.grid_method=cast dataset.path=elsewhere; do
-        bad 2 "found ${set%=*}, which changes nothing in .relidar eval LOG --baseline." eval street --baseline nearest --set $set
+        bad 2 "setting ${set%=*} has no effect in .relidar eval LOG --baseline." eval street --baseline nearest --set $set
     done
     # a log without intensities: points of x y z alone
     mkdir -p dark/scans
@@ -643,7 +643,7 @@ baseline_beside_a_run() {
     good eval run --baseline nearest --out beside.json
     says "^metric +mean +lowest +highest +baseline nearest"
     check "beside.json lacks the baseline" grep -q '"scored": "baseline nearest"' beside.json
-    bad 2 "--frames: found it with a run" eval run --baseline nearest --frames 0:5
+    bad 2 "--frames cannot be used with a run" eval run --baseline nearest --frames 0:5
 }
 
 surfels_as_ply() {
@@ -652,7 +652,7 @@ surfels_as_ply() {
     good edit run --from-ply ply/scene.ply --out imported
     check "the imported model differs" cmp run/model.safetensors imported/model.safetensors
     good info imported
-    bad 2 "imported: the folder is not empty.*--force" edit run --from-ply ply/scene.ply --out imported
+    bad 2 "imported: the folder already contains a run.*--force" edit run --from-ply ply/scene.ply --out imported
     head -c 9000 ply/scene.ply >ply/cut.ply
     bad 3 "ply/cut.ply.*expected [0-9]+ vertices" edit run --from-ply ply/cut.ply --out x
     bad 3 "broken.toml.*does not begin with" edit run --from-ply broken.toml --out x
@@ -671,11 +671,11 @@ gaussians() {
     check "the imported model of 3D Gaussians differs" cmp thick/model.safetensors thick_again/model.safetensors
     good edit thick --out thick_actors --keep actors
     good bench --run thick
-    bad 2 "image.primitive=surfel: the scene is made of 3D Gaussians" render thick --out x --frames 5:6 --set image.primitive=surfel
-    bad 3 "found 3D Gaussians beside surfels, expected one primitive" edit thick --out x --insert "run#0@$(start_of run 0)"
+    bad 2 "image.primitive=surfel: the scene consists of 3D Gaussians" render thick --out x --frames 5:6 --set image.primitive=surfel
+    bad 3 "found 3D Gaussians and surfels" edit thick --out x --insert "run#0@$(start_of run 0)"
     cp run/model.safetensors thick_again/
     sed 's/"surfels": [0-9]*/"surfels": '"$("$relidar" info run | sed -n 's/^surfels *//p')/" -i thick_again/scene.json
-    bad 3 "thick_again/config.toml: image.primitive: found gaussian, but model.safetensors holds surfels" info thick_again
+    bad 3 "thick_again/config.toml: image.primitive is gaussian, but model.safetensors contains surfels" info thick_again
     absent x
 }
 
@@ -698,14 +698,14 @@ damaged_runs() {
 viewing() {
     good view --help
     if ! grep -q -- "--port" out; then
-        bad 2 "built without the viewer.*install libboost-dev" view run
+        bad 2 "view is not available.*install libboost-dev" view run
         return
     fi
     says "Example"
     bad 3 "nowhere: no such folder" view nowhere
-    bad 2 "port: found 65536, expected 0 to 65535" view run --port 65536
-    bad 2 'found the address "example.com", expected one like 127.0.0.1' view run --bind example.com
-    bad 3 "run/config.toml: cannot be made a folder" view run --save-to run/config.toml
+    bad 2 "port: found 65536; expected .*65535" view run --port 65536
+    bad 2 'cannot listen on the address "example.com"' view run --bind example.com
+    bad 3 "cannot create the folder .*run/config.toml" view run --save-to run/config.toml
     "$relidar" view run --port 0 --bind 0.0.0.0 --quiet >address 2>err &
     local pid=$! port
     for _ in $(seq 300); do
@@ -714,7 +714,7 @@ viewing() {
     done
     check "the address of a viewer for others has no token" grep -Eq '^http://127.0.0.1:[0-9]+/\?token=[0-9a-f]{32}$' address
     port=$(sed 's/.*:\([0-9]*\).*/\1/' address)
-    bad 2 "listening on port $port of 0.0.0.0: Address already in use, expected one that is free" view run --bind 0.0.0.0 --port "$port"
+    bad 2 "cannot listen on port $port of 0.0.0.0: Address already in use" view run --bind 0.0.0.0 --port "$port"
     kill -INT $pid
     wait $pid
     local code=$?
@@ -761,7 +761,7 @@ early_interruption() {
     wait $pid
     local code=$?
     check "interrupted initialisation: exit code $code, expected 130" test "$code" = 130
-    check "interrupted initialisation does not say how to start again" grep -Eq "^relidar: interrupted while training was prepared; start again with: relidar train --resume early$" err
+    check "interrupted initialisation does not say how to start again" grep -Eq "^relidar: interrupted while .*; start again with: relidar train --resume early$" err
     check "interrupted initialisation left other files" test "$(ls -A early | tr '\n' ' ')" = "config.toml log.jsonl "
     good train --resume early --no-eval
     check "the run that started again lacks an iteration" test "$(grep -c '"iteration":2,' early/log.jsonl)" = 1
@@ -777,12 +777,12 @@ interruption() {
         sleep 0.1
     done
     mv err first_err
-    bad 3 "stopped: another relidar is writing this run" train street --out stopped
-    bad 3 "stopped: another relidar is writing this run" train street --out stopped --force
-    bad 3 "stopped: another relidar is writing this run" train --resume stopped
-    bad 3 "stopped: another relidar is writing this run" edit run --out stopped --remove 0 --force
+    bad 3 "stopped: another relidar process is writing this run" train street --out stopped
+    bad 3 "stopped: another relidar process is writing this run" train street --out stopped --force
+    bad 3 "stopped: another relidar process is writing this run" train --resume stopped
+    bad 3 "stopped: another relidar process is writing this run" edit run --out stopped --remove 0 --force
     good info stopped
-    says "^stopped: a run in training at iteration [0-9]* of 1000000, no scene yet; log .*street$"
+    says "^stopped: a run that is being trained, at iteration [0-9]* of 1000000; .*street$"
     mv first_err err
     kill -TERM $pid
     wait $pid
@@ -795,7 +795,7 @@ interruption() {
     flock --no-fork stopped/.lock sleep 600 &   # another process, killed: nothing of it stays
     pid=$!
     while flock --nonblock stopped/.lock true; do sleep 0.05; done
-    bad 3 "stopped: another relidar is writing this run" eval stopped
+    bad 3 "stopped: another relidar process is writing this run" eval stopped
     kill -KILL $pid
     wait $pid 2>/dev/null
     good eval stopped --quiet
@@ -807,25 +807,25 @@ interruption() {
 resuming() {
     [[ -n $stopped_at ]] || return 0   # said above
     local total=$((stopped_at + 3))
-    bad 2 "resuming from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
+    bad 2 "resume from iteration $stopped_at: setting loss.depth: found 0.3, expected 0.1" train --resume stopped --set loss.depth=0.3
     good train --resume stopped --set train.iterations=$total --set train.checkpoint_minutes=1e-9 --no-eval
     says "^resume  from iteration $stopped_at$"
     check "the resumed log does not have each iteration once" diff <(seq 1 $total) <(grep -o '"iteration":[0-9]*' stopped/log.jsonl | cut -d: -f2)
     check "config.toml lacks the raised iterations" grep -qx "iterations = $total" stopped/config.toml
     check "other than two checkpoints are kept" test "$(ls stopped/checkpoints | wc -l)" = 2
     good train --resume stopped
-    says "has all of its $total iterations: nothing to do"
+    says "has already finished all $total iterations"
     head -c 2000 stopped/checkpoints/*$total.safetensors >cut && mv cut stopped/checkpoints/*$total.safetensors
     good train --resume street --out stopped --set train.iterations=$((total + 2)) --no-eval   # the flag in front of the log
     says "^resume  from iteration $((total - 1))$"
-    check "the damaged checkpoint is not named" grep -Eq "^relidar: note: reading safetensors .*$total.safetensors.*taking the checkpoint before" err
+    check "the damaged checkpoint is not named" grep -Eq "^relidar: note: .*cannot read safetensors .*$total.safetensors.*the previous checkpoint" err
     exists stopped/checkpoints/iteration_*$((total + 2)).safetensors
     mkdir anew && touch anew/.lock anew/.config.toml.tmp-1-0   # as a process leaves it that is killed while it writes its first file
     good train street --out anew --preset quick --set train.refine_poses=none --set train.iterations=2 --no-eval --resume
     absent anew/.config.toml.tmp-1-0
     check "a run without checkpoint starts anew without a word" grep -q "^relidar: note: anew has no checkpoint" err
-    bad 2 "has ended and left no checkpoint" train --resume anew --set train.iterations=4
-    bad 3 "training, iteration 1: (the intensity loss is|array .*: row [0-9]+ holds inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
+    bad 2 "has ended without a checkpoint" train --resume anew --set train.iterations=4
+    bad 3 "training failed at iteration 1.*: (the intensity loss is|row [0-9]+ of array .* contains inf)" train street --out lost --quiet --preset quick --set train.refine_poses=none --set loss.intensity=3e38 --set train.log_every=1 --set train.checkpoint_minutes=1e-9
 }
 
 # Tests Ctrl-C during the training of the network. A checkpoint must stay, and the resumed
@@ -834,7 +834,7 @@ network_resuming() {
     local few=(--preset quick --set train.refine_poses=none --set init.actor_min_points=10 --set train.iterations=4 --set dataset.test_every=5 --set refine.network=small)
     local checkpoints=half/checkpoints/drop_network
     stop_in_network train street --out half "${few[@]}" --set refine.epochs=15 --no-eval
-    check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted while the ray-drop network was trained; half holds the scene; continue with: relidar train --resume half$" err
+    check "interrupted network: the message does not say how to go on" grep -Eq "^relidar: interrupted while the ray-drop network was trained; .*continue with: relidar train --resume half$" err
     absent half/drop_network.safetensors
     rm -rf whole other && cp -r half whole && rm -r whole/checkpoints && cp -r half other
     good train --resume half --no-eval
@@ -845,13 +845,13 @@ network_resuming() {
     check "the resumed network has other bits" cmp half/drop_network.safetensors whole/drop_network.safetensors
     check "the resumed network lies beside another scene" cmp half/model.safetensors whole/model.safetensors
     good train --resume half
-    says "nothing to do"
+    says "has already finished"
     good train --resume other --no-eval --set refine.epochs=1
-    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: resuming the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 15 as in the checkpoint; the network is trained from the beginning" err
+    check "other settings of the network are taken without a word" grep -Eq "^relidar: note: cannot resume the ray-drop network from step [0-9]+: setting refine.epochs: found 1, expected 15 as in the checkpoint; the network is .*trained from the beginning" err
     exists other/drop_network.safetensors
     stop_in_network refine other --no-eval --set refine.epochs=15
     check "interrupted refine: the message does not say how to go on" grep -Eq "^relidar: interrupted: the network of other is unchanged; continue with: relidar refine --resume other$" err
-    bad 2 "resuming the ray-drop network from step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
+    bad 2 "resume the ray-drop network from step [0-9]+: setting refine.rate: found 0.5" refine --resume other --set refine.rate=0.5
     good refine --resume other --no-eval
     says "^resume  from step [1-9]"
     check "refine --resume ends with other bits" cmp other/drop_network.safetensors whole/drop_network.safetensors

@@ -31,7 +31,7 @@ bad 2 'repeat: found 0, expected 1 to' bench --repeat 0
 bad 2 'steps: found no --run beside it' bench --steps 3
 bad 2 'steps: found --scans beside it' bench --run none --steps 3 --scans 3
 bad 2 'run: found --scene, --surfels or --rays beside it' bench --run run --rays kitti
-bad 2 "command train: unknown" train street
+bad 2 "unknown command train" train street
 if ! "$program" list devices >/dev/null 2>&1; then
     [[ ${RELIDAR_REQUIRE_GPU:-0} != 1 ]] || fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"
     skipped=1

@@ -95,7 +95,7 @@ check second .=/lidar/_2nd_rear/points=2nd-rear --frames 1:4 --lidar 2nd-rear --
 # A rig's recordings are one for all its sensors, and a new rendering replaces them.
 [[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front rosbag.mcap scans.mcap " ]] || fail "a rig's folder holds $(ls rig/sensor | tr '\n' ' ')"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet 2>err && fail "a rig's recordings were overwritten unasked"
-grep -q "rig/sensor: the folder holds another rendering" err || fail "another message than that of a folder that is taken: $(cat err)"
+grep -q "rig/sensor: the folder already contains rendered scans" err || fail "another message than that of a folder that is taken: $(cat err)"
 "$relidar" render run --frames 3:4 --sensor rig.json --out rig/sensor --quiet --force || fail "a rig rendered over another"
 [[ "$(ls rig/sensor | tr '\n' ' ')" == "2nd-rear front " ]] || fail "a new rendering left the old one's recordings"
 

@@ -68,7 +68,7 @@ TEST_F(NoWait, ButALossThatIsNoNumberEndsTrainingSoon) {
     const std::string message = error_message<DataError>([&] {
         while (step < 150) loop.iterate(++step);
     });
-    EXPECT_EQ(message.rfind("training, iteration " + std::to_string(poisoned_step) + ", frame " +
+    EXPECT_EQ(message.rfind("training failed at iteration " + std::to_string(poisoned_step) + ", frame " +
                                 std::to_string(frame.index) + ": the intensity loss is ",
                             0),
               0u)

@@ -324,10 +324,10 @@ TEST_F(Poses, OfASingleSweepStays) {
             .poses;
     };
     EXPECT_FALSE(poses("0:2,3"));
-    EXPECT_THAT(notes, testing::Contains(testing::HasSubstr("one sweep is trained on")));
+    EXPECT_THAT(notes, testing::Contains(testing::HasSubstr("only one sweep")));
     notes.clear();
     EXPECT_TRUE(poses("0:2"));
-    EXPECT_THAT(notes, testing::Not(testing::Contains(testing::HasSubstr("one sweep is trained on"))));
+    EXPECT_THAT(notes, testing::Not(testing::Contains(testing::HasSubstr("only one sweep"))));
 }
 
 }  // namespace

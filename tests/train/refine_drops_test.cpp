@@ -243,9 +243,10 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     };
     relidar::Run other = run;
     other.config.refine.rate = 0.5;
-    EXPECT_EQ(message(other),
-              "2 resuming the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.01 as "
-              "in the checkpoint");
+    EXPECT_EQ(
+        message(other),
+        "2 cannot resume the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.01 as "
+        "in the checkpoint");
     take_refine_settings(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0,
@@ -254,7 +255,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
     other = run;
     other.scene.surfels.sh[5] += 0.001f;
     EXPECT_THAT(message(other),
-                ::testing::HasSubstr("3 resuming the ray-drop network from step 2: the scene: found"));
+                ::testing::HasSubstr("3 cannot resume the ray-drop network from step 2: the scene: found"));
     other = run;
     other.sequence.frames[std::size_t(run.split.train[3])].scan.range_m[7] += 0.5f;
     EXPECT_THAT(message(other), ::testing::HasSubstr("the log's scans: found"));
@@ -276,7 +277,7 @@ TEST_F(RefineDrops, AFullDiskCostsACheckpointNotTheTraining) {
     session.note = [&](const std::string& line) { notes.push_back(line); };
     EXPECT_FALSE(refine_drops(device(), run, session).empty());
     ASSERT_EQ(notes.size(), 1u);
-    EXPECT_THAT(notes[0], ::testing::HasSubstr("not written, there is none yet"));
+    EXPECT_THAT(notes[0], ::testing::HasSubstr("no earlier checkpoint"));
 }
 
 TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
@@ -298,11 +299,11 @@ TEST_F(RefineDrops, StopGivesNothingAndBadLogsAreRefused) {
         frame.scan.rays.rows = 1;
         frame.scan.rays.columns = int(frame.scan.rays.size());
     }
-    EXPECT_THAT(message(), ::testing::HasSubstr("no training frame has an image of rows and columns"));
+    EXPECT_THAT(message(), ::testing::HasSubstr("no training frame has its rays in rows and columns"));
     run.sequence = weak_street();
     for (Frame& frame : run.sequence.frames)
         for (float& range_m : frame.scan.range_m) range_m = std::max(range_m, 1.0f);
-    EXPECT_THAT(message(), ::testing::HasSubstr("found no dropped ray in any frame"));
+    EXPECT_THAT(message(), ::testing::HasSubstr("no training frame has a dropped ray"));
 }
 
 }  // namespace

@@ -329,12 +329,10 @@ TEST_F(Resume, AnotherLogOrOtherSettingsAreRefusedByName) {
         return data_error([&] { check_resumable(other_version, street, split, resumed_config()); });
     };
     other_version.texts["setting/train.colour"] = "red";
-    EXPECT_NE(error().find("setting train.colour: unknown key; a checkpoint of another version"),
-              std::string::npos);
+    EXPECT_NE(error().find("unknown setting train.colour"), std::string::npos);
     other_version = start;
     other_version.texts.erase("setting/loss.depth");
-    EXPECT_NE(error().find("setting loss.depth: missing in the checkpoint; a checkpoint of another version"),
-              std::string::npos);
+    EXPECT_NE(error().find("no value for the setting loss.depth"), std::string::npos);
 
     const auto log = [&](const char* part, const Sequence& other, const Split& frames) {
         const std::string message =
@@ -371,9 +369,9 @@ TEST_F(Resume, AFullDiskCostsTheCheckpointOnly) {
         EXPECT_EQ(result.scene.surfels.size(), start.array("parameters/mean").shape[0]);
     }
     ASSERT_EQ(notes.size(), 4u) << "10, 20, 30, 40";
-    EXPECT_NE(
-        notes[0].find("checkpoint of iteration 10 not written, the last one is of iteration 5: writing"),
-        std::string::npos)
+    EXPECT_NE(notes[0].find(
+                  "cannot write the checkpoint of iteration 10 (the last checkpoint is that of iteration 5)"),
+              std::string::npos)
         << notes[0];
     EXPECT_EQ(newest()->iteration, 5);
     EXPECT_EQ(std::distance(fs::directory_iterator(folder), fs::directory_iterator()), 1)
@@ -398,7 +396,7 @@ TEST_F(Resume, ALossThatIsNoNumberNamesIterationFrameAndTerm) {
         if (step == expected - 1) loop.save(checkpoint);
     }
     const std::string message = data_error([&] { loop.settle(); });
-    const std::string wanted = "training, iteration " + std::to_string(expected) + ", frame " +
+    const std::string wanted = "training failed at iteration " + std::to_string(expected) + ", frame " +
                                std::to_string(frame.index) + ": the intensity loss is ";
     ASSERT_GT(expected, 1);
     EXPECT_EQ(message.rfind(wanted, 0), 0u) << message << "\nexpected " << wanted;
@@ -411,7 +409,7 @@ TEST_F(Resume, ParametersThatAreNoNumbersAreNeverSaved) {
     config.train.scale_rate = 1e39;  // exceeds the range of float
     const std::string message = data_error([&] { run(config); });
     EXPECT_TRUE(std::regex_search(
-        message, std::regex("^training, iteration 1: array parameters/log_scale: row [0-9]+ holds")))
+        message, std::regex("^training failed at iteration 1: row [0-9]+ of array .parameters/log_scale.")))
         << message;
     EXPECT_TRUE(list_checkpoints(folder).empty());
 }

@@ -153,7 +153,7 @@ TEST_F(FramesInTurn, AFrameWithoutRaysIsNamed) {
     log.frames[1].scan = {};
     const std::string message =
         error_message<DataError>([&] { TrainingFrames(device(), log, positions(log), {}); });
-    EXPECT_EQ(message, "preparing frame 1 of " + log.name + ": it has no rays, expected at least one");
+    EXPECT_EQ(message, "cannot use frame 1 of " + log.name + " for training: it has no rays");
 }
 
 /// Includes the features that read a frame twice: refined poses, and sensor drops after
@@ -175,10 +175,10 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
         const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
         TrainResult result = train(
             device(), log, split_frames(log, 0), config, [](const TrainProgress&) { return true; }, session);
-        const auto n_told = std::count(
-            notes.begin(), notes.end(),
-            "0 of 8 training frames stay on the device (train.frame_memory_mib=0), the others are sent in "
-            "their turn");
+        const auto n_told =
+            std::count(notes.begin(), notes.end(),
+                       "0 of 8 training frames fit into the device memory for frames "
+                       "(train.frame_memory_mib=0); the others are uploaded whenever a step uses them");
         EXPECT_EQ(n_told, frame_memory_mib > 0 ? 0 : 1);
         return result;
     };
@@ -221,8 +221,8 @@ TEST_F(FramesInTurn, AreCellsOfAGrid) {
     const Split split{positions(log), {}};
     EXPECT_EQ(error_message<UsageError>(
                   [&] { train(device(), log, split, config, [](const TrainProgress&) { return true; }); }),
-              "setting train.grid=kitti360: found train.sensor_drop too, which is of the sensor's own rays, "
-              "expected one of them");
+              "the setting train.grid=kitti360 cannot be combined with train.sensor_drop, which needs "
+              "the rays of the sensor (train.grid=native)");
 }
 
 }  // namespace

@@ -139,7 +139,7 @@ def places_actors_on_the_ground(page, relidar, work):
     page.wait("an actor of the other run", lambda: rows(page) == ["0", "1", "0-copy-1", "0-insert-1"])
     page.click("#insert-place")
     page.find("#view").send_keys(Keys.ESCAPE)
-    assert page.find("#view").get_attribute("class") == "", "Esc ends it"
+    assert page.find("#view").get_attribute("class") == "", "Esc to cancel"
     page.driver.save_screenshot(str(work / "placed.png"))
     assert page.driver.execute_script(WARNS), "no warning before edits are lost"
     page.type("#save-name", "placed")
@@ -194,7 +194,7 @@ def goes_on_after_a_restart(page, relidar, work, viewer):
         page.wait("scans of the program that is new", lambda: page.strip() != before)
         viewer.end()
         viewer = Viewer(relidar, work, "saved/placed", "--port", port)
-        page.wait("another run to be noticed", lambda: "another run now, placed instead of run" in page.find("#note").text)
+        page.wait("another run to be noticed", lambda: "now shows the run placed instead of run" in page.find("#note").text)
         page.wait("the other run without the edits", lambda: page.find("#message").text == "" and page.points() > 5_000)
         page.driver.save_screenshot(str(work / "another_run.png"))
         assert "gone" not in page.find(".actor[data-track='1']").get_attribute("class")
@@ -207,16 +207,16 @@ def understands_addresses(page, url):
     page.driver.get(url + "#sensor=VLP-16&place=1,2&colour=height&speed=3")
     page.wait("points of the address's sensor", lambda: page.points() > 5_000)
     note = page.find("#note").text
-    assert "place=1,2 (expected 6 numbers" in note and "speed=3 (expected no such part)" in note and "\n" not in note.strip("×\n"), note
+    assert "place=1,2 (expected 6 numbers" in note and "speed=3 (expected a known part)" in note and "\n" not in note.strip("×\n"), note
     assert page.find("#sensor").get_attribute("value") == "VLP-16" and page.find("#colouring").get_attribute("value") == "height"
     assert place(page) == [0, 0, 0, 0, 0, 0]
     page.click("#note-close")
     page.driver.execute_script("location.hash = '#run=0000&place=1,2,3,0,0,0'")
-    page.wait("the address of another run refused", lambda: "of another run" in page.find("#note").text)
+    page.wait("the address another run refused", lambda: "another run" in page.find("#note").text)
     assert place(page) == [0, 0, 0, 0, 0, 0]
     wrong = '{"copies":[{"of":"nobody","from":"","at":[0,0,0,0,0,0,0]}],"moves":{},"removed":[],"hidden":[]}'
     page.driver.execute_script("location.hash = '#edits=' + encodeURIComponent(arguments[0])", wrong)
-    page.wait("edits that fit no run taken back", lambda: "is taken back" in page.find("#note").text and "nobody" in page.find("#note").text)
+    page.wait("edits that fit no run taken back", lambda: "was undone" in page.find("#note").text and "nobody" in page.find("#note").text)
     page.wait("scans all the same", lambda: page.find("#message").text == "" and rows(page) == ["0", "1"])
     page.click("#note-close")
 

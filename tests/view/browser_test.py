@@ -66,7 +66,7 @@ def moves(page):
     page.wait("a tap of W to drive half a metre", lambda: page.find("#place-x").get_attribute("value") == "0.5")
     page.type("#place-x", "1e9")
     assert page.find("#place-x").get_attribute("value") == "1", "it shows another place than it uses"
-    assert "out of reach" in page.find("#sensor-hint").text
+    assert "out of range" in page.find("#sensor-hint").text
     page.click("#reset-place")
     page.wait("the first image again", lambda: share_of_changes(before, page.strip()) < 0.01)
 
@@ -79,7 +79,7 @@ def changes_sensor(page, work):
     page.wait("3 rows of a file", lambda: page.find("#image-size").text.startswith("3 × "))
     (work / "bad.csv").write_text("elevation_deg,colour\n5,1\n")
     page.find("#sensor-file").send_keys(str(work / "bad.csv"))
-    page.wait("what is wrong with a file", lambda: "bad.csv line 1: column 'colour' is not known" in page.find("#sensor-hint").text)
+    page.wait("what is wrong with a file", lambda: "bad.csv line 1: column 'colour' is unknown" in page.find("#sensor-hint").text)
     Select(page.find("#sensor")).select_by_value("native")
     page.wait("32 rows again", lambda: page.find("#image-size").text == "32 × 512")
 
@@ -130,7 +130,7 @@ def edits(page, relidar, work):
     info = subprocess.run([relidar, "info", str(work / "saved/edited")], capture_output=True, text=True, check=True).stdout
     assert "--copy 0@" in info and "--remove 0" in info, info
     page.click("#save")
-    page.wait("a second run of that name refused", lambda: "it is there already" in page.find("#save-hint").text)
+    page.wait("a second run of that name refused", lambda: "already exists" in page.find("#save-hint").text)
 
 
 def shows_the_log(page):

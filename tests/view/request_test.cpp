@@ -64,13 +64,13 @@ TEST(ViewRequest, RefusesWhatIsNoScan) {
         {"[1]", "expected a JSON object"},
         {std::string(100'000, '['), "expected a JSON object"},
         {"{\"do\": \"scan\"", "expected a JSON object"},
-        {"{}", "do: expected it to be there"},
+        {"{}", "do: expected this member"},
         {R"({"do": 5})", "do: expected a text"},
         {R"({"do": "quit"})", "found \"quit\""},
-        {R"({"do": "scan"})", "place: expected it to be there"},
+        {R"({"do": "scan"})", "place: expected this member"},
         {scan("[0, 0, 0]"), "place: expected 6 numbers"},
         {scan("[0, 0, null, 0, 0, 0]"), "place 3: expected a number"},
-        {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2: expected a number between -10000 and 10000"},
+        {scan("[0, 1e5, 0, 0, 0, 0]"), "place 2: expected a number from -10000 to 10000"},
         {scan(zero, kNoEdits, "1e300"), "time_s: expected"},
         {scan(zero, kNoEdits, "1.5", "fog=0"),
          "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
@@ -123,8 +123,7 @@ TEST(ViewRequest, TakesSensorFiles) {
         parse_request(R"({"do": "sensor", "file": "beams.csv", "text": "elevation_deg\n5\n"})"));
     EXPECT_EQ(file.name, "beams.csv");
     EXPECT_EQ(file.text, "elevation_deg\n5\n");
-    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"),
-                HasSubstr("text: expected it to be there"));
+    EXPECT_THAT(refusal(R"({"do": "sensor", "file": "beams.csv"})"), HasSubstr("text: expected this member"));
 }
 
 }  // namespace

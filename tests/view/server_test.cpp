@@ -382,7 +382,8 @@ TEST(ViewServer, ClosesOnceWhatWaitsHasBeenSent) {
     auto closed = std::async(std::launch::async, [&] { echo.server.close(std::chrono::seconds(20)); });
     const std::string received = socket.receive();
     // a message and a close frame
-    EXPECT_EQ(received.size(), 10 + large.size() + 2 + 2 + std::string("the program ends").size());
+    EXPECT_EQ(received.size(),
+              10 + large.size() + 2 + 2 + std::string("the program is shutting down").size());
     EXPECT_EQ(close_code(received), 1001);
     EXPECT_EQ(close_code(other.receive()), 1001);
     socket.abort();

@@ -65,8 +65,8 @@ void check_array(const py::handle& object, const std::string& what, const py::dt
                aligned = array.attr("flags").attr("aligned").cast<bool>();
     if (!ordered || !aligned)
         throw DataError(
-            fmt::format("{}: found values that do not lie one behind the other, expected {} in C order, as "
-                        "numpy.ascontiguousarray() makes",
+            fmt::format("{}: found an array that is not contiguous, expected {} in C order; "
+                        "numpy.ascontiguousarray() converts it",
                         what, expected));
 }
 

@@ -33,8 +33,9 @@ ConfigKey find_key(const Config& config, const std::string& key) {
     if (it != keys.end()) return *it;
     std::vector<std::string> names;
     for (const ConfigKey& k : keys) names.push_back(k.key);
-    throw UsageError(fmt::format("setting {}: unknown key{}", key,
-                                 did_you_mean(key, names, "", ", expected one that Config.values() lists")));
+    throw UsageError(
+        fmt::format("setting {}: unknown key{}", key,
+                    did_you_mean(key, names, "", ", expected one of the names in Config.values()")));
 }
 
 Config make(const std::string& preset, const py::dict& values) {
@@ -69,35 +70,37 @@ void set_values(Config& config, const py::dict& values) {
     for (const auto& [key, value] : values) {
         if (!py::isinstance<py::str>(key))
             throw UsageError(
-                "settings: found a key that is no str, expected names such as \"train.iterations\"");
+                "settings: found a key that is not a str, expected names of settings such as "
+                "\"train.iterations\"");
         set_value(config, key.cast<std::string>(), value);
     }
 }
 
 void add_config(py::module_& module) {
     py::class_<Config>(module, "Config",
-                       "All settings of a run, by the names that `relidar list settings` lists: "
-                       "config[\"train.iterations\"] = 300.")
+                       "All settings of a run. They have the names that `relidar list settings` prints, for "
+                       "example config[\"train.iterations\"] = 300.")
         .def(py::init(&make), py::arg("preset") = "default", py::arg("settings") = py::dict(),
-             "preset: \"paper\", \"released\", \"default\" or \"quick\"\nsettings: dict of names and values, "
-             "set over it\n\nRaises "
-             "UsageError for unknown names and values out of range.")
+             "preset: \"paper\", \"released\", \"default\" or \"quick\"\n"
+             "settings: dict of names and values that replace those of the preset\n\n"
+             "Raises UsageError for unknown names and for values out of range.")
         .def_static("load", &load, py::arg("path"),
-                    "Settings of a TOML file, as a run holds them. Raises UsageError or DataError naming "
-                    "what is wrong.")
+                    "Reads settings from a TOML file, such as config.toml in a run folder. Raises UsageError "
+                    "or DataError with a description of the error.")
         .def(
             "__getitem__",
             [](const Config& config, const std::string& key) { return find_key(config, key).value; },
-            py::arg("key"), "The value as text, as the TOML file has it.")
+            py::arg("key"), "Returns the value as text, in the same form as in the TOML file.")
         .def("__setitem__", &set_value, py::arg("key"), py::arg("value"))
         .def(
             "help", [](const Config& config, const std::string& key) { return find_key(config, key).help; },
-            py::arg("key"), "What a setting means.")
-        .def("values", &dict_of, "All settings as a dict of texts, in the order of the TOML file.")
+            py::arg("key"), "Returns the description of a setting.")
+        .def("values", &dict_of, "Returns all settings as a dict of texts, in the order of the TOML file.")
         .def(
-            "copy", [](const Config& config) { return config; },
-            "Settings of their own with the same values.")
-        .def("to_toml", &to_toml, "Every value as TOML with its help as comments, which load() reads back.");
+            "copy", [](const Config& config) { return config; }, "Returns a copy of the settings.")
+        .def("to_toml", &to_toml,
+             "Returns all values as TOML text, with descriptions as comments. load() can read this "
+             "text.");
 }
 
 }  // namespace relidar::python

@@ -20,8 +20,7 @@ SharedDevice open_device(int index, const std::string& traversal, std::uint64_t 
                          bool validation) {
     if (index < -1)
         throw UsageError(fmt::format(
-            "opening a device: index: found {}, expected a number that relidar.devices() lists, or -1",
-            index));
+            "cannot open a device: index: found {}, expected an index from relidar.devices(), or -1", index));
     DeviceOptions options;
     options.index = index;
     options.traversal = find_traversal(traversal);
@@ -51,8 +50,8 @@ SharedDevice device_or_default(SharedDevice device) {
 DeviceUse::DeviceUse(OpenDevice& device) : device_(device) {
     if (device.user == std::this_thread::get_id())
         throw UsageError(
-            "using a device: found it busy with the call that has called back, expected callbacks to use "
-            "another relidar.Device");
+            "cannot use this device: it is busy with the call that runs this callback; use another "
+            "relidar.Device in callbacks");
     lock_ = std::unique_lock(device.in_use);
     device.user = std::this_thread::get_id();
 }
@@ -61,32 +60,38 @@ DeviceUse::~DeviceUse() { device_.user = std::thread::id(); }
 
 void add_device(py::module_& module) {
     py::class_<DeviceInfo>(module, "DeviceInfo",
-                           "One Vulkan device of this machine and what relidar can do with it.")
+                           "A Vulkan device of this machine and the features that relidar can use.")
         .def_readonly("index", &DeviceInfo::index)
         .def_readonly("name", &DeviceInfo::name)
         .def_readonly("type", &DeviceInfo::type, "\"discrete GPU\", \"integrated GPU\", \"CPU\", ...")
         .def_readonly("driver", &DeviceInfo::driver)
         .def_readonly("api_version", &DeviceInfo::api_version)
-        .def_readonly("memory_bytes", &DeviceInfo::memory_bytes, "Of the largest device-local heap.")
-        .def_readonly("ray_query", &DeviceInfo::ray_query, "Whether the driver's ray queries can be used.")
-        .def_readonly("software", &DeviceInfo::software, "Whether relidar's own tree can be used.")
+        .def_readonly("memory_bytes", &DeviceInfo::memory_bytes,
+                      "Size of the largest device-local memory heap, in bytes.")
+        .def_readonly("ray_query", &DeviceInfo::ray_query,
+                      "True if relidar can use the ray queries of the driver.")
+        .def_readonly("software", &DeviceInfo::software,
+                      "True if relidar can use software traversal of its BVH.")
         .def_readonly("why_not_usable", &DeviceInfo::why_not_usable,
-                      "Missing features; empty where relidar runs.");
+                      "Missing features. Empty if relidar can use the device.");
     module.def("devices", &list_devices, py::call_guard<py::gil_scoped_release>(),
-               "All Vulkan devices, in the loader's order. Raises DeviceError where there is no Vulkan.");
+               "Returns all Vulkan devices, in the order of the Vulkan loader. Raises DeviceError if "
+               "Vulkan is not available.");
 
     py::class_<OpenDevice, SharedDevice>(
         module, "Device",
-        "An open Vulkan device. It stays open for what was made on it, and serves one thread at a time.")
+        "An open Vulkan device. It stays open as long as objects that were made with it exist. "
+        "It can be used by one thread at a time.")
         .def(py::init(&open_device), py::arg("index") = -1, py::arg("traversal") = "auto", py::kw_only(),
              py::arg("memory_limit_bytes") = 0, py::arg("validation") = false,
              "Opens a device.\n\n"
-             "index: of devices(); -1: the first GPU, one with ray query before others, else a CPU device\n"
-             "traversal: how rays find surfels: \"auto\", \"ray_query\" or \"software\"\n"
-             "memory_limit_bytes: device memory it may hold; 0: all there is\n"
-             "validation: with the Khronos validation layer\n"
-             "The environment is asked too: RELIDAR_VALIDATION, RELIDAR_MEMORY_LIMIT_MIB, "
-             "RELIDAR_PIPELINE_CACHE.\n\n"
+             "index: index in devices(); -1: the first GPU with ray query, otherwise the first GPU, "
+             "otherwise a CPU device\n"
+             "traversal: method to trace rays: \"auto\", \"ray_query\" or \"software\"\n"
+             "memory_limit_bytes: maximum device memory to allocate; 0: no limit\n"
+             "validation: enable the Khronos validation layer\n"
+             "These environment variables also have an effect: RELIDAR_VALIDATION, "
+             "RELIDAR_MEMORY_LIMIT_MIB, RELIDAR_PIPELINE_CACHE.\n\n"
              "Raises DeviceError naming what is missing.")
         .def_property_readonly("info", [](const OpenDevice& open) { return open.device.info(); })
         .def_property_readonly(
@@ -94,7 +99,7 @@ void add_device(py::module_& module) {
             "\"ray_query\" or \"software\".")
         .def_property_readonly(
             "peak_bytes", [](const OpenDevice& open) { return open.device.peak_bytes(); },
-            "Most device memory held so far, bytes.")
+            "Maximum device memory that was allocated so far, in bytes.")
         .def("__repr__", &shown);
     // Closes the default device at exit, before the Python interpreter and the Vulkan
     // loader end.

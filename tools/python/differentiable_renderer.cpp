@@ -55,8 +55,9 @@ void place(HeldRenderer& held, const py::object& poses, const py::object& view_o
     std::vector<InstancePose> placed = held.placed;
     const auto check_count = [&](std::size_t found, const char* what) {
         if (found != placed.size())
-            throw DataError(fmt::format("{}: found {}, expected {}, one an instance of the scene", what,
-                                        found, placed.size()));
+            throw DataError(
+                fmt::format("{}: found {} entries, expected {}, one for each instance of the scene", what,
+                            found, placed.size()));
     };
     if (!poses.is_none()) {
         const std::vector<Pose> model_poses = poses_of(poses, "poses");
@@ -78,8 +79,9 @@ py::dict forward(HeldRenderer& held, const py::object& origins, const py::object
     const WorldRays rays{copied<float, glm::vec3>(origins, "origins", {kAny, 3}),
                          copied<float, glm::vec3>(directions, "directions", {kAny, 3})};
     if (rays.origin.size() != rays.direction.size())
-        throw DataError(fmt::format("directions: found {} beside {} origins, expected as many",
-                                    rays.direction.size(), rays.origin.size()));
+        throw DataError(
+            fmt::format("directions: found {} directions and {} origins, expected the same number",
+                        rays.direction.size(), rays.origin.size()));
     Rendering r;
     {
         const DeviceUse use(held.renderer.device());
@@ -116,7 +118,7 @@ RenderedGradients gradients_from(const py::dict& arrays, std::size_t n_rays) {
             std::find_if(places.begin(), places.end(), [&](const auto& p) { return p.first == name; });
         if (place == places.end())
             throw UsageError(fmt::format("d_rendered: found \"{}\", expected one of " RELIDAR_IMAGE_VALUES(
-                                             RELIDAR_NAME) "which have gradients",
+                                             RELIDAR_NAME) "which are the values with gradients",
                                          name));
         *place->second =
             copied<float, float>(array, "d_rendered: " + name, {static_cast<py::ssize_t>(n_rays)});
@@ -162,56 +164,56 @@ py::dict download(HeldRenderer& held) {
 
 void add_differentiable_renderer(py::module_& module) {
     py::class_<HeldRenderer>(module, "DifferentiableRenderer",
-                             "Rays in, rendered values out; gradients of those in, gradients of everything "
-                             "they depend on out: for a loss of one's own.\n"
-                             "place(), forward(), backward(), then upload() and place() again where "
-                             "parameters have changed. Scales, opacities and channels "
-                             "are\n"
+                             "Renders rays and computes gradients for custom losses: forward() returns "
+                             "rendered values, and backward() converts their gradients to gradients of all "
+                             "parameters.\n"
+                             "Call place(), forward() and backward(). After a change of parameters, call "
+                             "upload() and place() again. Scales, opacities and channels are\n"
                              "stored before their activation: scale = exp(log_scale), opacity = "
                              "sigmoid(opacity_logit), channel = 0.5 + SH basis . sh.")
         .def(py::init(&make_renderer), py::arg("scene"), py::arg("config") = py::none(), py::kw_only(),
              py::arg("poses") = false, py::arg("rays") = false, py::arg("device") = py::none(),
-             "scene: is copied to the device\n"
-             "config: image.*, trace.* and train.deterministic say how rays are rendered and gradients "
-             "summed; None: preset \"default\"\n"
-             "poses, rays: whether backward() gives their gradients too\n\n"
-             "Raises DataError where models or instances of the scene are out of range.")
+             "scene: copied to the device\n"
+             "config: its settings image.*, trace.* and train.deterministic define how rays are "
+             "rendered and gradients are summed; None: preset \"default\"\n"
+             "poses, rays: if True, backward() also returns the gradients of poses and rays\n\n"
+             "Raises DataError if models or instances of the scene are out of range.")
         .def("place", &place, py::arg("poses") = py::none(), py::arg("view_origin") = py::none(),
              py::arg("present") = py::none(),
-             "Says where everything is; to be called before forward(), and again when poses, view or "
+             "Sets all poses. Call it before forward(), and again after poses, view_origin or "
              "parameters have changed.\n\n"
-             "poses: [instances,4,4] float64, world from model, metres; None: as before, at first all at the "
-             "origin\n"
+             "poses: [instances,4,4] float64, world from model, metres; None: unchanged, initially "
+             "all at the origin\n"
              "view_origin: [3] float64, the sensor's position, from which SH directions start with "
-             "image.sh_direction=surfel; None: as "
-             "before,\n"
-             "    at first the origin\n"
-             "present: a bool an instance; None: as before, at first all")
+             "image.sh_direction=surfel;\n"
+             "    None: unchanged, initially the origin\n"
+             "present: one bool per instance; None: unchanged, initially all are present")
         .def("forward", &forward, py::arg("origins"), py::arg("directions"),
              "Renders rays.\n\n"
              "origins: [n,3] float32, C order, world, metres\n"
              "directions: [n,3] float32, C order, world, length 1\n\n"
-             "Returns [n] arrays, w the weight of a hit: " RELIDAR_IMAGE_VALUES(
+             "Returns arrays [n], where w is the weight of a hit: " RELIDAR_IMAGE_VALUES(
                  RELIDAR_MEANING) "transmittance, median_depth (metres, 0: none) float32;\n"
                                   "hits uint32 (blended surfels); instance int32 (-1: none).\n"
-             "Raises UsageError before place().")
+                                  "Raises UsageError if place() was not called.")
         .def("backward", &backward, py::arg("d_rendered"),
-             "Gradients of a loss of the last forward pass. Poses, view and parameters must be as they were "
-             "then.\n\n"
-             "d_rendered: dL/d(value), [n] float32 each, of " RELIDAR_IMAGE_VALUES(
-                 RELIDAR_NAME) "those left out are 0\n\n"
-             "Returns dL/d(parameter) in the place of the parameter: mean [s,3], rotation [s,4], log_scale "
-             "[s,2], opacity_logit [s], sh "
-             "[s,3,16], log_scale_w [s] of 3D\n"
-             "Gaussians, float32; touched [s] uint32, 1 where a surfel has a gradient; if asked for, poses "
-             "[instances,6] and sensor [6], "
-             "dL/d(v, w) of small motions in the\n"
-             "world's axes (metres; radians about the model's own origin, or the view origin), and rays "
-             "[n,6], dL/d(origin, direction).")
+             "Computes gradients of a loss of the last forward pass. Poses, view_origin and "
+             "parameters must be unchanged since then.\n\n"
+             "d_rendered: dict of dL/d(value), [n] float32 each, for any of " RELIDAR_IMAGE_VALUES(
+                 RELIDAR_NAME) "missing ones are 0\n\n"
+                               "Returns a dict of dL/d(parameter) with the names of the parameters: mean "
+                               "[s,3], rotation [s,4], log_scale [s,2], opacity_logit [s], sh [s,3,16], "
+                               "log_scale_w [s] of 3D\n"
+                               "Gaussians, float32; touched [s] uint32, 1 if a surfel has a gradient; if "
+                               "enabled, poses [instances,6] and sensor [6], dL/d(v, w) of small motions "
+                               "along the\n"
+                               "world's axes (metres; radians about the origin of the model, or about "
+                               "view_origin), and rays [n,6], dL/d(origin, direction).")
         .def("upload", &upload, py::arg("surfels"),
-             "Takes other values of all parameters, as many surfels as there are. To be followed by place().")
+             "Replaces the values of all parameters. The number of surfels must be the same. Call "
+             "place() afterwards.")
         .def("download", &download,
-             "The parameters as they are now: dict of float32 arrays as relidar.Scene takes it.");
+             "Returns the current parameters as a dict of float32 arrays that relidar.Scene accepts.");
 }
 
 }  // namespace relidar::python

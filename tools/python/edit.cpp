@@ -103,21 +103,21 @@ std::unique_ptr<LoadedRun> save(const Edits& edits, const fs::path& folder, bool
 void add_edit(py::module_& module) {
     // Each edit returns the same Python object, so that edits can be chained.
     const auto same = py::return_value_policy::reference;
-    py::class_<Edits>(module, "Edit",
-                      "A copy of a run that is being edited. Each edit gives the same object back; run() or "
-                      "save() ends it. Raises "
-                      "UsageError for an unknown track.")
+    py::class_<Edits>(
+        module, "Edit",
+        "A copy of a run that is being edited. Each edit returns the same object, so that calls "
+        "can be chained. run() or save() finishes the edits. Raises UsageError for an unknown "
+        "track.")
         .def(
             "remove",
             [](Edits& edits, const std::string& track) -> Edits& {
                 return edits.apply("remove " + track,
                                    [&](DrivingScene d) { return remove_track(std::move(d), track); });
             },
-            py::arg("track"), same, "Takes an actor out; rays continue to what is behind it.")
+            py::arg("track"), same, "Removes an actor. Rays then hit the surfaces behind it.")
         .def("move", &move, py::arg("track"), py::arg("pose"), same,
-             "Moves an actor in its box's own frame (forward, left, up) all along its trajectory.\n\npose: "
-             "[4,4] float64, box from moved, "
-             "as relidar.pose() makes it")
+             "Moves an actor along its full trajectory, in the frame of its box (forward, left, up).\n\n"
+             "pose: [4,4] float64, box from moved box, for example from relidar.pose()")
         .def(
             "retime",
             [](Edits& edits, const std::string& track, double seconds) -> Edits& {
@@ -125,24 +125,26 @@ void add_edit(py::module_& module) {
                     fmt::format("retime {}:{:.6g}", track, seconds), track,
                     [&](DrivingScene d) { return retime_track(std::move(d), track, seconds); });
             },
-            py::arg("track"), py::arg("seconds"), same, "Lets everything an actor does happen so much later.")
+            py::arg("track"), py::arg("seconds"), same,
+            "Delays all motion of an actor by this time in seconds.")
         .def("follow", &follow, py::arg("track"), py::arg("trajectory"), same,
-             "Gives an actor another trajectory.\n\ntrajectory: (times [n], poses [n,4,4]) of its box's "
-             "centre in the dataset's world, n "
-             ">= 2")
+             "Replaces the trajectory of an actor.\n\n"
+             "trajectory: (times [n], poses [n,4,4]) of the centre of its box in the dataset's world, "
+             "n >= 2")
         .def("copy", &copy, py::arg("track"), py::arg("pose"), py::arg("speed_mps") = 0.0, same,
-             "Places an actor's model once more, as TRACK-copy-1.\n\npose: of its box's centre in the "
-             "dataset's world at the first frame, "
-             "from where it drives straight ahead")
+             "Adds a copy of an actor with the name TRACK-copy-1.\n\n"
+             "pose: pose of the centre of its box in the dataset's world at the first frame; from "
+             "there it drives straight ahead")
         .def("insert", &insert, py::arg("other"), py::arg("track"), py::arg("pose"),
-             py::arg("speed_mps") = 0.0, same, "The same with an actor of another run.")
-        .def("keep", &keep, py::arg("what"), same, "Drops the other: \"background\" or \"actors\".")
-        .def("run", &Edits::finished, "The edited run.")
+             py::arg("speed_mps") = 0.0, same, "Adds a copy of an actor of another run, like copy().")
+        .def("keep", &keep, py::arg("what"), same, "Keeps only the \"background\" or only the \"actors\".")
+        .def("run", &Edits::finished, "Returns the edited run.")
         .def("save", &save, py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
-             "The edited run, written to a folder.");
+             "Writes the edited run to a folder and returns it.");
     const auto run = py::reinterpret_borrow<py::class_<LoadedRun>>(module.attr("Run"));
     py::class_<LoadedRun>(run).def(
-        "edit", [](const LoadedRun& loaded) { return Edits(loaded); }, "Starts to edit a copy of the run.");
+        "edit", [](const LoadedRun& loaded) { return Edits(loaded); },
+        "Returns a copy of the run that can be edited.");
 }
 
 }  // namespace relidar::python

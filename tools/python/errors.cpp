@@ -55,18 +55,18 @@ void translate(std::exception_ptr thrown) {
 void add_errors(py::module_& module) {
     const auto builtin = [](PyObject* type) { return py::reinterpret_borrow<py::object>(type); };
     Types& all = types();
-    all.error = add_type(
-        module, "Error",
-        "Base of all failures relidar reports. `code` is the exit code of the command line tool for it.",
-        py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
-    all.usage = add_type(module, "UsageError", "A wrong name, setting or combination of arguments.",
+    all.error = add_type(module, "Error",
+                         "Base class of all errors of relidar. `code` is the corresponding exit code of the "
+                         "command line tool.",
+                         py::make_tuple(builtin(PyExc_Exception)), ExitCode::bug);
+    all.usage = add_type(module, "UsageError", "A name, a setting or a combination of arguments is wrong.",
                          py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::usage);
     all.data =
-        add_type(module, "DataError",
-                 "A file or array that is missing, malformed or impossible; output that cannot be written.",
+        add_type(module, "DataError", "A file or array is missing or invalid, or output cannot be written.",
                  py::make_tuple(all.error, builtin(PyExc_ValueError)), ExitCode::data);
     all.device = add_type(module, "DeviceError",
-                          "No device, a missing feature, a failed Vulkan call or exhausted device memory.",
+                          "No device is available, a feature is missing, a Vulkan call failed, or the device "
+                          "memory is exhausted.",
                           py::make_tuple(all.error, builtin(PyExc_RuntimeError)), ExitCode::device);
     py::register_exception_translator(translate);
 }

@@ -40,8 +40,7 @@ py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::s
     // takes long.
     if (baseline) (void)find_baseline(*baseline);
     if (run.run.split.test.empty())
-        throw DataError(run.run.folder.string() +
-                        ": no frame was held out, expected at least one to evaluate");
+        throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
     const Progress progress = told_to(tell);
     Sequence read;
     if (!log) {
@@ -56,15 +55,15 @@ py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::s
 void add_evaluate(py::module_& module) {
     module.def("evaluate", &evaluate_run, py::arg("run"), py::arg("sequence") = py::none(), py::kw_only(),
                py::arg("baseline") = py::none(), py::arg("progress") = py::none(),
-               "Scores the held-out frames of a run against its log, as `relidar eval` does.\n\n"
-               "sequence: the log; None: it is read from where it was when the run was trained\n"
-               "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans instead, "
-               "moved by the poses\n"
-               "progress: called with what is done and its share, 0 to 1\n\n"
-               "Returns mean (metric -> value; names carry protocol and unit, \"strict/depth_medae_m\"), "
-               "frames (frame, time_s and metrics "
-               "of each) and trace_ms, milliseconds a\n"
-               "frame. Raises DataError where the log is another one.");
+               "Scores the held-out frames of a run against its log, like `relidar eval`.\n\n"
+               "sequence: the log; None: read it from the path that was used for training\n"
+               "baseline: \"nearest\" or \"nearest-actors\" scores the neighbouring real scans, moved "
+               "to the held-out pose, instead of rendered scans\n"
+               "progress: called with the name of a step and its progress from 0 to 1\n\n"
+               "Returns mean (metric -> value; names carry protocol and unit, "
+               "\"strict/depth_medae_m\"), frames (frame, time_s and metrics of each) and trace_ms, "
+               "milliseconds per\n"
+               "frame. Raises DataError if the log differs from that of the training.");
 }
 
 }  // namespace relidar::python

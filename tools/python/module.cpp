@@ -6,8 +6,8 @@
 PYBIND11_MODULE(_relidar, module) {
     using namespace relidar::python;
     module.doc() =
-        "Re-simulate any LiDAR on any Vulkan device. Metres, seconds, radians; sensor frame x forward, y "
-        "left, z up.";
+        "LiDAR re-simulation on any Vulkan device. Units are metres, seconds and radians. The "
+        "sensor frame has x forward, y left, z up.";
     module.attr("__version__") = RELIDAR_VERSION;
     add_errors(module);
     add_device(module);

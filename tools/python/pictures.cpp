@@ -15,7 +15,7 @@ namespace {
 
 py::object get(const py::dict& scan, const char* name) {
     if (!scan.contains(name))
-        throw DataError(std::string("scan: found a dict without \"") + name +
+        throw DataError(std::string("scan: the dict has no entry \"") + name +
                         "\", expected range, intensity and drop_prob");
     return scan[name];
 }
@@ -49,8 +49,10 @@ void add_pictures(py::module_& module) {
             write_png(path, scan_picture(image_of(scan)));
         },
         py::arg("path"), py::arg("scan"),
-        "Writes a scan as PNG: range in false colours, intensity, drop probability, one above the other.\n\n"
-        "scan: range, intensity and, but for a log's scan, drop_prob, [rows,columns] float32");
+        "Writes a scan as PNG with the range in false colours, the intensity and the drop "
+        "probability below each other.\n\n"
+        "scan: range, intensity and drop_prob, [rows,columns] float32; a scan of a log needs no "
+        "drop_prob");
 }
 
 }  // namespace relidar::python

@@ -21,7 +21,9 @@ constexpr double kRigid = 1e-4;
 Pose rigid_pose(const double* m, const std::string& what) {
     const auto fail = [&](const std::string& found) {
         throw DataError(fmt::format(
-            "{}: found {}, expected a rigid pose: rotation and translation, last row 0 0 0 1", what, found));
+            "{}: found {}, expected a rigid pose: a rotation and a translation, with the last row 0 "
+            "0 0 1",
+            what, found));
     };
     if (!std::all_of(m, m + 16, [](double x) { return std::isfinite(x); }))
         fail("a matrix that is not finite");
@@ -34,7 +36,7 @@ Pose rigid_pose(const double* m, const std::string& what) {
     for (int i = 0; i < 3; ++i)
         for (int j = 0; j < 3; ++j) worst = std::max(worst, std::abs(square[i][j] - (i == j ? 1.0 : 0.0)));
     if (!(worst <= kRigid))
-        fail(fmt::format("a matrix whose axes are {:.1e} off right angles and length 1", worst));
+        fail(fmt::format("a matrix whose axes deviate by {:.1e} from orthogonal unit vectors", worst));
     if (glm::determinant(rotation) < 0.0) fail("a mirrored matrix");
     return {glm::normalize(glm::quat_cast(rotation)), {m[3], m[7], m[11]}};
 }
@@ -63,13 +65,13 @@ PoseTrack track_of(const py::handle& object, const std::string& what, double tim
     if (!py::isinstance<py::tuple>(object)) return {{time_s}, {pose_of(object, what)}};
     const auto pair = py::reinterpret_borrow<py::tuple>(object);
     if (pair.size() != 2)
-        throw DataError(
-            fmt::format("{}: found a tuple of {}, expected a pose [4,4] or (times [n], poses [n,4,4])", what,
-                        pair.size()));
+        throw DataError(fmt::format(
+            "{}: found a tuple of {} entries, expected a pose [4,4] or (times [n], poses [n,4,4])", what,
+            pair.size()));
     PoseTrack track{copied<double, double>(pair[0], what + ": times", {kAny}),
                     poses_of(pair[1], what + ": poses")};
     if (track.time_s.size() != track.pose.size())
-        throw DataError(fmt::format("{}: found {} times and {} poses, expected as many of each", what,
+        throw DataError(fmt::format("{}: found {} times and {} poses, expected the same number of both", what,
                                     track.time_s.size(), track.pose.size()));
     return track;
 }
@@ -99,8 +101,8 @@ void add_poses(py::module_& module) {
         },
         py::arg("x"), py::arg("y"), py::arg("z"), py::arg("yaw_deg") = 0.0, py::arg("pitch_deg") = 0.0,
         py::arg("roll_deg") = 0.0,
-        "A pose a_from_b as [4,4] float64: b's origin at x, y, z of a, metres, turned by Rz(yaw) Ry(pitch) "
-        "Rx(roll).");
+        "Returns a pose a_from_b as [4,4] float64: the origin of b is at x, y, z in a, in "
+        "metres, and its rotation is Rz(yaw) Ry(pitch) Rx(roll).");
 }
 
 }  // namespace relidar::python

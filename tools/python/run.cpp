@@ -59,7 +59,7 @@ void check_covered(const PoseTrack& track, double time_s, double beside_s, const
     const double begin_s = track.time_s.front() - beside_s, end_s = track.time_s.back() + beside_s;
     if (time_s < begin_s || time_s > end_s)
         throw UsageError(
-            fmt::format("{}: found {} s, expected seconds of {} to {}", what, time_s, begin_s, end_s));
+            fmt::format("{}: found {} s, expected seconds from {} to {}", what, time_s, begin_s, end_s));
 }
 
 ActorPoses actors_from(const py::dict& actors, double time_s) {
@@ -71,7 +71,7 @@ ActorPoses actors_from(const py::dict& actors, double time_s) {
         const std::string track = py::str(name);
         const std::string what = fmt::format("actors[\"{}\"]", track);
         const PoseTrack& added = poses[track] = track_of(pose, what, time_s);
-        check_covered(added, time_s, kBeside_s, fmt::format("time beside the poses of {}", what));
+        check_covered(added, time_s, kBeside_s, fmt::format("time relative to the poses of {}", what));
     }
     return poses;
 }
@@ -139,50 +139,53 @@ std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict&
     Scene& scene = changed->run.scene;
     scene = whole_scene(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
-        throw DataError(
-            fmt::format("with_surfels: found {} surfels, expected {} of the same primitive, as the run has",
-                        surfels.size(), scene.surfels.size()));
+        throw DataError(fmt::format(
+            "with_surfels: found {} surfels, expected {} surfels of the same primitive as in the run",
+            surfels.size(), scene.surfels.size()));
     scene.surfels = std::move(surfels);
     return changed;
 }
 
 constexpr const char* kHelpBeforeWeather =
     "Renders a scan.\n\n"
-    "sensor: one of relidar.sensors(), \"native\" (the log's), \"kitti360\", a CSV beam table, or a dict of "
-    "rays as relidar.rays() gives; "
-    "None: as the run's settings say\n"
-    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses [n,4,4]), also through "
-    "the sweep, so that each ray "
-    "is "
-    "fired from where the\n"
-    "    sensor is then; None: where the log's sensor was\n"
-    "time: seconds of the log at which the head faces forward, within the times of the poses; None: of the "
-    "first frame.\n"
-    "    Without `pose`, at the time of a frame, the log's sensor points as its head did in that sweep\n"
-    "actors: track -> pose of its box's centre, as `pose`, at times up to a second from `time`; actors that "
-    "are not named are absent.\n"
-    "    None: all where their tracks have them\n"
-    "lidar: of the log, by name, which the sensor is or in whose place it stands; empty: the first\n"
-    "only: render these alone: \"background\", \"actors\" or tracks\n"
-    "sample: seed; draws drops and range noise as likely as on the log. None: the likeliest scan\n"
-    "frame: of origin and directions: \"sensor\" (at each ray's firing time) or \"world\" (the dataset's)\n"
-    "deskew: sensor frame at `time` for all rays. Without a rolling shutter it is the same (the log's sensor "
-    "if its scans are\n"
-    "    motion-compensated): then `time` is 0 for all rays and `deskewed` 1\n"
+    "sensor: one of relidar.sensors(), \"native\" (the sensor of the log), \"kitti360\", a "
+    "CSV beam table, or a dict of rays like that of relidar.rays(); None: the sensor in the "
+    "settings of the run\n"
+    "pose: sensor to the dataset's world, [4,4] float64, metres; or (times [n], poses "
+    "[n,4,4]) that also cover the sweep, so that each ray is fired\n"
+    "    from the position of the sensor at its firing time; None: the pose of the log's "
+    "sensor\n"
+    "time: time of the log in seconds at which the head faces forward, within the times of "
+    "the poses; None: the time of the first frame.\n"
+    "    Without `pose`, at the time of a frame, the log's sensor has the same head angles "
+    "as in that sweep\n"
+    "actors: dict of track -> pose of the centre of its box, in the form of `pose`, at times "
+    "up to a second from `time`; other actors are absent.\n"
+    "    None: all actors at the poses of their tracks\n"
+    "lidar: name of the LiDAR of the log that is simulated or replaced; empty: the first\n"
+    "only: render only these parts: \"background\", \"actors\" or tracks\n"
+    "sample: seed for random drops and noise with the statistics of the log; None: the most "
+    "likely scan, without noise\n"
+    "frame: frame of origin and directions: \"sensor\" (at the firing time of each ray) or "
+    "\"world\" (the dataset's)\n"
+    "deskew: use the sensor frame at `time` for all rays. This has no effect without a "
+    "rolling shutter, for example if the log is\n"
+    "    motion-compensated: then `time` is 0 for all rays and `deskewed` is 1\n"
     "weather: text; ";
 constexpr const char* kHelpAfterWeather =
     "\n\n"
-    "Returns the arrays of an npz of `relidar render`: range, median_range (metres), intensity, drop_prob, "
-    "weight, time (seconds\n"
-    "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: nothing met) [rows,columns]; "
-    "directions, origin, points (the ends of the rays)\n"
-    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep nearest in "
-    "time), instance_names, frame,\n"
-    "deskewed, sensor, run, units; each channel of render.channels by its name, [rows,columns] or of "
-    "vectors\n"
-    "[rows,columns,3]; unseen, share of the rays that look where the log never did, where the run knows.\n\n"
-    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not rigid, UsageError for "
-    "unknown names and weather.";
+    "Returns the arrays of an npz of `relidar render`: range, median_range (metres), "
+    "intensity, drop_prob, weight, time (seconds\n"
+    "from `time`) [rows,columns] float32; ring uint16, instance int32 (-1: no hit) "
+    "[rows,columns]; directions, origin, points (the ends of the rays)\n"
+    "[rows,columns,3] float32; pose [4,4] float64; time_s, frame_number (of the log's sweep "
+    "nearest in time), instance_names, frame,\n"
+    "deskewed, sensor, run, units; each channel of render.channels by its name, "
+    "[rows,columns] or\n"
+    "[rows,columns,3]; unseen, the share of rays that cross space that the log has not "
+    "observed, if the run has this information.\n\n"
+    "Raises DataError for arrays of wrong shape, dtype or order and poses that are not "
+    "rigid, UsageError for unknown names and weather.";
 
 /// Returns the documentation of Run.render(). The table of weather effects has a part of
 /// the text.
@@ -194,21 +197,22 @@ std::string render_help() {
 
 /// Adds the methods of the Python class for runs.
 void add_calls(py::class_<LoadedRun>& type) {
-    type.def_static(
-            "load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
-            py::arg("device") = py::none(),
-            "Reads a run folder.\n\n"
-            "settings: dict of settings other than the run's, such as {\"render.range\": \"median\"}\n"
-            "device: to render on; None: the default one\n\n"
-            "Raises DataError naming the file that is missing, damaged or of another format.")
+    type.def_static("load", &open_run, py::arg("folder"), py::kw_only(), py::arg("settings") = py::dict(),
+                    py::arg("device") = py::none(),
+                    "Reads a run folder.\n\n"
+                    "settings: dict of settings that replace those of the run, such as {\"render.range\": "
+                    "\"median\"}\n"
+                    "device: device for rendering; None: the default device\n\n"
+                    "Raises DataError with the name of the file that is missing, damaged or of another "
+                    "format.")
         .def(
             "save",
             [](LoadedRun& run, const fs::path& folder, bool overwrite) {
                 save_to(run.run, folder, overwrite);
             },
             py::arg("folder"), py::kw_only(), py::arg("overwrite") = false,
-            "Writes config.toml, scene.json and model.safetensors, each whole or not at all. Raises "
-            "UsageError where a run is in the way.")
+            "Writes config.toml, scene.json and model.safetensors. Incomplete files are never left "
+            "behind. Raises UsageError if the folder already contains a run.")
         .def(
             "render",
             [](LoadedRun& run, const py::object& sensor, const py::object& pose, std::optional<double> time,
@@ -230,16 +234,18 @@ void add_calls(py::class_<LoadedRun>& type) {
                     std::ranges::fill(choice.rays.time_offset_s, 0.0f);
                 return to_dict(choice.rays);
             },
-            py::arg("sensor") = py::none(), py::arg("lidar") = "", "Rays of a sensor as render() takes it.")
+            py::arg("sensor") = py::none(), py::arg("lidar") = "",
+            "Returns the rays of a sensor, which has the same form as in render().")
         .def("with_surfels", &with_surfels, py::arg("surfels"),
-             "The same run with other values of all surfels. Raises DataError for another number of them.");
+             "Returns a copy of the run with other values of all surfels. Raises DataError if the "
+             "number of surfels differs.");
 }
 
 /// Adds the properties of the Python class for runs.
 void add_properties(py::class_<LoadedRun>& type) {
     type.def_property_readonly(
             "folder", [](const LoadedRun& run) { return run.run.folder.string(); },
-            "Where it was read or saved; empty where it never was.")
+            "Folder that the run was read from or saved to. Empty if there is none.")
         .def_property_readonly(
             "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
         .def_property_readonly(
@@ -247,30 +253,28 @@ void add_properties(py::class_<LoadedRun>& type) {
             "A copy of the scene.")
         .def_property_readonly(
             "surfels", [](const LoadedRun& run) { return to_dict(whole_scene(run.run.scene).surfels); },
-            "A copy of the surfels: dict of float32 arrays as relidar.Scene takes it.")
+            "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(
             "times", [](const LoadedRun& run) { return times_of(run.run.sequence); },
             "[frames] float64: seconds at which the head faced forward.")
         .def_property_readonly(
             "frame_numbers", [](const LoadedRun& run) { return frame_numbers_of(run.run.sequence); },
-            "[frames] int32: the dataset's own numbers.")
+            "[frames] int32: frame numbers of the dataset.")
         .def_property_readonly(
             "held_out", [](const LoadedRun& run) { return run.run.split.test; },
-            "Positions of the frames that training did not see, in times.")
+            "Indices of the held-out frames in `times`.")
         .def_property_readonly(
             "trajectory", [](const LoadedRun& run) { return trajectory_of(run.run.sequence); },
-            "(times [n], poses [n,4,4]) of the log's vehicle in the dataset's world: with one LiDAR those of "
-            "the sensor, as render() takes "
-            "them.")
+            "(times [n], poses [n,4,4]) of the log's vehicle in the dataset's world: for a single "
+            "LiDAR, those of the sensor, in the form of render().")
         .def_property_readonly(
             "mountings", [](const LoadedRun& run) { return mountings_of(run.run.sequence); },
-            "LiDARs by name: vehicle from sensor, [4,4] float64; poses @ mountings[name] are those of a "
-            "LiDAR. One alone is at the "
-            "identity and has an empty name.")
+            "Dict of LiDAR name -> vehicle from sensor, [4,4] float64. The poses of a LiDAR are "
+            "poses @ mountings[name]. A single LiDAR has an empty name and the identity.")
         .def_property_readonly(
             "actors", [](const LoadedRun& run) { return actors_of(run.run.sequence, track_names(run.run)); },
-            "Actors by track: (times [n], poses [n,4,4]) of their boxes' centres in the dataset's world, as "
-            "render() takes them.")
+            "Dict of track -> (times [n], poses [n,4,4]) of the centre of its box in the dataset's "
+            "world, in the form of render().")
         .def_property_readonly(
             "edits",
             [](const LoadedRun& run) {
@@ -278,15 +282,17 @@ void add_properties(py::class_<LoadedRun>& type) {
                 for (const RunEdit& edit : run.run.edits) edits.push_back(edit.edit);
                 return edits;
             },
-            "What was edited, oldest first.");
+            "Descriptions of all edits, the oldest first.");
 }
 
 }  // namespace
 
 void save_to(Run& run, const fs::path& folder, bool overwrite) {
     if (!overwrite && is_run(folder))
-        throw UsageError(fmt::format(
-            "{}: found a run there, expected a new folder; overwrite=True replaces it", folder.string()));
+        throw UsageError(
+            fmt::format("cannot save to {}: the folder already contains a run; expected a new folder; "
+                        "overwrite=True replaces the run",
+                        folder.string()));
     const fs::path before = std::exchange(run.folder, folder);
     try {
         save_run(run);
@@ -311,9 +317,10 @@ OnDevice<ScanRenderer>& LoadedRun::ready_renderer() {
 }
 
 void add_run(py::module_& module) {
-    py::class_<LoadedRun> type(module, "Run",
-                               "A trained scene with its log's sensor, poses and tracks: what `relidar "
-                               "train` writes. It does not change.");
+    py::class_<LoadedRun> type(
+        module, "Run",
+        "A trained scene with the sensor, poses and tracks of its log, as written by `relidar "
+        "train`. It is immutable.");
     add_calls(type);
     add_properties(type);
 }

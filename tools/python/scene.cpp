@@ -55,7 +55,7 @@ py::dict view_of(const py::object& scene_object) {
 }
 
 std::uint32_t count_of(const py::dict& dict, const char* name, const char* what) {
-    if (!dict.contains(name)) throw DataError(fmt::format("{}: found a dict without \"{}\"", what, name));
+    if (!dict.contains(name)) throw DataError(fmt::format("{}: the dict has no entry \"{}\"", what, name));
     return dict[name].cast<std::uint32_t>();
 }
 
@@ -106,21 +106,22 @@ py::list instances_of(const Scene& scene) {
 Surfels surfels_of(const py::dict& arrays) {
     Surfels surfels;
     std::vector<std::string> names;
-    for_each_group(surfels, [&]<class Element>(const char* name, std::vector<Element>& values,
-                                               const Shape& row) {
-        names.emplace_back(name);
-        if (arrays.contains(name))
-            values =
-                copied<float, Element>(arrays[name], fmt::format("surfels: {}", name), rows_of(kAny, row));
-        else if (name != kThirdScale && name != kGait)
-            throw DataError(fmt::format(
-                "surfels: found no array \"{}\", expected mean, rotation, log_scale, opacity_logit and sh",
-                name));
-    });
+    for_each_group(
+        surfels, [&]<class Element>(const char* name, std::vector<Element>& values, const Shape& row) {
+            names.emplace_back(name);
+            if (arrays.contains(name))
+                values = copied<float, Element>(arrays[name], fmt::format("surfels: {}", name),
+                                                rows_of(kAny, row));
+            else if (name != kThirdScale && name != kGait)
+                throw DataError(fmt::format(
+                    "surfels: the array \"{}\" is missing, expected mean, rotation, log_scale, opacity_logit "
+                    "and sh",
+                    name));
+        });
     for (const auto& [name, array] : arrays) {
         const std::string text = py::str(name);
         if (std::find(names.begin(), names.end(), text) == names.end())
-            throw UsageError(fmt::format("surfels: found an array \"{}\"{} (known: {})", text,
+            throw UsageError(fmt::format("surfels: the array \"{}\" is unknown{} (known: {})", text,
                                          did_you_mean(text, names, "\""), fmt::join(names, ", ")));
     }
     // Chooses the primitive shape: 3D Gaussians have the array of third scales, and 2D
@@ -145,27 +146,28 @@ py::dict to_dict(Surfels&& surfels) {
 void add_scene(py::module_& module) {
     py::class_<Scene, std::shared_ptr<Scene>>(
         module, "Scene",
-        "Surfels, the models they belong to, and the instances that place models. It does not change.")
+        "Surfels, the models that they belong to, and the instances that place models. It is "
+        "immutable.")
         .def(py::init(&make_scene), py::arg("surfels"), py::arg("models") = py::none(),
              py::arg("instances") = py::none(),
              "surfels: dict of float32 arrays: mean [n,3] metres, rotation [n,4] quaternion w x y z, "
-             "log_scale [n,2] ln metres, "
-             "opacity_logit [n],\n"
-             "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] makes them 3D Gaussians,\n"
-             "    gait [n,5] lets models with a stride bend (phase in turns, sharpness, swing in metres)\n"
-             "models: dicts of name, first, count and, of one that bends, stride_m: ranges of the surfels, "
-             "one behind the other;\n"
-             "    None: one of all, the background\n"
-             "instances: dicts of model (its index) and track (\"\" for the background); None: one of each "
-             "model\n\n"
-             "Raises DataError for arrays of wrong shape, dtype or order. Whether models and instances fit "
-             "is checked by who renders them.")
+             "log_scale [n,2] ln metres, opacity_logit [n],\n"
+             "    sh [n,3,16] (intensity, hit logit, drop logit); log_scale_w [n] for 3D Gaussians,\n"
+             "    gait [n,5] for models that deform while walking (phase in turns, sharpness, swing "
+             "in metres)\n"
+             "models: dicts of name, first, count and, for a model that deforms, stride_m: "
+             "consecutive ranges of surfels;\n"
+             "    None: one model with all surfels, the background\n"
+             "instances: dicts of model (its index) and track (\"\" for the background); None: one "
+             "instance of each model\n\n"
+             "Raises DataError for arrays of wrong shape, dtype or order. Whether models and "
+             "instances fit together is checked when the scene is rendered.")
         .def_property_readonly(
             "surfels", [](const py::object& scene) { return view_of(scene); },
             "The arrays, read-only and not copied.")
-        .def_property_readonly("models", &models_of, "Dicts of name, first, count.")
+        .def_property_readonly("models", &models_of, "Dicts of name, first and count.")
         .def_property_readonly("instances", &instances_of,
-                               "Dicts of model, track; instance 0 is the background.")
+                               "Dicts of model and track. Instance 0 is the background.")
         .def(
             "__len__", [](const Scene& scene) { return scene.surfels.size(); }, "Number of surfels.");
 }

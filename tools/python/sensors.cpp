@@ -26,13 +26,15 @@ void check_rays(const RayTable& rays) {
             throw DataError(
                 fmt::format("sensor: directions: found length {} at ray {}, expected 1", length, i));
         if (!std::isfinite(glm::length(rays.origin[i]) + rays.time_offset_s[i]))
-            throw DataError(fmt::format("sensor: found an origin or time that is not finite at ray {}", i));
+            throw DataError(fmt::format("sensor: the origin or time of ray {} is not finite", i));
     }
 }
 
 RayTable rays_of(const py::dict& dict) {
     if (!dict.contains("directions"))
-        throw DataError("sensor: found a dict without \"directions\", expected rays by the names of an npz");
+        throw DataError(
+            "sensor: the dict has no entry \"directions\", expected rays with the names of an npz "
+            "file");
     const py::object directions = dict["directions"];
     check_array(directions, "sensor: directions", py::dtype::of<float>(), {kAny, kAny, 3});
     const auto array = py::reinterpret_borrow<py::array>(directions);
@@ -64,9 +66,8 @@ SensorChoice sensor_of(const py::handle& sensor, const Run& run, int lidar) {
         return choose_sensor(sensor.cast<std::string>(), run.config, run.sequence, lidar);
     if (!py::isinstance<py::dict>(sensor))
         throw UsageError(
-            "sensor: found neither a name nor a dict of rays, expected one of relidar.sensors(), a sensor "
-            "file or a dict with "
-            "\"directions\"");
+            "sensor: found an unsupported type, expected a name from relidar.sensors(), the path of "
+            "a sensor file, or a dict with \"directions\"");
     SensorChoice choice;
     choice.rays = rays_of(py::reinterpret_borrow<py::dict>(sensor));
     choice.limits = {run.config.dataset.min_range_m, run.config.dataset.max_range_m};
@@ -87,20 +88,19 @@ py::dict to_dict(const RayTable& rays) {
 
 void add_sensors(py::module_& module) {
     module.def("sensors", &sensor_names,
-               "Names of the sensors that rays() and Run.render() know beside \"native\", the log's own.");
+               "Returns the names of the sensors that rays() and Run.render() accept in addition to "
+               "\"native\", the sensor of the log.");
     module.def(
         "rays",
         [](const std::string& sensor, double time) { return to_dict(make_rays(find_sensor(sensor), time)); },
         py::arg("sensor"), py::arg("time") = 0.0,
-        "Rays of one scan of a sensor, by name or file (a beam table as \"beams.csv:1024x10\", a ray table, "
-        "an Ouster's metadata); a\n"
-        "rosette has other rays at another time, in seconds.\n\n"
-        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor frame), time "
-        "[rows,columns] float32 (seconds "
-        "from the moment the head\n"
-        "faces forward), ring [rows,columns] uint16 (beam, 0 the highest). Such a dict, also one of your "
-        "own, is a sensor for "
-        "Run.render().");
+        "Returns the rays of one scan of a sensor. The sensor is a name or a file: a beam table "
+        "such as \"beams.csv:1024x10\", a ray table, or\n"
+        "Ouster metadata. The rays of a rosette sensor depend on the time, in seconds.\n\n"
+        "Returns a dict: directions, origin [rows,columns,3] float32 (unit; metres; sensor "
+        "frame), time [rows,columns] float32 (seconds after the head\n"
+        "faces forward), ring [rows,columns] uint16 (beam, 0 is the highest). Run.render() "
+        "accepts such a dict as its sensor.");
 }
 
 }  // namespace relidar::python

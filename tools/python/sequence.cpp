@@ -36,7 +36,8 @@ Log load(const std::string& dataset, const std::optional<Config>& config, const 
 py::dict scan_of(const Log& log, int position) {
     const std::vector<Frame>& frames = log.sequence.frames;
     if (position < 0 || position >= static_cast<int>(frames.size()))
-        throw py::index_error(fmt::format("scan {}: the log has {} frames", position, frames.size()));
+        throw py::index_error(
+            fmt::format("cannot read scan {}: the log has only {} frames", position, frames.size()));
     const Scan& scan = frames[static_cast<std::size_t>(position)].scan;
     const Shape image{scan.rays.rows, scan.rays.columns};
     RayTable rays = scan.rays;
@@ -109,47 +110,50 @@ namespace {
 
 void add_sequence_class(py::module_& module) {
     py::class_<Log>(module, "Sequence",
-                    "A LiDAR log: scans with their rays, poses of the sensor in time, tracked boxes. Made by "
-                    "load_sequence().")
+                    "A LiDAR log with scans, rays, sensor poses and tracked boxes. load_sequence() creates "
+                    "it.")
         .def(
             "__len__", [](const Log& log) { return log.sequence.frames.size(); }, "Number of frames.")
         .def_property_readonly("name", [](const Log& log) { return log.sequence.name; })
         .def_property_readonly(
-            "notes", [](const Log& log) { return log.sequence.notes; }, "What the log lacks, a line each.")
+            "notes", [](const Log& log) { return log.sequence.notes; },
+            "Notes about missing data of the log, one line each.")
         .def_property_readonly(
             "config", [](const Log& log) { return log.config; },
-            "A copy of the settings that it was read with.")
+            "A copy of the settings that the log was read with.")
         .def_property_readonly(
             "times", [](const Log& log) { return times_of(log.sequence); },
             "[frames] float64: seconds at which the head faces forward.")
         .def_property_readonly(
             "frame_numbers", [](const Log& log) { return frame_numbers_of(log.sequence); },
-            "[frames] int32: the dataset's own numbers.")
+            "[frames] int32: frame numbers of the dataset.")
         .def_property_readonly(
             "frame_lidars", [](const Log& log) { return lidars_of(log.sequence); },
-            "[frames] names of the LiDARs that took the frames; empty where the log has one.")
+            "[frames] name of the LiDAR of each frame. Empty if the log has a single LiDAR.")
         .def_property_readonly(
             "trajectory", [](const Log& log) { return trajectory_of(log.sequence); },
-            "(times [n], poses [n,4,4]) of the vehicle in the dataset's world, float64, metres: with one "
-            "LiDAR those of the sensor.")
+            "(times [n], poses [n,4,4]) of the vehicle in the dataset's world, float64, metres: for "
+            "a single LiDAR, those of the sensor.")
         .def_property_readonly(
             "mountings", [](const Log& log) { return mountings_of(log.sequence); },
-            "LiDARs by name: vehicle from sensor, [4,4] float64; identity where the log has one, whose name "
-            "is empty.")
+            "Dict of LiDAR name -> vehicle from sensor, [4,4] float64. A single LiDAR has an empty "
+            "name and the identity.")
         .def_property_readonly(
             "boxes", [](const Log& log) { return actors_of(log.sequence, box_names(log.sequence)); },
-            "Labelled boxes by track: (times [n], poses [n,4,4]) of their centres in the dataset's world.")
+            "Dict of track -> (times [n], poses [n,4,4]) of the centre of its labelled box in the "
+            "dataset's world.")
         .def(
             "rays",
             [](const Log& log, const std::string& lidar) {
                 return to_dict(
                     make_rays(log.sequence.lidars[std::size_t(find_lidar(log.sequence, lidar))].sensor));
             },
-            py::arg("lidar") = "", "Rays of a LiDAR of the log, as relidar.rays(). Empty name: the first.")
+            py::arg("lidar") = "",
+            "Returns the rays of a LiDAR of the log, in the form of relidar.rays(). Empty name: the "
+            "first LiDAR.")
         .def("scan", &scan_of, py::arg("position"),
-             "The scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 (metres along "
-             "the ray, 0 where dropped) and "
-             "intensity.\n\n"
+             "Returns the scan of a frame: the arrays of relidar.rays(), range [rows,columns] float32 "
+             "(metres along the ray, 0 if dropped) and intensity.\n\n"
              "position: 0 ... len(sequence) - 1");
 }
 
@@ -162,16 +166,18 @@ void add_loading(py::module_& module) {
         },
         py::arg("dataset"), py::arg("config") = py::none(), py::arg("progress") = py::none(),
         "Reads a log.\n\n"
-        "dataset: a path whose format is recognised, or \"kind:path\" with kind kitti_raw or synthetic\n"
-        "config: its dataset.* say which frames, poses and ranges; None: preset \"default\"\n"
-        "progress: called with what is done and its share, 0 to 1\n\n"
-        "Raises DataError naming the file and what is wrong with it.");
+        "dataset: a path whose format is recognised, or \"kind:path\" with kind kitti_raw or "
+        "synthetic\n"
+        "config: its settings dataset.* select frames, poses and ranges; None: preset "
+        "\"default\"\n"
+        "progress: called with the name of a step and its progress from 0 to 1\n\n"
+        "Raises DataError with the name of the file and a description of the error.");
     module.def("save_street", &save_street, py::arg("folder"), py::kw_only(), py::arg("seed") = 1,
                py::arg("n_frames") = 30, py::arg("rows") = 32, py::arg("columns") = 512,
                py::arg("people") = false, py::arg("gait") = false,
                "Writes the synthetic street of `relidar demo` as a folder that load_sequence() reads. "
-               "people: it has pedestrians and a\n"
-               "cyclist. gait: and the pedestrians swing their legs and arms.");
+               "people: add pedestrians and a\n"
+               "cyclist. gait: let the pedestrians also swing their legs and arms.");
 }
 
 }  // namespace

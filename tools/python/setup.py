@@ -31,14 +31,14 @@ class CMakeBuild(build_ext):
         suffix = self.get_ext_filename("_relidar")
         built = folder / "tools" / "python" / "relidar" / suffix
         if not built.is_file():
-            raise SystemExit(f"relidar: found no {built}, expected a build with -DRELIDAR_PYTHON=ON for {sys.executable}")
+            raise SystemExit(f"relidar: {built} is missing, expected a build with -DRELIDAR_PYTHON=ON for {sys.executable}")
         target = pathlib.Path(self.get_ext_fullpath(extension.name))
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(built, target)
 
     def build_with_cmake(self):
         if shutil.which("cmake") is None:
-            raise SystemExit("relidar: found no cmake, expected what `tools/dev/setup --python` installs")
+            raise SystemExit("relidar: cmake is not installed; run `tools/dev/setup --python` to install all build tools")
         configure = ["cmake", "-S", str(ROOT), "-B", str(BUILD), "-DCMAKE_BUILD_TYPE=Release", "-DRELIDAR_PYTHON=ON", "-DRELIDAR_UNITY=ON",
                      "-DRELIDAR_BUILD_TESTS=OFF", "-DRELIDAR_BUILD_TOOLS=OFF", "-DRELIDAR_SERVE=OFF",
                      f"-DPython_EXECUTABLE={sys.executable}"]

@@ -45,7 +45,9 @@ std::optional<Checkpoint> find_start(const TrainArguments& asked,
                                      const std::function<void(const std::string&)>& note) {
     if (!asked.resume) return std::nullopt;
     if (!asked.checkpoints)
-        throw UsageError("train: found resume=True without checkpoints, expected the folder that holds them");
+        throw UsageError(
+            "train: resume=True needs the argument checkpoints, which is the folder that contains "
+            "the checkpoints");
     return load_newest_checkpoint(*asked.checkpoints, note);
 }
 
@@ -151,14 +153,14 @@ py::dict terms_of(const TrainProgress& line) {
 }  // namespace
 
 void add_train(py::module_& module) {
-    py::class_<TrainProgress>(module, "TrainProgress", "One line of the log of a training.")
+    py::class_<TrainProgress>(module, "TrainProgress", "One line of the training log.")
         .def_readonly("iteration", &TrainProgress::iteration)
         .def_readonly("n_iterations", &TrainProgress::n_iterations)
-        .def_readonly("seconds", &TrainProgress::seconds, "Since training started.")
+        .def_readonly("seconds", &TrainProgress::seconds, "Seconds since the training started.")
         .def_readonly("iterations_per_second", &TrainProgress::iterations_per_second)
         .def_readonly("eta_s", &TrainProgress::eta_s)
-        .def_readonly("loss", &TrainProgress::loss, "Mean over the iterations since the last line.")
-        .def_property_readonly("terms", &terms_of, "Weighted terms of the loss by name.")
+        .def_readonly("loss", &TrainProgress::loss, "Mean loss over the iterations since the previous line.")
+        .def_property_readonly("terms", &terms_of, "Dict of name -> weighted term of the loss.")
         .def_readonly("n_surfels", &TrainProgress::n_surfels);
     module.def(
         "train",
@@ -172,22 +174,20 @@ void add_train(py::module_& module) {
         py::arg("sequence"), py::arg("config") = py::none(), py::kw_only(), py::arg("callback") = py::none(),
         py::arg("note") = py::none(), py::arg("checkpoints") = py::none(), py::arg("resume") = false,
         py::arg("device") = py::none(),
-        "Trains a scene on the training frames of a log, and with refine.enabled the network that corrects "
-        "its ray-drop.\n\n"
-        "config: settings; dataset.* stay as the log was read, test_every and test_frames excepted. None: "
-        "those that the log was read "
-        "with\n"
-        "callback: called with a TrainProgress every train.log_every iterations; returning False ends the "
-        "training with the scene so far. "
-        "It may not use the same device\n"
-        "note: called with one line about each estimate and whatever goes wrong without ending the training\n"
-        "checkpoints: folder for what a training continues from; one is written where it stops early, by "
-        "Ctrl-C too; those of the network "
-        "lie in drop_network below it\n"
-        "resume: continue from the newest checkpoint there, where there is one\n\n"
-        "Returns a Run that is in memory alone: save() it. Raises KeyboardInterrupt on Ctrl-C, what the "
-        "callback raises, DataError where "
-        "the log cannot be trained on.");
+        "Trains a scene on the training frames of a log. With refine.enabled, it also trains the "
+        "network that corrects ray-drop.\n\n"
+        "config: settings; of dataset.*, only test_every and test_frames have an effect, because "
+        "the log is already read. None: the settings that the log was read with\n"
+        "callback: called with a TrainProgress every train.log_every iterations; if it returns "
+        "False, the training ends with the current scene. It must not use the same device\n"
+        "note: called with one line for each estimate, and for each problem that does not end "
+        "the training\n"
+        "checkpoints: folder for checkpoints; one is also written if the training stops early, "
+        "for example by Ctrl-C; those of the network are in its subfolder drop_network\n"
+        "resume: continue from the newest checkpoint in this folder, if there is one\n\n"
+        "Returns a Run that exists only in memory; call save() to store it. Raises "
+        "KeyboardInterrupt on Ctrl-C, the exceptions of the callback, and DataError if the log "
+        "cannot be used for training.");
 }
 
 }  // namespace relidar::python

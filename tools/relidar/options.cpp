@@ -47,7 +47,7 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     DeviceOptions options;
     if (choice.index < -1)
         throw UsageError(fmt::format(
-            "--device: found {}, expected a number that `relidar list devices` lists", choice.index));
+            "--device: found {}; expected a device number from `relidar list devices`", choice.index));
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
     return from_environment(options);
@@ -93,8 +93,8 @@ void add_set_option(CLI::App& command, std::vector<std::string>& sets) {
 void add_settings_options(CLI::App& command, Settings& settings) {
     command
         .add_option("--preset", settings.preset,
-                    "settings to start from: default, quick (minutes on a CPU), paper (as in the text of the "
-                    "paper) or released (as in its authors' code)")
+                    "settings to start from: default, quick (trains in minutes on a CPU), paper (as "
+                    "described in the paper) or released (as in the authors' code)")
         ->type_name("NAME");
     command.add_option("--config", settings.file, "TOML file with settings that replace those of the preset")
         ->type_name("FILE");
@@ -113,7 +113,7 @@ void apply_sets(Config& config, const std::vector<std::string>& sets) {
         const std::size_t equals = set.find('=');
         if (equals == std::string::npos || equals == 0)
             throw UsageError(
-                fmt::format("--set: found \"{}\", expected key=value, as in loss.depth=0.2", set));
+                fmt::format("--set: found \"{}\"; expected KEY=VALUE, for example loss.depth=0.2", set));
         set_key(config, set.substr(0, equals), set.substr(equals + 1));
     }
 }
@@ -147,8 +147,8 @@ void check_sets(const std::vector<std::string>& sets, const std::vector<std::str
         });
         if (is_used) continue;
         throw UsageError(
-            fmt::format("--set: found {}, which changes nothing in `relidar {}`; expected {}", key, command,
-                        used.empty() ? "no setting" : fmt::format("some of {}", fmt::join(used, ", "))));
+            fmt::format("--set: the setting {} has no effect in `relidar {}`; expected {}", key, command,
+                        used.empty() ? "no setting" : fmt::format("one of {}", fmt::join(used, ", "))));
     }
 }
 
@@ -159,7 +159,7 @@ void add_log_part_options(CLI::App& command, LogPart& part) {
         ->type_name("A:B");
     command
         .add_option("--sequence", part.sequence,
-                    "name of the drive if the dataset holds several (default: the first)")
+                    "name of the drive if the dataset contains several (default: the first)")
         ->type_name("NAME");
 }
 
@@ -179,11 +179,12 @@ FrameRange parse_frames(const std::string& text) {
     const bool good = colon != std::string::npos && (begin.empty() || parse(begin, range.begin)) &&
                       (end.empty() || parse(end, range.end));
     if (!good || range.begin < 0 || (!end.empty() && range.end < 0)) {
-        throw UsageError(
-            fmt::format("--frames: found \"{}\", expected first:end, end not included, as in 0:50", text));
+        throw UsageError(fmt::format(
+            "--frames: found \"{}\"; expected FIRST:END without frame END, for example 0:50", text));
     }
     if (range.end != -1 && range.begin >= range.end)
-        throw UsageError(fmt::format("--frames: found \"{}\", an empty range, expected first < end", text));
+        throw UsageError(
+            fmt::format("--frames: found the empty range \"{}\"; expected FIRST:END with FIRST < END", text));
     return range;
 }
 
@@ -234,7 +235,8 @@ Sequence load_dataset(const Config& config, bool quiet, int most_scans) {
                            sequence.frames.back().index, sequence.source);
     if (const ScanMemoryUse use = scan_memory_use(); use.in_file > 0 && !quiet)
         note(fmt::format(
-            "{} of the scans are kept in memory, {} in a file in {} (setting dataset.memory_mib)",
+            "{} of scan data are kept in memory and {} in a temporary file in {}; the setting "
+            "dataset.memory_mib is the limit",
             byte_size(use.in_memory), byte_size(use.in_file), fs::temp_directory_path().string()));
     return sequence;
 }

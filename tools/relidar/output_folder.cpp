@@ -60,16 +60,16 @@ void check_content(const fs::path& folder, Existing existing) {
     if (holds_nothing(folder)) return;
     if (is_dataset(folder))
         throw UsageError(fmt::format(
-            "--out {}: the folder holds a log, expected a different folder for the run", folder.string()));
+            "--out {}: this folder contains a log; choose a different folder for the run", folder.string()));
     if (!holds_run(folder))
-        throw UsageError(
-            fmt::format("--out {}: the folder is not empty and holds no run, expected a new or empty folder",
-                        folder.string()));
+        throw UsageError(fmt::format(
+            "--out {}: the folder is not empty and contains no run; expected a new or empty folder",
+            folder.string()));
     if (existing == Existing::refuse)
-        throw UsageError(
-            fmt::format("--out {}: the folder is not empty, expected a new or empty folder; --force "
-                        "overwrites the run in it",
-                        folder.string()));
+        throw UsageError(fmt::format(
+            "--out {}: the folder already contains a run; expected a new or empty folder; --force "
+            "overwrites the run",
+            folder.string()));
 }
 
 /// Removes the half-written files of a killed process from a folder and from its
@@ -100,8 +100,8 @@ std::optional<OpenLock> open_locked(const fs::path& file) {
     for (;;) {
         const int descriptor = ::open(file.c_str(), O_RDWR | O_CREAT | O_CLOEXEC, 0666);
         if (descriptor < 0)
-            throw DataError(fmt::format("{}: cannot be written: {}", file.string(),
-                                        std::generic_category().message(errno)));
+            throw DataError(
+                fmt::format("cannot write {}: {}", file.string(), std::generic_category().message(errno)));
         const bool locked = ::flock(descriptor, LOCK_EX | LOCK_NB) == 0;
         const bool held = !locked && errno == EWOULDBLOCK;
         if (!held && is_same_file(descriptor, file)) return OpenLock{descriptor, locked};
@@ -134,9 +134,10 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
     for (; !lock && std::chrono::steady_clock::now() < end; lock = open_locked(file_))
         std::this_thread::sleep_for(kLockLook);
     if (!lock)
-        throw DataError(
-            fmt::format("{}: another relidar is writing this {}, expected only one process at a time",
-                        folder.string(), holds_run(folder) ? "run" : "folder"));
+        throw DataError(fmt::format(
+            "cannot write {}: another relidar process is writing this {}; wait until that process "
+            "has finished",
+            folder.string(), holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
     if (lock->exclusive) remove_half_written(folder);
 }

@@ -56,7 +56,7 @@ void run(const Program& program, int argc, char** argv) {
         throw UsageError(usage_message(app, error.what()));
     }
     if (!call.run)
-        throw UsageError(fmt::format("found no command, expected one; `{} --help` lists them", program.name));
+        throw UsageError(fmt::format("no command is given; `{} --help` lists all commands", program.name));
     call.run();
     flush_output();
 }
@@ -77,8 +77,8 @@ int run_program(const Program& program, int argc, char** argv) {
         return report(error.code(), error.what());
     } catch (const std::bad_alloc&) {
         return report(ExitCode::data,
-                      "out of memory: the memory is too small for this log or scene; use fewer frames "
-                      "(--frames a:b) or larger voxels (--set init.voxel_m=...)");
+                      "out of memory: this machine has too little memory for this log or scene; use fewer "
+                      "frames (--frames A:B) or larger voxels (--set init.voxel_m=METRES)");
     } catch (const std::filesystem::filesystem_error& error) {
         // An error of the file system is not a bug of the program, so it is reported like
         // invalid data.

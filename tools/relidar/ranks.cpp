@@ -47,10 +47,10 @@ void check_build(int rank) {
     unsigned long long first_build = build;
     MPI_Bcast(&first_build, 1, MPI_UNSIGNED_LONG_LONG, 0, MPI_COMM_WORLD);
     if (build != first_build)
-        throw UsageError(
-            fmt::format("started by mpirun: process {} is another build of relidar than the first process, "
-                        "expected the same build",
-                        rank));
+        throw UsageError(fmt::format(
+            "MPI process {} runs a different build of relidar than the first process; all processes "
+            "must run the same build",
+            rank));
 }
 
 /// Concatenates the texts of all MPI processes. Every process receives the result.
@@ -65,7 +65,8 @@ std::string gather_in_all(const std::string& text, int size) {
     // MPI counts bytes with the type int, so larger texts are rejected.
     if (total > static_cast<unsigned long long>(std::numeric_limits<int>::max()))
         throw Error(ExitCode::bug,
-                    "collecting results of several processes: found more than 2 GiB, expected at most 2 GiB");
+                    "cannot collect the results of the MPI processes: they exceed 2 GiB; expected at most 2 "
+                    "GiB");
     std::vector<int> counts(sizes.begin(), sizes.end()), places(sizes.size());
     std::exclusive_scan(counts.begin(), counts.end(), places.begin(), 0);
     std::string all(total, '\0');

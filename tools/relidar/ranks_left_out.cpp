@@ -12,8 +12,8 @@ namespace relidar::cli {
 Ranks::Ranks() {
     if (launched_by_mpi())
         throw UsageError(
-            "started by mpirun: this program was built without MPI, expected a build with MPI; install "
-            "libopenmpi-dev and build again");
+            "mpirun has started this program, but it was built without MPI; install libopenmpi-dev "
+            "and build relidar again");
 }
 Ranks::~Ranks() = default;
 std::vector<std::string> Ranks::gather(const std::string& text) const { return {text}; }

@@ -54,17 +54,17 @@ std::string usage_message(const CLI::App& app, const std::string& what) {
     const std::string help = path + " --help";
     std::vector<std::string> unexpected = app.remaining(true);
     if (unexpected.empty() && what.find("subcommand") != std::string::npos)
-        return fmt::format("found no subcommand, expected {} (see `{}`)",
+        return fmt::format("no subcommand is given; expected one of {} (see `{}`)",
                            fmt::join(command_names(command), ", "), help);
     if (unexpected.empty()) return fmt::format("{} (see `{}`)", in_our_words(what), help);
     const std::string word = without_value(unexpected.front());
     if (word.size() > 1 && word.front() == '-') {
-        return fmt::format("option {}: unknown{} (see `{}`)", word, did_you_mean(word, option_names(command)),
+        return fmt::format("unknown option {}{} (see `{}`)", word, did_you_mean(word, option_names(command)),
                            help);
     }
     if (const std::vector<std::string> names = command_names(command); !names.empty())
-        return fmt::format("command {}: unknown{} (see `{}`)", word, did_you_mean(word, names), help);
-    return fmt::format("argument {}: not expected (see `{}`)", word, help);
+        return fmt::format("unknown command {}{} (see `{}`)", word, did_you_mean(word, names), help);
+    return fmt::format("unexpected argument {} (see `{}`)", word, help);
 }
 
 }  // namespace relidar::cli

@@ -37,7 +37,7 @@ std::string message_of(int error) { return std::generic_category().message(error
 
 [[noreturn]] void fail(const std::string& address, const std::string& why) {
     throw UsageError(
-        fmt::format("listening at {}: {}, expected a free HOST:PORT of this machine", address, why));
+        fmt::format("cannot listen at {}: {}; use a free HOST:PORT of this machine", address, why));
 }
 
 struct FreeAddresses {
@@ -120,7 +120,7 @@ Acceptor::Acceptor(const std::string& text) {
     const bool is_taken = error == EADDRINUSE && host_port.port != 0;
     if (listeners_.empty() || is_taken || ::pipe2(wake_, O_CLOEXEC) != 0) {
         close_all();
-        fail(text, is_taken ? "it is taken" : message_of(error));
+        fail(text, is_taken ? "another process already uses it" : message_of(error));
     }
 }
 

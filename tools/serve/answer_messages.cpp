@@ -130,7 +130,7 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
     const auto in_dataset = [&](const PoseTrack& track) { return shifted_track(track, log.world_offset_m); };
     write_track(in_dataset(log.world_from_sensor(lidar)), *message.mutable_dataset_from_sensor());
     if (std::size_t(actors.size()) > run.scene.instances.size())
-        refuse("actors", fmt::format("{} names", actors.size()), "each actor once at most");
+        refuse("actors", fmt::format("{} names", actors.size()), "each actor at most once");
     std::vector<std::string> names(actors.begin(), actors.end());
     if (names.empty()) names = actor_names(run);
     for (const std::string& name : names) {
@@ -138,8 +138,9 @@ void write_tracks(const Run& run, int lidar, const google::protobuf::RepeatedPtr
         if (!box)
             throw Refusal(
                 grpc::StatusCode::NOT_FOUND,
-                fmt::format("reading actors: found {}, expected an actor of the log that ListScenes gives",
-                            quoted(name)));
+                fmt::format(
+                    "cannot read actors: found {}, expected an actor of the log that ListScenes returns",
+                    quoted(name)));
         v1::ActorTrack& track = *message.add_actors();
         track.set_name(name);
         write_track(in_dataset(box->world_from_box), *track.mutable_poses());

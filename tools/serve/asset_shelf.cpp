@@ -15,8 +15,8 @@ AssetShelf::AssetShelf(const std::vector<std::string>& folders) {
             AssetFacts facts = read_asset_facts(entry);
             if (const Entry* same = find(facts.name))
                 throw UsageError(
-                    fmt::format("serving assets of {}: found {} in {} too, expected each name once", folder,
-                                facts.name, same->folder.parent_path().string()));
+                    fmt::format("cannot serve the assets of {}: found {} also in {}, expected each name once",
+                                folder, facts.name, same->folder.parent_path().string()));
             entries_.push_back({entry, std::move(facts)});
         }
     }

@@ -25,7 +25,7 @@ ScanClient::ScanClient(std::string address)
 
 void ScanClient::check(const grpc::Status& status) const {
     if (status.ok()) return;
-    throw DataError(fmt::format("asking the service at {}: found status {}, {}, expected an answer", address_,
+    throw DataError(fmt::format("the service at {} returned status {}: {}", address_,
                                 int(status.error_code()), status.error_message()));
 }
 

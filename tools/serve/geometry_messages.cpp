@@ -19,7 +19,7 @@ constexpr int kMostPoses = 100'000;
 
 double read_number(double value, const std::string& field) {
     if (!(std::abs(value) <= kFarthest))
-        refuse(field, fmt::format("{}", value), "a finite number within 1e10");
+        refuse(field, fmt::format("{}", value), "a finite number of at most 1e10");
     return value;
 }
 
@@ -53,7 +53,7 @@ PoseTrack read_track(const google::protobuf::RepeatedPtrField<v1::TimedPose>& me
         const double time_s = read_time(messages[i].time_s(), entry + ".time_s");
         if (i > 0 && !(time_s > track.time_s.back()))
             refuse(entry + ".time_s", fmt::format("{} after {}", time_s, track.time_s.back()),
-                   "times that rise");
+                   "increasing times");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_pose(messages[i].pose(), entry + ".pose"));
     }

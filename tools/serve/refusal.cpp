@@ -12,16 +12,16 @@ namespace relidar::serve {
 
 void refuse(const std::string& field, const std::string& found, const std::string& expected) {
     throw Refusal(grpc::StatusCode::INVALID_ARGUMENT,
-                  fmt::format("reading {}: found {}, expected {}", field, found, expected));
+                  fmt::format("cannot read {}: found {}, expected {}", field, found, expected));
 }
 
 void refuse_unknown(const std::string& field, const std::string& name,
                     const std::vector<std::string>& known) {
     const std::string nearest = nearest_name(name.substr(0, 80), known);
-    const std::string expected =
-        nearest.empty() ? "none: there is none" : fmt::format("one that is there, as \"{}\"", nearest);
+    const std::string expected = nearest.empty() ? "no name, because none exists"
+                                                 : fmt::format("an existing name such as \"{}\"", nearest);
     throw Refusal(grpc::StatusCode::NOT_FOUND,
-                  fmt::format("reading {}: found {}, expected {}", field, quoted(name), expected));
+                  fmt::format("cannot read {}: found {}, expected {}", field, quoted(name), expected));
 }
 
 std::string quoted(const std::string& word) {
@@ -46,10 +46,10 @@ grpc::Status answered(const std::function<void()>& answer) {
         return {grpc::StatusCode::INVALID_ARGUMENT, error.what()};
     } catch (const std::bad_alloc&) {
         return {grpc::StatusCode::RESOURCE_EXHAUSTED,
-                "answering a request: the server is out of memory, expected a smaller one"};
+                "cannot answer the request: the server is out of memory; send a smaller request"};
     } catch (const DeviceLost& error) {
         return {grpc::StatusCode::UNAVAILABLE,
-                fmt::format("{}; this server ends, expected a new one", error.what())};
+                fmt::format("{}; this server process ends and must be restarted", error.what())};
         // Other exceptions come from the device, from a run folder that was modified, or
         // from a bug.
     } catch (const std::exception& error) {

@@ -62,8 +62,8 @@ bool is_wanted(const grpc::ServerContext& context) { return !context.IsCancelled
 void give_up(const grpc::ServerContext& context) {
     if (is_late(context))
         throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED,
-                      "answering a request: found the deadline passed, expected a later one");
-    throw Refusal(grpc::StatusCode::CANCELLED, "answering a request: the client has left");
+                      "cannot answer the request: its deadline has passed; set a later deadline");
+    throw Refusal(grpc::StatusCode::CANCELLED, "cannot answer the request: the client has disconnected");
 }
 
 RenderQueue::Place enter(RenderQueue& queue) {
@@ -71,7 +71,7 @@ RenderQueue::Place enter(RenderQueue& queue) {
     if (!place)
         throw Refusal(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
-            fmt::format("queueing a request: found all {} places taken, expected a free one: try again later",
+            fmt::format("cannot queue the request: all {} slots of the queue are occupied; try again later",
                         queue.places()));
     return std::move(*place);
 }

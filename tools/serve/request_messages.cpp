@@ -37,9 +37,10 @@ bool is_far_beyond(double time_s, const PoseTrack& path) {
 double read_moment(double time_s, const PoseTrack& path, const std::string& field) {
     read_time(time_s, field);
     if (is_far_beyond(time_s, path))
-        refuse(field,
-               fmt::format("{} with a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
-               fmt::format("seconds on the path, or at most {} s before or after it", kBeyondPath_s));
+        refuse(
+            field,
+            fmt::format("{} for a path from {} to {}", time_s, path.time_s.front(), path.time_s.back()),
+            fmt::format("a time in seconds on the path, or at most {} s before or after it", kBeyondPath_s));
     return time_s;
 }
 
@@ -63,7 +64,7 @@ std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s
             refuse(field + ".poses",
                    fmt::format("poses from {} to {} s for a scan at {} s", track.time_s.front(),
                                track.time_s.back(), time_s),
-                   fmt::format("poses that cover the scan's time, or end at most {} s before or after it",
+                   fmt::format("poses that cover the time of the scan, or that are at most {} s away from it",
                                kBeyondPath_s));
     }
     return wishes;
@@ -125,8 +126,9 @@ std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::uploa
     const std::string handle = uploaded_.add(read_sensor(spec, "sensor"));
     const std::shared_ptr<const SensorChoice> sensor = uploaded_.find(handle);
     if (!sensor)
-        throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                      "uploading a sensor: others came at once, expected fewer: try again");
+        throw Refusal(
+            grpc::StatusCode::RESOURCE_EXHAUSTED,
+            "cannot upload a sensor: too many other sensors were uploaded at the same time; try again");
     return {handle, sensor};
 }
 
@@ -140,24 +142,25 @@ std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::strin
 
 std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish& wish, std::size_t scene,
                                                                int lidar) {
-    if (wish.returns > 2) refuse(wish.field + ".returns", fmt::format("{}", wish.returns), "1 or 2, or 0");
+    if (wish.returns > 2) refuse(wish.field + ".returns", fmt::format("{}", wish.returns), "0, 1 or 2");
     std::shared_ptr<const SensorChoice> sensor;
     if (wish.sensor.has_spec()) {
         sensor = std::make_shared<const SensorChoice>(read_sensor(wish.sensor.spec(), wish.field + ".spec"));
     } else if (wish.sensor.has_handle()) {
         sensor = uploaded_.find(wish.sensor.handle());
         if (!sensor)
-            throw Refusal(grpc::StatusCode::NOT_FOUND,
-                          fmt::format("reading {}.handle: found {}, which is not there or no longer, "
-                                      "expected one of UploadSensor: upload "
-                                      "it again",
-                                      wish.field, quoted(wish.sensor.handle())));
+            throw Refusal(
+                grpc::StatusCode::NOT_FOUND,
+                fmt::format(
+                    "cannot read {}.handle: found {}, which is unknown or expired, expected a handle from "
+                    "UploadSensor; upload the sensor again",
+                    wish.field, quoted(wish.sensor.handle())));
     } else {
         sensor = known_sensor(wish.sensor.name(), scene, lidar);
     }
     if (count_rays(*sensor) == 0)
-        refuse(wish.field, "a LiDAR that is known by its scans alone",
-               "another sensor: it has no rays of its own");
+        refuse(wish.field, "a LiDAR of the log whose beams are unknown",
+               "another sensor, because this LiDAR has no rays outside the scans of the log");
     const int returns = int(wish.returns);
     if (sensor->lidar == lidar && sensor->returns == returns) return sensor;
     SensorChoice placed = *sensor;
@@ -200,7 +203,7 @@ void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedSca
 
 std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
                                                   std::size_t scene) const {
-    if (message.actors().empty()) refuse("actors", "none", "one actor at least");
+    if (message.actors().empty()) refuse("actors", "none", "at least one actor");
     const std::vector<std::string> run_actors = actor_names(outlines_[scene]);
     const std::vector<PlacedActor> known = known_actors(scene);
     std::vector<SpawnWish> wishes;
@@ -211,10 +214,11 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
             refuse(field + ".name", quoted(spawn.name()),
                    fmt::format("a name of 1 to {} bytes", kLongestSpawnName));
         if (std::ranges::find(run_actors, spawn.name()) != run_actors.end())
-            throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
-                          fmt::format("reading {}.name: found {}, which is an actor of the run, expected "
-                                      "another name",
-                                      field, quoted(spawn.name())));
+            throw Refusal(
+                grpc::StatusCode::ALREADY_EXISTS,
+                fmt::format(
+                    "cannot read {}.name: found {}, which is an actor of the run, expected another name",
+                    field, quoted(spawn.name())));
         if (spawn.has_asset()) {
             const AssetShelf::Entry* asset = assets_.find(spawn.asset());
             if (!asset) refuse_unknown(field + ".asset", spawn.asset(), asset_names(assets_));
@@ -261,7 +265,7 @@ WantedScan RequestReader::read(const v1::RenderLidarRequest& message) {
 
 std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
-        refuse("sensors", fmt::format("{} sensors of a rig", message.sensors_size()),
+        refuse("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
                fmt::format("1 to {}", kMostSensors));
     std::vector<WantedScan> scans;
     // A sensor without a name is identified by its position in the request.
@@ -270,7 +274,7 @@ std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message)
         const v1::RigSensor& sensor = message.sensors(i);
         const std::string field = fmt::format("sensors[{}]", i);
         if (!sensor.name().empty() && !names.insert(sensor.name()).second)
-            refuse(field + ".name", quoted(sensor.name()) + " again", "another name for each sensor");
+            refuse(field + ".name", quoted(sensor.name()) + " again", "a different name for each sensor");
         const Pose rig_from_sensor = read_pose(sensor.rig_from_sensor(), field + ".rig_from_sensor");
         scans.push_back(read_scan(message.rig(), {sensor.sensor(), field + ".sensor", sensor.returns()},
                                   rig_from_sensor));

@@ -38,12 +38,12 @@ std::vector<SceneSource> scene_sources(const std::vector<std::string>& words,
         const auto same = std::find_if(sources.begin(), sources.end() - 1,
                                        [&](const SceneSource& s) { return s.name == added.name; });
         if (added.name.empty())
-            throw UsageError(fmt::format("serving {}: found no name, expected NAME=RUN", word));
+            throw UsageError(fmt::format("cannot serve {}: it has no name, expected NAME=RUN", word));
         if (same != sources.end() - 1)
-            throw UsageError(
-                fmt::format("serving {} and {}: found \"{}\" as the name of both, expected another one, "
-                            "given as NAME=RUN",
-                            same->folder.string(), folder, added.name));
+            throw UsageError(fmt::format(
+                "cannot serve {} and {}: both have the name \"{}\"; use NAME=RUN to give one of them "
+                "another name",
+                same->folder.string(), folder, added.name));
     }
     return sources;
 }

@@ -50,7 +50,8 @@ SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64
         outlines_.push_back(outline_of(std::move(run)));
         if (loaded_[i].bytes > memory_bytes_)
             throw DataError(fmt::format(
-                "serving {}: it holds {:.1f} MiB of device memory, expected at most {:.1f} (--memory-mib)",
+                "cannot serve {}: it needs {:.1f} MiB of device memory, expected at most {:.1f} MiB "
+                "(--memory-mib)",
                 sources_[i].folder.string(), double(loaded_[i].bytes) / kMiB, double(memory_bytes_) / kMiB));
         make_room(i, 0);
     }
@@ -74,8 +75,7 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
 void SceneSet::use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work) {
     if (!loaded_[scene].renderer || loaded_[scene].load != load)
         throw DeviceError(fmt::format(
-            "rendering a scan of {}: found the scene lost by the request after it, expected it to stay",
-            sources_[scene].name));
+            "cannot render a scan of {}: the scene was unloaded for a later request", sources_[scene].name));
     attempt(scene, work);
 }
 
@@ -132,14 +132,14 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
     } catch (const DataError& error) {
         undo();
         throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
-                      fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
+                      fmt::format("cannot spawn {} actors: {}", wishes.size(), error.what()));
     } catch (const DeviceLost&) {
         undo();
         throw;
     } catch (const DeviceError& error) {
         undo();
         throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                      fmt::format("spawning {} actors: {}", wishes.size(), error.what()));
+                      fmt::format("cannot spawn {} actors: {}", wishes.size(), error.what()));
     } catch (...) {
         undo();
         throw;
@@ -147,11 +147,11 @@ std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::
     if (loaded.bytes <= memory_bytes_) return places;
     const double needed_mib = double(loaded.bytes) / kMiB;
     undo();
-    throw Refusal(grpc::StatusCode::RESOURCE_EXHAUSTED,
-                  fmt::format("spawning {} actors: the scene would hold {:.1f} MiB of device memory with "
-                              "them, expected at most {:.1f} "
-                              "(--memory-mib of the server)",
-                              wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
+    throw Refusal(
+        grpc::StatusCode::RESOURCE_EXHAUSTED,
+        fmt::format("cannot spawn {} actors: the scene would need {:.1f} MiB of device memory with them, "
+                    "expected at most {:.1f} MiB (--memory-mib of the server)",
+                    wishes.size(), needed_mib, double(memory_bytes_) / kMiB));
 }
 
 /// Unloads the least recently used scenes, but not this one. Stops when all scenes and

@@ -25,13 +25,13 @@ constexpr double kFarthestOrigin_m = 1000.0, kLongestScan_s = 60.0, kFarthestRan
 
 void check_count(const std::string& field, std::uint64_t rays) {
     if (rays < 1 || rays > kMostRaysOfScan)
-        refuse(field, fmt::format("{} rays of a scan", rays), fmt::format("1 to {}", kMostRaysOfScan));
+        refuse(field, fmt::format("{} rays per scan", rays), fmt::format("1 to {}", kMostRaysOfScan));
 }
 
 void check_rows(const std::string& field, std::uint64_t rows) {
     if (rows > kMostRows)
-        refuse(field, fmt::format("{} rows of a scan", rows),
-               fmt::format("at most {}: rings have 16 bits", kMostRows));
+        refuse(field, fmt::format("{} rows per scan", rows),
+               fmt::format("at most {}, because ring numbers have 16 bits", kMostRows));
 }
 
 double read_between(const std::string& field, double value, double low, double high) {
@@ -45,7 +45,7 @@ template <class T>
 std::vector<T> read_array(const std::string& bytes, std::size_t n, const std::string& field) {
     if (!bytes.empty() && bytes.size() != n * sizeof(T))
         refuse(field, fmt::format("{} bytes", bytes.size()),
-               fmt::format("{}: {} a ray of {}", n * sizeof(T), sizeof(T), n));
+               fmt::format("{}, which is {} for each of {} rays", n * sizeof(T), sizeof(T), n));
     std::vector<T> values(bytes.size() / sizeof(T));
     if (!bytes.empty()) std::memcpy(values.data(), bytes.data(), bytes.size());
     return values;
@@ -60,24 +60,24 @@ void check_values(const RayTable& rays, const std::string& field) {
         if (!(std::abs(double(length) - 1.0) <= kUnitSlack)) fail("direction", length, "a length of 1");
         for (int axis = 0; axis < 3; ++axis)
             if (const float x = rays.origin[i][axis]; !(std::abs(double(x)) <= kFarthestOrigin_m))
-                fail("origin_m", x, fmt::format("metres within {}", kFarthestOrigin_m));
+                fail("origin_m", x, fmt::format("metres of at most {}", kFarthestOrigin_m));
         if (const double angle = rays.divergence_of(i); !(angle >= 0.0 && angle <= kWidestBeam_rad))
             fail("divergence_rad", float(angle), fmt::format("radians in [0, {}]", kWidestBeam_rad));
         if (!(std::abs(double(time_s)) <= kLongestScan_s))
-            fail("time_s", time_s, fmt::format("seconds within {}", kLongestScan_s));
+            fail("time_s", time_s, fmt::format("seconds of at most {}", kLongestScan_s));
     }
 }
 
 RayTable read_rays(const v1::RayTable& message, const std::string& field) {
     static_assert(sizeof(glm::vec3) == 12);
     if (message.direction().size() % sizeof(glm::vec3) != 0)
-        refuse(field + ".direction", fmt::format("{} bytes", message.direction().size()), "12 a ray");
+        refuse(field + ".direction", fmt::format("{} bytes", message.direction().size()), "a multiple of 12");
     const std::size_t n = message.direction().size() / sizeof(glm::vec3);
     check_count(field + ".direction", n);
     const bool has_order = message.rows() != 0 || message.columns() != 0;
     if (has_order && std::uint64_t(message.rows()) * message.columns() != n)
         refuse(field,
-               fmt::format("{} rows of {} columns and {} directions", message.rows(), message.columns(), n),
+               fmt::format("{} rows, {} columns and {} directions", message.rows(), message.columns(), n),
                "rows * columns directions");
     check_rows(field, message.rows());
     RayTable rays;
@@ -120,7 +120,7 @@ SpinningSensor read_spinning(const v1::SpinningSensor& message, const std::strin
         refuse(field + ".beams",
                fmt::format("{} rad first and {} rad last", beams.front().elevation_rad,
                            beams.back().elevation_rad),
-               "beams from the highest down: row 0 of an image is the highest");
+               "beams from the highest to the lowest, because row 0 of an image is the highest");
     sensor.columns = int(message.columns());
     sensor.period_s = read_between(field + ".period_s", message.period_s(), 1e-4, kLongestScan_s);
     sensor.clockwise = !message.counter_clockwise();
@@ -215,7 +215,8 @@ SensorChoice named_sensor(const std::string& name, const Run& run, int lidar) {
     if (!known_name(base_name(name), known)) {
         known.push_back("native");
         refuse("sensor.name", quoted(name),
-               fmt::format("a name that ListScenes gives, as {}", nearest_name(name.substr(0, 80), known)));
+               fmt::format("a name that ListScenes returns, such as {}",
+                           nearest_name(name.substr(0, 80), known)));
     }
     const SensorModel sensor = find_sensor(name);
     check_count("sensor.name " + quoted(name), describe_pattern(sensor.pattern).n_rays);

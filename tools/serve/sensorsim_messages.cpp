@@ -51,10 +51,12 @@ void write_pose(const Pose& pose, PoseOrder order, sensorsim::Pose& message) {
 void write_track(const PoseTrack& track, PoseOrder order, sensorsim::Trajectory& message) {
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         if (!(track.time_s[i] >= 0.0))
-            throw Refusal(grpc::StatusCode::FAILED_PRECONDITION,
-                          fmt::format("writing a trajectory: found a pose at {} s, expected times from 0: "
-                                      "the wire has no others",
-                                      track.time_s[i]));
+            throw Refusal(
+                grpc::StatusCode::FAILED_PRECONDITION,
+                fmt::format(
+                    "cannot write a trajectory: found a pose at {} s, expected times of at least 0, because "
+                    "the message format has no negative times",
+                    track.time_s[i]));
         sensorsim::PoseAtTime& pose = *message.add_poses();
         write_pose(track.pose[i], order, *pose.mutable_pose());
         pose.set_timestamp_us(std::uint64_t(std::llround(track.time_s[i] / kMicrosecond)));
@@ -99,7 +101,7 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     end.translation += frame.world_offset_m;
     if (frame.end_s > frame.start_s) return {{frame.start_s, frame.end_s}, {start, end}};
     if (!same(start, end))
-        refuse(field, "two poses in a frame that takes no time",
+        refuse(field, "two different poses in a frame without duration",
                "one pose, or a frame_end_us after frame_start_us");
     return {{frame.start_s}, {start}};
 }
@@ -108,7 +110,7 @@ WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
         refuse("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
-               fmt::format("microseconds, that or up to {} later", kLongestFrame_us));
+               fmt::format("a time in microseconds, which is at most {} later", kLongestFrame_us));
     WantedScan wanted;
     wanted.scene = find_scene(message.scene_id());
     const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),

@@ -17,9 +17,9 @@ constexpr int kMostScans = 64;
 [[noreturn]] void refuse_images(const std::string& call, const std::string& found) {
     throw Refusal(
         grpc::StatusCode::UNIMPLEMENTED,
-        fmt::format(
-            "answering {}: found {}, expected LiDAR scans alone (render_lidar): relidar renders no cameras",
-            call, found));
+        fmt::format("cannot answer {}: found {}, expected only LiDAR scans (render_lidar), because relidar "
+                    "renders no camera images",
+                    call, found));
 }
 
 }  // namespace
@@ -83,7 +83,7 @@ grpc::Status SensorsimService::render_lidar(grpc::ServerContext* context,
 
 grpc::Status SensorsimService::render_rgb(grpc::ServerContext*, const sensorsim::RgbRenderRequest*,
                                           sensorsim::RgbRenderReturn*) {
-    return answered([] { refuse_images("render_rgb", "an image wanted"); });
+    return answered([] { refuse_images("render_rgb", "a request for an image"); });
 }
 
 grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
@@ -91,10 +91,10 @@ grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
                                                  sensorsim::AggregatedRenderReturn* answer) {
     return answered([&] {
         if (request->rgb_size() > 0)
-            refuse_images("render_aggregated", fmt::format("{} images wanted", request->rgb_size()));
+            refuse_images("render_aggregated", fmt::format("a request for {} images", request->rgb_size()));
         if (request->lidar_size() > kMostScans)
             refuse("lidar", fmt::format("{} scans", request->lidar_size()),
-                   fmt::format("at most {} in a call", kMostScans));
+                   fmt::format("at most {} per call", kMostScans));
         // All scans of the call use the same slot in the queue.
         RenderQueue::Place place = enter(queue_);
         std::vector<WantedScan> wanted;

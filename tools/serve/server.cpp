@@ -42,7 +42,8 @@ std::string read_pem(const std::string& file) {
     std::ifstream in(file, std::ios::binary);
     std::string text((std::istreambuf_iterator<char>(in)), std::istreambuf_iterator<char>());
     if (text.find("-----BEGIN") == std::string::npos)
-        throw DataError(fmt::format("reading {}: found no PEM in it, expected a certificate or key", file));
+        throw DataError(
+            fmt::format("cannot read {}: it contains no PEM data, expected a certificate or a key", file));
     return text;
 }
 
@@ -120,8 +121,8 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     server = builder.BuildAndStart();
     if (!server)
         throw UsageError(
-            fmt::format("listening at {}: gRPC does not start{}", options.listen,
-                        options.tls_cert.empty() ? "" : ", expected a certificate that fits its key"));
+            fmt::format("cannot listen at {}: gRPC does not start{}", options.listen,
+                        options.tls_cert.empty() ? "" : ", expected a certificate that matches its key"));
     set_serving(true);
     acceptor->start([this](int listener, int connection) {
         grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters accepted;

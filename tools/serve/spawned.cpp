@@ -34,9 +34,8 @@ std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
     if (places.size() >= SpawnedActors::kMostPlaces)
         throw Refusal(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
-            fmt::format(
-                "spawning {}: found {} places of spawned actors in this scene, expected at most that many",
-                quoted(wish.name), places.size()));
+            fmt::format("cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
+                        quoted(wish.name), places.size()));
     const std::size_t first = places.size();
     SpawnWish empty = wish;
     empty.name.clear();
@@ -49,7 +48,7 @@ std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
 std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
     const auto instance = std::ranges::find(scene.instances, track, &Instance::track);
     if (instance == scene.instances.end())
-        throw DataError(fmt::format("spawning {}: the run has no such actor any more", track));
+        throw DataError(fmt::format("cannot spawn {}: the run no longer has this actor", track));
     return instance->model;
 }
 
@@ -87,7 +86,7 @@ std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
     for (const SpawnWish& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
-                          fmt::format("spawning {}: found an actor of that name, expected one that is free",
+                          fmt::format("cannot spawn {}: an actor with this name exists; use another name",
                                       quoted(wish.name)));
         const std::size_t position = free_place(places, wish);
         places[position] = wish;
@@ -105,8 +104,9 @@ void SpawnedActors::give_back(std::size_t scene, const std::vector<std::string>&
         if (name.empty() || place == places.end())
             throw Refusal(
                 grpc::StatusCode::NOT_FOUND,
-                fmt::format("despawning {}: found no spawned actor of that name, expected one, once",
-                            quoted(name)));
+                fmt::format(
+                    "cannot despawn {}: no spawned actor has this name, or the request names it twice",
+                    quoted(name)));
         place->name.clear();
     }
     scenes_[scene] = std::move(places);

@@ -36,7 +36,7 @@ std::string RealScans::why() const { return state_ == State::missing ? why_ : ""
 void RealScans::load() {
     try {
         const Progress until_stopped = [this](std::string_view, double) {
-            if (stop_) throw Error(ExitCode::interrupted, "reading the log: interrupted");
+            if (stop_) throw Error(ExitCode::interrupted, "interrupted while the log was read");
         };
         const Sequence log = load_log(frames_->config, until_stopped);
         std::vector<int> all(frames_->sequence.frames.size());

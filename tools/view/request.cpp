@@ -32,14 +32,14 @@ constexpr std::size_t kMaxRunName = 1024;
 
 const Json& field(const Json& object, const char* name) {
     const auto member = object.find(name);
-    if (member == object.end()) refuse(name, "it to be there");
+    if (member == object.end()) refuse(name, "this member in the message");
     return *member;
 }
 
 double number(const Json& value, const std::string& what, double limit) {
     if (!value.is_number()) refuse(what, "a number");
     const double x = value.get<double>();
-    if (!(std::abs(x) <= limit)) refuse(what, fmt::format("a number between -{0} and {0}", limit));
+    if (!(std::abs(x) <= limit)) refuse(what, fmt::format("a number from -{0} to {0}", limit));
     return x;
 }
 
@@ -82,7 +82,7 @@ ActorEdits parse_edits(const Json& json) {
     ActorEdits edits;
     const Json& copies = field(json, "copies");
     if (!copies.is_array() || copies.size() > kMaxActors)
-        refuse("copies", fmt::format("a list of at most {}", kMaxActors));
+        refuse("copies", fmt::format("a list of at most {} copies", kMaxActors));
     for (const Json& copy : copies) {
         if (!copy.is_object()) refuse("copies", "objects");
         edits.copies.push_back(
@@ -127,7 +127,8 @@ std::string folder_name(const Json& value) {
                c == '_' || c == '.';
     };
     if (!std::all_of(name.begin(), name.end(), plain) || name.front() == '.' || name.front() == '-')
-        refuse("name", "letters, digits, -, _ and ., a letter or digit first");
+        refuse("name",
+               "a name that starts with a letter or digit and contains only letters, digits, -, _ and .");
     return name;
 }
 
@@ -135,7 +136,7 @@ std::string folder_name(const Json& value) {
 
 Request parse_request(const std::string& message) {
     const Json json = Json::parse(message, nullptr, false);
-    if (!json.is_object()) throw UsageError("a message of the page: expected a JSON object");
+    if (!json.is_object()) throw UsageError("cannot read a message of the page: expected a JSON object");
     const std::string kind = text(field(json, "do"), "do");
     if (kind == "scan") return parse_scan(json);
     if (kind == "sensor")

@@ -80,7 +80,7 @@ public:
     UploadedFile(const std::string& text, const std::string& ending) {
         std::string pattern = (std::filesystem::temp_directory_path() / "relidar-sensor-XXXXXX").string();
         if (mkdtemp(pattern.data()) == nullptr)
-            throw DataError("reading the sensor file: no temporary folder could be made");
+            throw DataError("cannot read the sensor file: creating a temporary folder failed");
         folder_ = pattern;
         std::ofstream(path(ending), std::ios::binary) << text;
     }
@@ -105,9 +105,10 @@ Json sensor_json(const SensorChoice& sensor, double time_s) {
 
 void check_size(const SensorChoice& sensor) {
     if (sensor.rays.size() > kMaxRays)
-        throw UsageError(
-            fmt::format("{}: {} rays a scan, expected at most {} in the viewer; `relidar render` takes more",
-                        sensor.name, sensor.rays.size(), kMaxRays));
+        throw UsageError(fmt::format(
+            "{} has {} rays per scan, expected at most {} in the viewer; use `relidar render` for "
+            "this sensor",
+            sensor.name, sensor.rays.size(), kMaxRays));
 }
 
 Json channels_json(const Config& config) {
@@ -166,10 +167,10 @@ Json Scanner::describe() const {
 
 SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     if (wish.lidar < 0 || std::size_t(wish.lidar) >= run_.sequence.lidars.size())
-        throw UsageError(
-            fmt::format("lidar: found {}, expected one of {}", wish.lidar, run_.sequence.lidars.size()));
+        throw UsageError(fmt::format("lidar: found {}, expected the index of one of {} LiDARs", wish.lidar,
+                                     run_.sequence.lidars.size()));
     if (wish.sensor == kFileSensor) {
-        if (!tab.file_sensor) throw UsageError("sensor: found no file yet, expected one");
+        if (!tab.file_sensor) throw UsageError("sensor: no sensor file is loaded; choose a file first");
         SensorChoice sensor = *tab.file_sensor;
         sensor.lidar = wish.lidar;
         return sensor;
@@ -180,7 +181,8 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
         // server.
         const std::vector<std::string> names = known_sensors();
         if (std::find(names.begin(), names.end(), wish.sensor) == names.end())
-            throw UsageError(fmt::format("sensor: found \"{}\", expected a name of the list", wish.sensor));
+            throw UsageError(fmt::format(
+                "sensor: \"{}\" is unknown, expected a name from the list of sensors", wish.sensor));
         tab.sensor.emplace(key, choose_sensor(wish.sensor, run_.config, run_.sequence, wish.lidar));
         check_size(tab.sensor->second);
     }
@@ -190,7 +192,8 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
 Json Scanner::read_sensor(TabCache& tab, const SensorFile& file) const {
     const std::string ending = std::filesystem::path(file.name).extension().string();
     if (ending != ".csv" && ending != ".json")
-        throw UsageError(fmt::format("{}: expected a name that ends in .csv or .json", file.name));
+        throw UsageError(
+            fmt::format("cannot read {}: expected a file name that ends in .csv or .json", file.name));
     const UploadedFile upload(file.text, ending);
     SensorChoice sensor;
     try {

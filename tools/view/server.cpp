@@ -33,7 +33,9 @@ boost::asio::ip::address parse_address(const std::string& text) {
     const auto address = boost::asio::ip::make_address(text, failed);
     if (failed)
         throw UsageError(fmt::format(
-            "listening: found the address \"{}\", expected one like 127.0.0.1, 0.0.0.0 or ::1", text));
+            "cannot listen on the address \"{}\", expected an IP address such as 127.0.0.1, 0.0.0.0 "
+            "or ::1",
+            text));
     return address;
 }
 
@@ -47,7 +49,8 @@ tcp::acceptor listen(boost::asio::io_context& io, const ServerOptions& options) 
     if (!failed) acceptor.listen(tcp::acceptor::max_listen_connections, failed);
     if (failed)
         throw UsageError(
-            fmt::format("listening on port {} of {}: {}, expected one that is free; port 0 takes any",
+            fmt::format("cannot listen on port {} of {}: {}; use a free port, or port 0 to select one "
+                        "automatically",
                         options.port, options.address, failed.message()));
     return acceptor;
 }

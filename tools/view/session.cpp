@@ -54,7 +54,8 @@ void Session::refuse(TabId id, const char* about, const std::string& why) const 
 
 void Session::receive(TabId id, const std::string& message) {
     std::optional<Request> request;
-    std::string why = "too much at once: expected one after the other";
+    std::string why =
+        "too many requests are pending; send the next request after the previous one is answered";
     try {
         request = parse_request(message);
     } catch (const UsageError& error) {
@@ -167,7 +168,7 @@ Json Session::save(const SaveWish& wish) const {
     const std::filesystem::path folder = save_folder_ / wish.name;
     std::error_code failed;
     if (std::filesystem::exists(std::filesystem::symlink_status(folder, failed)))
-        throw UsageError(fmt::format("saving {}: it is there already, expected a name that is free in {}",
+        throw UsageError(fmt::format("cannot save {}: this name already exists in {}; choose another name",
                                      wish.name, save_folder_.string()));
     run.folder = folder;
     save_run(run);

@@ -80,12 +80,13 @@ void SocketSession::on_written(Error failed) {
     outgoing_.pop_front();
     if (refused_) return refuse();
     if (!outgoing_.empty()) write();
-    else if (leaving_) say_goodbye(websocket::close_code::going_away, "the program ends");
+    else if (leaving_) say_goodbye(websocket::close_code::going_away, "the program is shutting down");
 }
 
 void SocketSession::leave() {
     leaving_ = true;
-    if (id_ != 0 && outgoing_.empty()) say_goodbye(websocket::close_code::going_away, "the program ends");
+    if (id_ != 0 && outgoing_.empty())
+        say_goodbye(websocket::close_code::going_away, "the program is shutting down");
 }
 
 void SocketSession::say_goodbye(std::uint16_t code, const char* why) {
@@ -102,7 +103,7 @@ void SocketSession::refuse() {
         outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());
         return;
     }
-    say_goodbye(websocket::close_code::unknown_data, "text is expected");
+    say_goodbye(websocket::close_code::unknown_data, "expected a text message");
 }
 
 void SocketSession::finish() {

@@ -56,7 +56,9 @@ const Run& run_called(const std::string& name, const OtherRuns& others) {
     const auto match = others.find(name);
     if (match == others.end())
         throw UsageError(fmt::format(
-            "inserting an actor: found the run \"{}\", expected one of `relidar view --insert`", name));
+            "cannot insert an actor from the run \"{}\": expected a run that was given with `relidar "
+            "view --insert`",
+            name));
     return match->second;
 }
 

@@ -24,7 +24,7 @@ constexpr std::uint8_t kHeaderDictionary = 2, kHeaderRecords = 3;
 constexpr std::int8_t kCodecLz4 = 0, kCodecZstd = 1;
 
 [[noreturn]] void malformed(const char* what) {
-    throw DataError(fmt::format("malformed metadata ({}), expected an Arrow IPC file", what));
+    throw DataError(fmt::format("the metadata are malformed ({}), expected an Arrow IPC file", what));
 }
 
 /// Aligned copy of a flatbuffer. The flatbuffer verifier checks alignment, so the bytes
@@ -145,7 +145,8 @@ Field field_of(const Table& table) {
     else if (type == kTypeFloat) field.type = floating_type(table.needed(3, "type"));
     else if (type != kTypeUtf8)
         throw DataError(fmt::format(
-            "column '{}' is of Arrow's type {}, expected integers, floating point numbers or utf8 text",
+            "column '{}' has the Arrow type {}, expected integers, floating point numbers or utf8 "
+            "text",
             field.name, type));
     if (const std::optional<Table> encoding = table.table(4)) {
         const std::optional<Table> index = encoding->table(1);
@@ -161,7 +162,8 @@ Codec codec_of(const Table& batch) {
     if (!compression) return Codec::none;
     const auto codec = compression->scalar<std::int8_t>(0, kCodecLz4);
     if (codec != kCodecLz4 && codec != kCodecZstd)
-        throw DataError(fmt::format("compressed by codec {}, expected lz4 frames or zstd", codec));
+        throw DataError(
+            fmt::format("the data are compressed with codec {}, expected lz4 frames or zstd", codec));
     return codec == kCodecLz4 ? Codec::lz4_frame : Codec::zstd;
 }
 
@@ -171,7 +173,7 @@ Footer parse_footer(std::string_view bytes) {
     Bytes copy(bytes);
     const Table footer = Table::root(copy), schema = footer.needed(1, "schema");
     if (schema.scalar<std::int16_t>(0, 0) != 0)
-        throw DataError("numbers are big-endian, expected little-endian");
+        throw DataError("the numbers are big-endian, expected little-endian");
     Footer parsed;
     for (const Table& field : schema.tables(1)) parsed.fields.push_back(field_of(field));
     parsed.dictionaries = footer.structs<Block>(2);

@@ -28,7 +28,7 @@ using export_detail::system_message;
     // Replaces line breaks, because messages of libraries may have several lines, but an
     // error message must have one line.
     std::replace(why.begin(), why.end(), '\n', ' ');
-    throw DataError(fmt::format("writing '{}': {}", path.string(), why));
+    throw DataError(fmt::format("cannot write '{}': {}", path.string(), why));
 }
 
 /// Scope object that removes the temporary file at the end, unless the file was renamed
@@ -46,12 +46,12 @@ struct TemporaryFile {
 /// target, so that the link stays. Rejects targets that are not regular files, because
 /// renaming would replace a device by a file.
 fs::path final_path(const fs::path& path) {
-    if (!path.has_filename()) fail(path, "the path names no file");
+    if (!path.has_filename()) fail(path, "the path has no file name");
     std::error_code error;
     const fs::file_status status = fs::status(path, error);
     if (fs::exists(status)) {
         if (!fs::is_regular_file(status))
-            fail(path, "there is something of that name that is no regular file");
+            fail(path, "something that is not a regular file already has this name");
         return fs::canonical(path);
     }
     const fs::path folder = path.has_parent_path() ? path.parent_path() : fs::path(".");
@@ -59,7 +59,7 @@ fs::path final_path(const fs::path& path) {
     if (!fs::exists(parent))
         fail(path,
              fmt::format("folder '{}': {}", folder.string(), system_message(error ? error.value() : ENOENT)));
-    if (!fs::is_directory(parent)) fail(path, fmt::format("'{}' is no folder", folder.string()));
+    if (!fs::is_directory(parent)) fail(path, fmt::format("'{}' is not a folder", folder.string()));
     return folder / path.filename();
 }
 
@@ -81,10 +81,10 @@ void call_writer(const fs::path& path, const fs::path& temporary,
 
 void flush_file(const fs::path& path, const fs::path& temporary) {
     const int file = ::open(temporary.c_str(), O_RDONLY | O_CLOEXEC);
-    if (file < 0) fail(path, "reopening what was written: " + system_message(errno));
+    if (file < 0) fail(path, "cannot reopen the written file: " + system_message(errno));
     const int result = ::fsync(file), error = errno;
     ::close(file);
-    if (result != 0) fail(path, "flushing to disk: " + system_message(error));
+    if (result != 0) fail(path, "cannot flush the file to disk: " + system_message(error));
 }
 
 /// Flushes the folder, so that the new file name survives a power failure. Ignores
@@ -95,7 +95,7 @@ void flush_folder(const fs::path& path) {
     const int result = ::fsync(folder), error = errno;
     ::close(folder);
     if (result != 0 && error != EINVAL && error != ENOTSUP && error != EROFS)
-        fail(path, "flushing its folder to disk: " + system_message(error));
+        fail(path, "cannot flush its folder to disk: " + system_message(error));
 }
 
 }  // namespace
@@ -111,7 +111,7 @@ void write_atomically(const fs::path& path, const std::function<void(const fs::p
     call_writer(path, temporary.path, write);
     flush_file(path, temporary.path);
     if (::rename(temporary.path.c_str(), target.c_str()) != 0)
-        fail(path, "renaming the temporary file: " + system_message(errno));
+        fail(path, "cannot rename the temporary file: " + system_message(errno));
     temporary.renamed = true;
     flush_folder(target);
 }

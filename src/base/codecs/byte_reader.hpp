@@ -30,7 +30,8 @@ public:
     }
     std::string_view take(std::uint64_t n) {
         if (n > bytes_.size() - at_)
-            throw DataError(fmt::format("cut short: {} bytes, expected {}", bytes_.size() - at_, n));
+            throw DataError(fmt::format("the data are truncated: {} bytes are left, expected {}",
+                                        bytes_.size() - at_, n));
         const std::string_view part = bytes_.substr(at_, std::size_t(n));
         at_ += std::size_t(n);
         return part;

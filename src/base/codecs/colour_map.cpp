@@ -46,7 +46,7 @@ std::span<const Colour> stops_of(const std::string& map) {
     if (map == "turbo") return kTurbo;
     if (map == "gray") return kGray;
     if (map == "heat") return kHeat;
-    throw UsageError(fmt::format("colour map '{}', expected turbo, gray or heat", map));
+    throw UsageError(fmt::format("the colour map '{}' is unknown, expected turbo, gray or heat", map));
 }
 
 /// Returns the colour at a position of a colour map. Interpolates between the colours of
@@ -65,7 +65,7 @@ Colour interpolate(std::span<const Colour> stops, double t) {
 void check_count(const char* name, std::size_t found, std::size_t expected) {
     if (found != expected)
         throw DataError(
-            fmt::format("colouring an image: {} values of {}, expected {}", found, name, expected));
+            fmt::format("cannot colour an image: found {} values of {}, expected {}", found, name, expected));
 }
 
 }  // namespace
@@ -76,7 +76,8 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
     check_count("the image", values.size(), n);
     if (!mask.empty()) check_count("the mask", mask.size(), n);
     if (!std::isfinite(low) || !std::isfinite(high))
-        throw DataError(fmt::format("colouring an image: range {} to {}, expected finite values", low, high));
+        throw DataError(fmt::format(
+            "cannot colour an image: found the range {} to {}, expected finite values", low, high));
     const std::span<const Colour> stops = stops_of(map);
     // A constant image gets the lowest colour.
     const double span = high > low ? double(high) - double(low) : 1.0;
@@ -95,12 +96,15 @@ Image colour_map(const std::vector<float>& values, int rows, int columns, float 
 
 Image stack(const std::vector<Image>& images, int stretch) {
     if (stretch < 1)
-        throw UsageError(fmt::format("stacking images: stretch {}, expected at least 1", stretch));
+        throw UsageError(
+            fmt::format("cannot stack images: found the stretch {}, expected at least 1", stretch));
     Image result;
     for (const Image& image : images) {
         if (result.columns == 0) result.columns = image.columns;
         if (image.columns != result.columns)
-            throw DataError(fmt::format("stacking images: widths {} and {}", result.columns, image.columns));
+            throw DataError(
+                fmt::format("cannot stack images: found the widths {} and {}, expected the same width",
+                            result.columns, image.columns));
         const std::size_t width = std::size_t(image.columns) * 3;
         check_count("a stacked image", image.rgb.size(), width * std::size_t(image.rows));
         if (&image != &images.front()) {

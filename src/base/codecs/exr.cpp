@@ -45,13 +45,15 @@ private:
 
 void check_image(int rows, int columns, const std::map<std::string, std::vector<float>>& channels) {
     if (rows <= 0 || columns <= 0 || channels.empty())
-        throw DataError(fmt::format("EXR image: {} x {} pixels, {} channels, expected some of each", rows,
-                                    columns, channels.size()));
+        throw DataError(fmt::format(
+            "cannot write an EXR image with {} x {} pixels and {} channels, expected at least one of "
+            "each",
+            rows, columns, channels.size()));
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     for (const auto& [name, values] : channels)
         if (values.size() != n)
-            throw DataError(
-                fmt::format("EXR image: channel '{}' has {} values, expected {}", name, values.size(), n));
+            throw DataError(fmt::format("cannot write an EXR image: channel '{}' has {} values, expected {}",
+                                        name, values.size(), n));
 }
 
 }  // namespace
@@ -77,7 +79,7 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
         file.setFrameBuffer(buffer);
         file.writePixels(rows);
     } catch (const std::exception& error) {
-        throw DataError(fmt::format("encoding '{}' as EXR: {}", path.string(), error.what()));
+        throw DataError(fmt::format("cannot encode '{}' as EXR: {}", path.string(), error.what()));
     }
     export_detail::write_file(path, stream.content);
 }

@@ -50,7 +50,7 @@ public:
         return value;
     }
     std::string_view bytes(std::size_t n) {
-        if (n > file_.size() - at_) throw DataError("its header is cut short");
+        if (n > file_.size() - at_) throw DataError("its header is truncated");
         at_ += n;
         return std::string_view(file_).substr(at_ - n, n);
     }
@@ -58,7 +58,7 @@ public:
     std::string name() {
         const std::size_t end = file_.find('\0', at_);
         if (end == std::string::npos || end - at_ > 255)
-            throw DataError("its header is cut short, or a name in it is longer than 255 bytes");
+            throw DataError("its header is truncated, or it contains a name that is longer than 255 bytes");
         const std::string text = file_.substr(at_, end - at_);
         at_ = end + 1;
         return text;
@@ -82,7 +82,8 @@ struct ImageHeader {
 };
 
 void read_window(std::string_view bytes, ImageHeader& image_header) {
-    if (bytes.size() != 16) throw DataError(fmt::format("dataWindow of {} bytes, expected 16", bytes.size()));
+    if (bytes.size() != 16)
+        throw DataError(fmt::format("dataWindow has {} bytes, expected 16", bytes.size()));
     std::int32_t corner[4];
     std::memcpy(corner, bytes.data(), sizeof corner);
     image_header.columns = std::int64_t(corner[2]) - corner[0] + 1;
@@ -92,8 +93,8 @@ void read_window(std::string_view bytes, ImageHeader& image_header) {
     constexpr std::int32_t kFarthest = 1 << 29;
     for (const std::int32_t c : corner)
         if (c < -kFarthest || c > kFarthest)
-            throw DataError(
-                fmt::format("a corner of dataWindow at {}, expected one within {}", c, kFarthest));
+            throw DataError(fmt::format("dataWindow has a corner at {}, expected a coordinate of at most {}",
+                                        c, kFarthest));
 }
 
 void read_compression(std::string_view bytes, ImageHeader& image_header) {
@@ -110,17 +111,16 @@ void read_channels(std::string_view bytes, ImageHeader& image_header) {
         items.bytes(8);  // Type and linearity, which OpenEXR checks.
         const std::int32_t x = items.number(), y = items.number();
         if (x != 1 || y != 1)
-            throw DataError(
-                fmt::format("channel '{}' has every {} x {}th pixel, expected all", excerpt(name), x, y));
+            throw DataError(fmt::format("channel '{}' is subsampled by {} x {}, expected all pixels",
+                                        excerpt(name), x, y));
         if (std::find(image_header.channels.begin(), image_header.channels.end(), name) !=
             image_header.channels.end())
-            throw DataError(fmt::format("channel '{}' occurs twice", excerpt(name)));
+            throw DataError(fmt::format("channel '{}' occurs twice, expected it once", excerpt(name)));
         image_header.channels.push_back(name);
         if (image_header.channels.size() > kMostChannels)
-            throw DataError(fmt::format("more than {} channels", kMostChannels));
+            throw DataError(fmt::format("it has more than {} channels", kMostChannels));
     }
-    if (!items.at_end())
-        throw DataError("its list of channels ends before the bytes that it is said to have");
+    if (!items.at_end()) throw DataError("its list of channels is shorter than the size in its header");
 }
 
 /// Checks that the size of an attribute matches its type. OpenEXR ignores the stored
@@ -162,20 +162,21 @@ void check_layout(const std::string& name, const std::string& type, std::string_
         for (ExrHeader items(list); !items.at_end();) {
             const std::int32_t size = items.number();
             if (size < 0)
-                throw DataError(fmt::format("attribute '{}' has a text of {} bytes", excerpt(name), size));
+                throw DataError(fmt::format("attribute '{}' has an invalid text length of {} bytes",
+                                            excerpt(name), size));
             items.bytes(std::size_t(size));
         }
     }
 }
 
 void check_kind(ExrHeader& header) {
-    if (header.number() != std::int32_t(kExrMagic)) throw DataError("it does not begin as an OpenEXR file");
+    if (header.number() != std::int32_t(kExrMagic)) throw DataError("it does not begin like an OpenEXR file");
     const auto version = std::uint32_t(header.number());
     if ((version & kVersionBits) > 2)
-        throw DataError(fmt::format("version {} of the format, expected 2", version & kVersionBits));
-    if (version & kTiles) throw DataError("an image of tiles, expected scan lines");
-    if (version & kDeep) throw DataError("deep pixels, expected one value a channel");
-    if (version & kParts) throw DataError("several images in one file, expected one");
+        throw DataError(fmt::format("it has version {} of the format, expected 2", version & kVersionBits));
+    if (version & kTiles) throw DataError("it stores tiles, expected scan lines");
+    if (version & kDeep) throw DataError("it has deep pixels, expected one value per channel");
+    if (version & kParts) throw DataError("it contains several images, expected one");
 }
 
 ImageHeader read_header(const std::string& file) {
@@ -186,7 +187,9 @@ ImageHeader read_header(const std::string& file) {
     for (std::string name = header.name(); !name.empty(); name = header.name()) {
         const std::string type = header.name();
         const std::int32_t size = header.number();
-        if (size < 0) throw DataError(fmt::format("attribute '{}' of {} bytes", excerpt(name), size));
+        if (size < 0)
+            throw DataError(
+                fmt::format("attribute '{}' has an invalid size of {} bytes", excerpt(name), size));
         const std::string_view bytes = header.bytes(std::size_t(size));
         if (!seen.insert(name).second)
             throw DataError(fmt::format("attribute '{}' occurs twice", excerpt(name)));
@@ -194,7 +197,7 @@ ImageHeader read_header(const std::string& file) {
         // here.
         if (type == "idmanifest" || type == "preview" || type == "bytes")
             throw DataError(
-                fmt::format("attribute '{}' of type '{}', expected none of that type", excerpt(name), type));
+                fmt::format("attribute '{}' has the type '{}', which is not supported", excerpt(name), type));
         check_layout(name, type, bytes);
         if (name == "dataWindow") read_window(bytes, image_header);
         if (name == "compression") read_compression(bytes, image_header);
@@ -210,17 +213,20 @@ ImageHeader read_header(const std::string& file) {
 void check_image_size(const ImageHeader& image_header, std::size_t file_bytes) {
     const std::int64_t rows = image_header.rows, columns = image_header.columns;
     if (rows <= 0 || columns <= 0 || image_header.channels.empty())
-        throw DataError(fmt::format("{} x {} pixels, {} channels, expected some of each", rows, columns,
-                                    image_header.channels.size()));
+        throw DataError(fmt::format("it has {} x {} pixels and {} channels, expected at least one of each",
+                                    rows, columns, image_header.channels.size()));
     if (rows > std::int64_t(kMaxPixels) / columns)
-        throw DataError(fmt::format("{} x {} pixels, expected at most {}", rows, columns, kMaxPixels));
+        throw DataError(
+            fmt::format("it has {} x {} pixels, expected at most {} pixels", rows, columns, kMaxPixels));
     const std::int64_t unpacked =
         (rows + image_header.rows_at_once - 1) / image_header.rows_at_once * image_header.rows_at_once;
     // Minimum size in bytes, with half precision.
     const std::size_t least = std::size_t(unpacked * columns) * image_header.channels.size() * 2;
     if (least > std::max(kAlwaysFits, kMostInflated * file_bytes))
-        throw DataError(fmt::format("{} x {} pixels of {} channels are impossible in a file of {} bytes",
-                                    rows, columns, image_header.channels.size(), file_bytes));
+        throw DataError(fmt::format(
+            "its header announces {} x {} pixels with {} channels, which is impossible in a file of "
+            "{} bytes",
+            rows, columns, image_header.channels.size(), file_bytes));
 }
 
 /// Memory stream that OpenEXR reads instead of a file.

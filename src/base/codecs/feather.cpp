@@ -41,17 +41,18 @@ T load(std::string_view bytes, std::size_t at) {
 std::string_view part(std::string_view bytes, std::int64_t offset, std::int64_t n, const char* what) {
     if (offset < 0 || n < 0 || std::uint64_t(offset) > bytes.size() ||
         std::uint64_t(n) > bytes.size() - std::uint64_t(offset))
-        throw DataError(
-            fmt::format("{} at {} of {} bytes, but only {} are there", what, offset, n, bytes.size()));
+        throw DataError(fmt::format("{} should be at byte {} with {} bytes, but the file has only {} bytes",
+                                    what, offset, n, bytes.size()));
     return bytes.substr(std::size_t(offset), std::size_t(n));
 }
 
 std::string_view footer_of(std::string_view bytes) {
     constexpr std::size_t kHead = 8, kTail = 4 + kMagic.size();
     if (bytes.size() < kHead + kTail || !bytes.starts_with(kMagic))
-        throw DataError(
-            fmt::format("{} bytes that do not begin with ARROW1, expected a Feather V2 file", bytes.size()));
-    if (!bytes.ends_with(kMagic)) throw DataError("cut short: it does not end with ARROW1");
+        throw DataError(fmt::format(
+            "the {} bytes of the file do not begin with ARROW1, expected a Feather V2 file", bytes.size()));
+    if (!bytes.ends_with(kMagic))
+        throw DataError("the file is truncated, because it does not end with ARROW1");
     const std::int64_t end = std::int64_t(bytes.size() - kTail),
                        n = load<std::int32_t>(bytes, bytes.size() - kTail);
     return part(bytes, end - n, n, "a footer");
@@ -63,8 +64,8 @@ Batch batch_at(std::string_view bytes, const arrow::Block& block) {
     constexpr std::int64_t kPrefix = 8;
     const std::string_view message = part(bytes, block.offset, block.metadata_bytes, "a message");
     if (std::int64_t(message.size()) < kPrefix || load<std::uint32_t>(message, 0) != 0xFFFFFFFFu)
-        throw DataError(
-            fmt::format("no message at {}, expected a record batch of Arrow 0.15 or later", block.offset));
+        throw DataError(fmt::format(
+            "found no message at byte {}, expected a record batch of Arrow 0.15 or later", block.offset));
     const auto n = load<std::int32_t>(message, 4);
     return {arrow::parse_batch(part(message, kPrefix, n, "a message")),
             part(bytes, block.offset + block.metadata_bytes, block.body_bytes, "a record batch")};
@@ -78,14 +79,16 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
     bool compressed = batch.layout.codec != Codec::none && !stored.empty();
     std::int64_t n = std::int64_t(stored.size());
     if (compressed) {
-        if (stored.size() < 8) throw DataError(fmt::format("a compressed buffer of {} bytes", stored.size()));
+        if (stored.size() < 8)
+            throw DataError(
+                fmt::format("found a compressed buffer of {} bytes, expected at least 8", stored.size()));
         n = load<std::int64_t>(stored, 0);
         stored.remove_prefix(8);
         compressed = n != -1;
         if (!compressed) n = std::int64_t(stored.size());
     }
     if (n < std::int64_t(n_bytes) || n > std::int64_t(n_bytes + kPadding))
-        throw DataError(fmt::format("a buffer of {} bytes, expected {}", n, n_bytes));
+        throw DataError(fmt::format("found a buffer of {} bytes, expected {}", n, n_bytes));
     if (!compressed) return std::string(stored.substr(0, n_bytes));
     std::string bytes(std::size_t(n), '\0');
     if (batch.layout.codec == Codec::lz4_frame) unpack_lz4(stored, bytes);
@@ -97,12 +100,15 @@ std::string buffer_of(const Batch& batch, std::size_t at, std::size_t n_bytes) {
 /// are missing.
 std::size_t rows_of(const Batch& batch, std::size_t node, std::size_t last_buffer) {
     if (node >= batch.layout.nodes.size() || last_buffer >= batch.layout.buffers.size())
-        throw DataError(fmt::format("a record batch of {} columns and {} buffers, expected more",
-                                    batch.layout.nodes.size(), batch.layout.buffers.size()));
+        throw DataError(
+            fmt::format("found a record batch with {} columns and {} buffers, expected more of them",
+                        batch.layout.nodes.size(), batch.layout.buffers.size()));
     const arrow::Node& found = batch.layout.nodes[node];
     if (found.length != batch.layout.length)
-        throw DataError(fmt::format("{} rows in a batch of {}", found.length, batch.layout.length));
-    if (found.null_count != 0) throw DataError(fmt::format("{} values are missing", found.null_count));
+        throw DataError(
+            fmt::format("it has {} rows in a batch of {} rows", found.length, batch.layout.length));
+    if (found.null_count != 0)
+        throw DataError(fmt::format("{} values are missing (null), expected none", found.null_count));
     return std::size_t(found.length);
 }
 
@@ -135,7 +141,7 @@ void append_integers(std::vector<T>& values, const Batch& batch, const Feather::
     if (type.is_signed) return push_as<std::int64_t>(values, batch, column, as);
     push_as<std::uint64_t>(values, batch, column, [](std::uint64_t value) {
         if (value > std::uint64_t(std::numeric_limits<std::int64_t>::max()))
-            throw DataError(fmt::format("{} is beyond 63 bits", value));
+            throw DataError(fmt::format("the integer {} is too large, expected at most 63 bits", value));
         return T(value);
     });
 }
@@ -160,10 +166,10 @@ void append_texts(std::vector<std::string>& values, const Batch& batch, std::siz
     const auto offset = [&](std::size_t i) { return load<std::int32_t>(offsets, i * sizeof(std::int32_t)); };
     for (std::size_t i = 0; i < n; ++i)
         if (offset(i) < 0 || offset(i + 1) < offset(i))
-            throw DataError(fmt::format("text {} from {} to {}, expected offsets that rise", i, offset(i),
-                                        offset(i + 1)));
+            throw DataError(fmt::format("text {} goes from offset {} to {}, expected increasing offsets", i,
+                                        offset(i), offset(i + 1)));
     if (std::size_t(offset(n)) > most)
-        throw DataError(fmt::format("{} bytes of text, expected at most {}", offset(n), most));
+        throw DataError(fmt::format("found {} bytes of text, expected at most {}", offset(n), most));
     const std::string characters = buffer_of(batch, first_buffer + 2, std::size_t(offset(n)));
     for (std::size_t i = 0; i < n; ++i)
         values.push_back(characters.substr(std::size_t(offset(i)), std::size_t(offset(i + 1) - offset(i))));
@@ -176,7 +182,7 @@ std::size_t count_rows(const std::vector<Batch>& batches, std::size_t most) {
     for (const Batch& batch : batches) {
         const std::int64_t n = batch.layout.length;
         if (n < 0 || std::uint64_t(n) > most - rows)
-            throw DataError(fmt::format("a batch of {} rows, expected at most {}", n, most - rows));
+            throw DataError(fmt::format("found a batch of {} rows, expected at most {}", n, most - rows));
         rows += std::size_t(n);
     }
     return rows;
@@ -201,7 +207,7 @@ Feather::Feather(std::string name, std::string bytes) : name_(std::move(name)), 
             for (const arrow::Block& block : blocks) {
                 batches.push_back(batch_at(bytes_, block));
                 left -= block.metadata_bytes + block.body_bytes;
-                if (left < 0) throw DataError("record batches that are longer than the file");
+                if (left < 0) throw DataError("the record batches are longer than the file");
             }
         };
         read(footer.dictionaries, dictionaries_);
@@ -219,7 +225,7 @@ const Feather::Column& Feather::find(const std::string& name) const {
         if (column.field.name == name) return column;
         names += (names.empty() ? "" : ", ") + column.field.name;
     }
-    throw DataError(fmt::format("no such column among '{}'", excerpt(names)));
+    throw DataError(fmt::format("the file has no such column, expected one of '{}'", excerpt(names)));
 }
 
 template <class Task>
@@ -234,7 +240,8 @@ auto Feather::reading(const std::string& column, const Task& task) const {
 std::vector<double> Feather::numbers(const std::string& name) const {
     return reading(name, [&](const Column& column) {
         const Field::Type& type = column.field.type;
-        if (type.kind == Kind::text || column.field.dictionary) throw DataError("text, expected numbers");
+        if (type.kind == Kind::text || column.field.dictionary)
+            throw DataError("found text, expected numbers");
         std::vector<double> values;
         for (const Batch& batch : batches_) {
             if (type.kind == Kind::integer) append_integers(values, batch, column, type);
@@ -250,7 +257,7 @@ std::vector<double> Feather::numbers(const std::string& name) const {
 std::vector<std::int64_t> Feather::integers(const std::string& name) const {
     return reading(name, [&](const Column& column) {
         if (column.field.type.kind != Kind::integer || column.field.dictionary)
-            throw DataError("no integers, but expected them");
+            throw DataError("found values that are not integers, expected integers");
         std::vector<std::int64_t> values;
         for (const Batch& batch : batches_) append_integers(values, batch, column, column.field.type);
         return values;
@@ -259,7 +266,7 @@ std::vector<std::int64_t> Feather::integers(const std::string& name) const {
 
 std::vector<std::string> Feather::texts(const std::string& name) const {
     return reading(name, [&](const Column& column) {
-        if (column.field.type.kind != Kind::text) throw DataError("numbers, expected text");
+        if (column.field.type.kind != Kind::text) throw DataError("found numbers, expected text");
         const std::size_t most = kMostText * bytes_.size();
         std::vector<std::string> values;
         if (!column.field.dictionary) {
@@ -276,10 +283,10 @@ std::vector<std::string> Feather::texts(const std::string& name) const {
         std::size_t length = 0;
         for (const std::int64_t index : indices) {
             if (index < 0 || std::uint64_t(index) >= words.size())
-                throw DataError(fmt::format("entry {} of a dictionary of {}, expected one that is there",
-                                            index, words.size()));
+                throw DataError(
+                    fmt::format("found the index {} into a dictionary of {} entries", index, words.size()));
             length += words[std::size_t(index)].size();
-            if (length > most) throw DataError(fmt::format("more than {} bytes of text", most));
+            if (length > most) throw DataError(fmt::format("found more than {} bytes of text", most));
             values.push_back(words[std::size_t(index)]);
         }
         return values;

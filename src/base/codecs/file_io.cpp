@@ -27,7 +27,8 @@ std::string note_line(const std::pair<std::string, std::string>& note) {
 std::string system_message(int error) { return std::generic_category().message(error); }
 
 OutputFile::OutputFile(const std::filesystem::path& path) : file_(std::fopen(path.c_str(), "wb")) {
-    if (!file_) throw DataError("creating a temporary file beside it: " + system_message(errno));
+    if (!file_)
+        throw DataError("cannot create a temporary file in the same folder: " + system_message(errno));
 }
 
 OutputFile::~OutputFile() {
@@ -36,7 +37,7 @@ OutputFile::~OutputFile() {
 
 void OutputFile::write(const void* data, std::size_t n_bytes) {
     if (n_bytes > 0 && std::fwrite(data, 1, n_bytes, file_) != n_bytes)
-        throw DataError(fmt::format("writing {} bytes: {}", n_bytes, system_message(errno)));
+        throw DataError(fmt::format("cannot write {} bytes: {}", n_bytes, system_message(errno)));
 }
 
 void OutputFile::close() {
@@ -44,7 +45,7 @@ void OutputFile::close() {
     const int flush_error = errno;
     const bool closed = std::fclose(std::exchange(file_, nullptr)) == 0;
     if (!flushed || !closed)
-        throw DataError("writing the last bytes: " + system_message(flushed ? errno : flush_error));
+        throw DataError("cannot write the last bytes: " + system_message(flushed ? errno : flush_error));
 }
 
 void write_file(const std::filesystem::path& path, std::string_view bytes) {
@@ -57,12 +58,12 @@ void write_file(const std::filesystem::path& path, std::string_view bytes) {
 
 std::vector<std::byte> read_file(const std::filesystem::path& path) {
     const auto fail = [&](const std::string& why) {
-        throw DataError(fmt::format("reading '{}': {}", path.string(), why));
+        throw DataError(fmt::format("cannot read '{}': {}", path.string(), why));
     };
     std::error_code error;
     const auto status = std::filesystem::status(path, error);
     if (!std::filesystem::exists(status)) fail(system_message(error ? error.value() : ENOENT));
-    if (!std::filesystem::is_regular_file(status)) fail("not a regular file");
+    if (!std::filesystem::is_regular_file(status)) fail("it is not a regular file");
     const auto size = std::filesystem::file_size(path, error);
     if (error) fail(error.message());
 
@@ -71,7 +72,7 @@ std::vector<std::byte> read_file(const std::filesystem::path& path) {
     const std::unique_ptr<std::FILE, int (*)(std::FILE*)> guard(file, std::fclose);
     std::vector<std::byte> bytes(size);
     if (size > 0 && std::fread(bytes.data(), 1, size, file) != size)
-        fail(std::ferror(file) ? system_message(errno) : "the file became shorter while it was read");
+        fail(std::ferror(file) ? system_message(errno) : "the file became shorter while it was being read");
     return bytes;
 }
 

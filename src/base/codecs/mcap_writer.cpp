@@ -70,8 +70,8 @@ void McapWriter::put(std::string_view bytes) {
     errno = 0;
     file_.write(bytes.data(), std::streamsize(bytes.size()));
     if (!file_)
-        throw DataError(fmt::format("writing '{}': {}", path_.string(),
-                                    errno ? std::strerror(errno) : "it cannot be written"));
+        throw DataError(fmt::format("cannot write '{}': {}", path_.string(),
+                                    errno ? std::strerror(errno) : "unknown error"));
     written_ += bytes.size();
 }
 
@@ -197,8 +197,7 @@ void McapWriter::close() {
     put(record(kFooter, footer));
     put(kMagic);
     file_.close();
-    if (!file_)
-        throw DataError(fmt::format("writing '{}': the disk could not take all of it", path_.string()));
+    if (!file_) throw DataError(fmt::format("cannot write '{}': the disk is probably full", path_.string()));
 }
 
 }  // namespace relidar::scan_files

@@ -23,7 +23,7 @@ NamedArray make(std::string name, std::vector<std::size_t> shape, const char* dt
                 std::size_t n) {
     NamedArray array{std::move(name), dtype, std::move(shape), {}};
     if (array.count() != n)
-        throw DataError(fmt::format("array '{}': {} values, expected {} for shape [{}]", array.name, n,
+        throw DataError(fmt::format("array '{}' has {} values, expected {} for the shape [{}]", array.name, n,
                                     array.count(), fmt::join(array.shape, ", ")));
     array.bytes.resize(n * sizeof(T));
     if (n > 0) std::memcpy(array.bytes.data(), values, array.bytes.size());
@@ -87,7 +87,7 @@ std::vector<Out> values_of(const NamedArray& array) {
     const Converter<Out> function = converter<Out>(array.dtype);
     if (!function)
         throw DataError(
-            fmt::format("array '{}': type '{}' cannot be read as numbers", array.name, array.dtype));
+            fmt::format("array '{}' has the type '{}', which is not a number type", array.name, array.dtype));
     return function(array);
 }
 
@@ -150,18 +150,22 @@ void check_array(const NamedArray& array) {
     if (array.name.empty()) throw DataError("an array has no name");
     const std::size_t size = item_size(array.dtype);
     if (size == 0)
-        throw DataError(fmt::format("array '{}': type '{}' is not supported", array.name, array.dtype));
+        throw DataError(
+            fmt::format("array '{}' has the type '{}', which is not supported", array.name, array.dtype));
     const auto expected = byte_count(array.shape, size);
     if (!expected || *expected != array.bytes.size())
-        throw DataError(fmt::format("array '{}': {} bytes do not fill shape [{}] of {}", array.name,
-                                    array.bytes.size(), fmt::join(array.shape, ", "), array.dtype));
+        throw DataError(
+            fmt::format("array '{}' has {} bytes, which do not fit the shape [{}] and the type {}",
+                        array.name, array.bytes.size(), fmt::join(array.shape, ", "), array.dtype));
 }
 
 }  // namespace export_detail
 
 std::size_t NamedArray::count() const {
     const auto n = export_detail::byte_count(shape, 1);
-    if (!n) throw DataError(fmt::format("array '{}': shape [{}] is too large", name, fmt::join(shape, ", ")));
+    if (!n)
+        throw DataError(
+            fmt::format("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", ")));
     return *n;
 }
 

@@ -34,13 +34,15 @@ public:
         while (!accept('}')) {
             const std::string key = quoted();
             expect(':');
-            if (key == "descr") descr = peek('[') ? refuse("holds a struct type") : quoted();
+            if (key == "descr")
+                descr = peek('[') ? refuse("contains a struct type, expected a plain number type") : quoted();
             else if (key == "fortran_order") fortran_order = boolean();
             else if (key == "shape") shape = tuple();
             else refuse("has the unknown key '" + key + "'");
             if (!accept(',') && !peek('}')) refuse("is malformed");
         }
-        if (!descr || !fortran_order || !shape) refuse("lacks descr, fortran_order or shape");
+        if (!descr || !fortran_order || !shape)
+            refuse("has no descr, fortran_order or shape, expected all of them");
     }
 
     std::optional<std::string> descr;
@@ -89,7 +91,7 @@ private:
         peek(' ');
         std::size_t value = 0;
         const auto [end, error] = std::from_chars(text_.data(), text_.data() + text_.size(), value);
-        if (error != std::errc()) refuse("holds an impossible shape");
+        if (error != std::errc()) refuse("contains an invalid shape");
         text_.remove_prefix(std::size_t(end - text_.data()));
         accept('L');  // Python 2 writes long integers with this suffix.
         return value;
@@ -140,7 +142,8 @@ std::string npy_header(const NamedArray& array) {
     dict.resize(total - kPrefix - 1, ' ');
     dict += '\n';
     if (dict.size() > 0xFFFF)
-        throw DataError(fmt::format("array '{}' has {} dimensions", array.name, array.shape.size()));
+        throw DataError(
+            fmt::format("array '{}' has {} dimensions, which is too many", array.name, array.shape.size()));
     std::string header(kNpyMagic);
     header += {'\x01', '\x00', char(dict.size() & 0xFF), char(dict.size() >> 8)};
     return header + dict;
@@ -150,11 +153,13 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
     if (bytes.size() < 12 || std::memcmp(bytes.data(), kNpyMagic.data(), kNpyMagic.size()) != 0)
         throw DataError("it is not a .npy array");
     const auto version = std::to_integer<int>(bytes[6]);
-    if (version < 1 || version > 3) throw DataError(fmt::format("npy version {}, expected 1 to 3", version));
+    if (version < 1 || version > 3)
+        throw DataError(fmt::format("it has npy version {}, expected 1 to 3", version));
     const std::size_t n_length = version == 1 ? 2 : 4, start = 8 + n_length;
     const std::size_t length = little_endian(bytes.data() + 8, n_length);
     if (length > bytes.size() - start)
-        throw DataError(fmt::format("npy header of {} bytes, but {} are left", length, bytes.size() - start));
+        throw DataError(fmt::format("its npy header should have {} bytes, but only {} bytes are left", length,
+                                    bytes.size() - start));
 
     HeaderParser header({reinterpret_cast<const char*>(bytes.data()) + start, length});
     header.parse();
@@ -164,7 +169,7 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
     const auto expected = byte_count(array.shape, item_size(array.dtype));
     const std::size_t found = bytes.size() - start - length;
     if (!expected || *expected != found)
-        throw DataError(fmt::format("{} bytes of values do not fill its shape", found));
+        throw DataError(fmt::format("its {} bytes of values do not fit its shape", found));
     array.bytes.assign(bytes.end() - std::ptrdiff_t(found), bytes.end());
     return array;
 }

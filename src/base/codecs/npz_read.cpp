@@ -37,8 +37,8 @@ struct Archive {
 
     std::span<const std::byte> part(std::uint64_t offset, std::uint64_t n_bytes) const {
         if (offset > bytes.size() || n_bytes > bytes.size() - offset)
-            throw DataError(fmt::format("{} bytes expected at {}, but the file ends at {}", n_bytes, offset,
-                                        bytes.size()));
+            throw DataError(fmt::format("expected {} bytes at byte {}, but the file has only {} bytes",
+                                        n_bytes, offset, bytes.size()));
         return std::span(bytes).subspan(offset, n_bytes);
     }
 };
@@ -46,7 +46,7 @@ struct Archive {
 template <class T>
 T get(std::span<const std::byte> bytes, std::size_t offset) {
     if (offset > bytes.size() || sizeof(T) > bytes.size() - offset)
-        throw DataError("a zip record is cut short");
+        throw DataError("a zip record is truncated");
     T value;
     std::memcpy(&value, bytes.data() + offset, sizeof value);
     return value;
@@ -60,14 +60,15 @@ struct Directory {
 /// exactly at the end of the file.
 std::size_t find_end(const Archive& archive) {
     const std::size_t n = archive.bytes.size();
-    if (n < kEndSize) throw DataError(fmt::format("{} bytes are too few for a zip archive", n));
+    if (n < kEndSize)
+        throw DataError(fmt::format("the file has {} bytes, which is too short for a zip archive", n));
     for (std::size_t back = kEndSize; back <= std::min<std::size_t>(n, kEndSize + 0xFFFF); ++back) {
         const auto record = archive.part(n - back, kEndSize);
         if (get<std::uint32_t>(record, 0) == kEndSignature &&
             get<std::uint16_t>(record, 20) == back - kEndSize)
             return n - back;
     }
-    throw DataError("it is not a zip archive, or its end is missing");
+    throw DataError("it is not a zip archive, or it is truncated");
 }
 
 Directory find_directory(const Archive& archive) {
@@ -88,10 +89,10 @@ Directory find_directory(const Archive& archive) {
         }
     }
     if (directory.size > end || directory.offset > end - directory.size)
-        throw DataError("the zip directory lies outside the file");
+        throw DataError("the zip directory is outside the file");
     if (directory.n_entries > directory.size / kCentralSize)
-        throw DataError(fmt::format("{} zip entries do not fit a directory of {} bytes", directory.n_entries,
-                                    directory.size));
+        throw DataError(fmt::format("{} zip entries do not fit into a directory of {} bytes",
+                                    directory.n_entries, directory.size));
     return directory;
 }
 
@@ -135,7 +136,7 @@ NpzEntry parse_entry(std::span<const std::byte> directory, std::size_t& at) {
     const std::size_t n_name = get<std::uint16_t>(record, 28), n_extra = get<std::uint16_t>(record, 30);
     const std::size_t n_comment = get<std::uint16_t>(record, 32);
     if (n_name + n_extra + n_comment > record.size() - kCentralSize)
-        throw DataError("the zip directory is cut short");
+        throw DataError("the zip directory is truncated");
     entry.name.assign(reinterpret_cast<const char*>(record.data()) + kCentralSize, n_name);
     apply_zip64(entry, record.subspan(kCentralSize + n_name, n_extra));
     at += kCentralSize + n_name + n_extra + n_comment;
@@ -163,7 +164,7 @@ std::vector<std::byte> inflate_bytes(std::span<const std::byte> packed, std::siz
     }
     inflateEnd(&stream);
     if (status != Z_STREAM_END || produced != size)
-        throw DataError(fmt::format("its deflated data gives {} bytes, expected {}", produced, size));
+        throw DataError(fmt::format("its compressed data unpack to {} bytes, expected {}", produced, size));
     return result;
 }
 
@@ -176,14 +177,18 @@ std::vector<std::byte> unpack(const Archive& archive, const NpzEntry& entry) {
     const auto packed = archive.part(start, entry.packed_size);
     std::vector<std::byte> bytes;
     if (entry.method == 0) {
-        if (entry.size != entry.packed_size) throw DataError("its stored size and its size differ");
+        if (entry.size != entry.packed_size)
+            throw DataError(
+                "its compressed and uncompressed sizes differ, although it is stored without compression");
         bytes.assign(packed.begin(), packed.end());
     } else if (entry.method == 8) {
         if (entry.size / kMaxExpansion > packed.size())
-            throw DataError(fmt::format("its size of {} bytes is impossible", entry.size));
+            throw DataError(
+                fmt::format("its size is {} bytes, which is impossible for its compressed data", entry.size));
         bytes = inflate_bytes(packed, entry.size);
     } else {
-        throw DataError(fmt::format("compression method {}, expected stored or deflated", entry.method));
+        throw DataError(fmt::format("it uses the compression method {}, expected 0 (stored) or 8 (deflated)",
+                                    entry.method));
     }
     const auto crc = ::crc32_z(0, reinterpret_cast<const Bytef*>(bytes.data()), bytes.size());
     if (crc != entry.crc) throw DataError("its checksum does not match: the file is damaged");
@@ -212,10 +217,10 @@ std::vector<NamedArray> parse(const Archive& archive) {
     for (std::uint64_t i = 0; i < directory.n_entries; ++i) {
         const NpzEntry entry = parse_entry(records, at);
         if (!names.insert(entry.name).second)
-            throw DataError(fmt::format("entry '{}' occurs twice", entry.name));
+            throw DataError(fmt::format("entry '{}' occurs twice, expected it once", entry.name));
         n_packed += std::min<std::uint64_t>(entry.packed_size, archive.bytes.size() + 1);
         // Zip bombs use overlapping entries.
-        if (n_packed > archive.bytes.size()) throw DataError("zip entries overlap");
+        if (n_packed > archive.bytes.size()) throw DataError("its zip entries overlap");
         arrays.push_back(read_array(archive, entry));
     }
     return arrays;
@@ -228,7 +233,7 @@ std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
     try {
         return parse(archive);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("reading npz '{}': {}", path.string(), error.what()));
+        throw DataError(fmt::format("cannot read npz '{}': {}", path.string(), error.what()));
     }
 }
 
@@ -237,7 +242,7 @@ NamedArray read_npy(const std::filesystem::path& path) {
     try {
         return export_detail::parse_npy(path.stem().string(), bytes);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("reading npy '{}': {}", path.string(), error.what()));
+        throw DataError(fmt::format("cannot read npy '{}': {}", path.string(), error.what()));
     }
 }
 

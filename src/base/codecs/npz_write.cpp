@@ -123,7 +123,7 @@ std::string end_record(std::size_t n_entries, std::size_t directory_size, std::s
 void check_size(const std::string& what, std::uint64_t n_bytes) {
     if (n_bytes >= kLimit)
         throw DataError(
-            fmt::format("{} takes {} bytes, npz files end at 4 GiB; use safetensors", what, n_bytes));
+            fmt::format("{} has {} bytes, but npz files have at most 4 GiB; use safetensors", what, n_bytes));
 }
 
 /// Writes an array at `offset`.
@@ -151,7 +151,7 @@ void check(const std::vector<NamedArray>& arrays) {
             throw DataError(fmt::format("array name '{}' is used twice", array.name));
     }
     if (arrays.size() >= 0xFFFF)
-        throw DataError(fmt::format("{} arrays, npz files hold at most 65534", arrays.size()));
+        throw DataError(fmt::format("found {} arrays, but npz files contain at most 65534", arrays.size()));
 }
 
 }  // namespace

@@ -45,8 +45,9 @@ constexpr std::ptrdiff_t kAfterHeader = 8 + 25;
 std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes) {
     const std::size_t n = std::size_t(std::max(image.rows, 0)) * std::size_t(std::max(image.columns, 0)) * 3;
     if (n == 0 || image.rgb.size() != n)
-        throw DataError(fmt::format("PNG image of {} x {} pixels: {} bytes, expected {}", image.rows,
-                                    image.columns, image.rgb.size(), n));
+        throw DataError(
+            fmt::format("cannot encode a PNG image of {} x {} pixels: found {} bytes, expected {}",
+                        image.rows, image.columns, image.rgb.size(), n));
     png_image description{};
     description.version = PNG_IMAGE_VERSION;
     description.width = png_uint_32(image.columns);
@@ -59,7 +60,7 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes)
         png_image_write_to_memory(&description, bytes.data(), &size, 0, image.rgb.data(), 0, nullptr);
     const std::string message = description.message;
     png_image_free(&description);
-    if (!done) throw DataError("encoding a PNG image: " + message);
+    if (!done) throw DataError("cannot encode a PNG image: " + message);
     bytes.resize(size);
     std::string chunks;
     for (const auto& [name, text] : notes) chunks += text_chunk(name, text);

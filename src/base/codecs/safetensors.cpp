@@ -52,7 +52,8 @@ constexpr std::array<std::pair<std::string_view, std::string_view>, 12> kTypes{{
 std::string tensor_type(const std::string& dtype) {
     const auto it =
         std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& type) { return type.second == dtype; });
-    if (it == kTypes.end()) throw DataError(fmt::format("type '{}' is not supported by safetensors", dtype));
+    if (it == kTypes.end())
+        throw DataError(fmt::format("the type '{}' is not supported by safetensors", dtype));
     return std::string(it->first);
 }
 
@@ -60,7 +61,8 @@ std::string numpy_type(const std::string& name, const std::string& type) {
     const auto it =
         std::find_if(kTypes.begin(), kTypes.end(), [&](const auto& known) { return known.first == type; });
     if (it == kTypes.end())
-        throw DataError(fmt::format("array '{}': type '{}' is not supported", name, excerpt(type)));
+        throw DataError(
+            fmt::format("array '{}' has the type '{}', which is not supported", name, excerpt(type)));
     return std::string(it->second);
 }
 
@@ -97,13 +99,14 @@ struct Header {
 Header parse_header(const std::vector<std::byte>& file) {
     Header header;
     std::uint64_t size = 0;
-    if (file.size() < sizeof size) throw DataError(fmt::format("{} bytes, expected at least 8", file.size()));
+    if (file.size() < sizeof size)
+        throw DataError(fmt::format("the file has {} bytes, expected at least 8", file.size()));
     std::memcpy(&size, file.data(), sizeof size);
     if (size > kMaxHeader)
-        throw DataError(fmt::format("header of {} bytes, expected at most {}", size, kMaxHeader));
+        throw DataError(fmt::format("its header has {} bytes, expected at most {}", size, kMaxHeader));
     if (size > file.size() - sizeof size)
-        throw DataError(
-            fmt::format("header of {} bytes, but the file ends after {}", size, file.size() - sizeof size));
+        throw DataError(fmt::format("its header should have {} bytes, but the file ends after {} bytes", size,
+                                    file.size() - sizeof size));
     header.data_start = sizeof size + size;
     const char* text = reinterpret_cast<const char*>(file.data()) + sizeof size;
     header.json = Json::parse(
@@ -116,11 +119,11 @@ Header parse_header(const std::vector<std::byte>& file) {
         false);
     if (header.json.is_discarded()) throw DataError("the header is not valid JSON");
     if (!header.json.is_object()) throw DataError("the header is not a JSON object");
-    if (header.json.size() != header.names.size()) throw DataError("the header names an array twice");
+    if (header.json.size() != header.names.size()) throw DataError("the header contains an array twice");
     for (const std::string& name : header.names) {
         if (name.size() > kMaxName)
-            throw DataError(fmt::format("array '{}': a name of {} bytes, expected at most {}", excerpt(name),
-                                        name.size(), kMaxName));
+            throw DataError(fmt::format("the name of array '{}' has {} bytes, expected at most {}",
+                                        excerpt(name), name.size(), kMaxName));
     }
     return header;
 }
@@ -128,14 +131,16 @@ Header parse_header(const std::vector<std::byte>& file) {
 /// Returns a list of non-negative integers.
 std::vector<std::size_t> integers(const std::string& name, const Json& entry, const char* key) {
     if (!entry.is_object() || !entry.contains(key) || !entry[key].is_array())
-        throw DataError(fmt::format("array '{}': no list '{}'", name, key));
+        throw DataError(fmt::format("array '{}' has no list '{}'", name, key));
     if (entry[key].size() > kMaxDimensions)
-        throw DataError(fmt::format("array '{}': '{}' holds {} numbers, expected at most {}", name, key,
+        throw DataError(fmt::format("array '{}': '{}' contains {} numbers, expected at most {}", name, key,
                                     entry[key].size(), kMaxDimensions));
     std::vector<std::size_t> result;
     for (const Json& value : entry[key]) {
         if (!value.is_number_unsigned())
-            throw DataError(fmt::format("array '{}': '{}' holds {}", name, key, value.type_name()));
+            throw DataError(
+                fmt::format("array '{}': '{}' contains a value of type {}, expected integers from 0", name,
+                            key, value.type_name()));
         result.push_back(value.get<std::size_t>());
     }
     return result;
@@ -149,17 +154,17 @@ struct Range {
 /// the data.
 std::pair<NamedArray, Range> parse_tensor(const std::string& name, const Json& entry, std::size_t n_data) {
     if (!entry.is_object() || !entry.contains("dtype") || !entry["dtype"].is_string())
-        throw DataError(fmt::format("array '{}': no string 'dtype'", name));
+        throw DataError(fmt::format("array '{}' has no string 'dtype'", name));
     NamedArray array{
         name, numpy_type(name, entry["dtype"].get<std::string>()), integers(name, entry, "shape"), {}};
     const std::vector<std::size_t> offsets = integers(name, entry, "data_offsets");
     if (offsets.size() != 2 || offsets[0] > offsets[1] || offsets[1] > n_data)
-        throw DataError(fmt::format("array '{}': data_offsets [{}] do not lie in the {} bytes of data", name,
+        throw DataError(fmt::format("array '{}': data_offsets [{}] are outside the {} bytes of data", name,
                                     fmt::join(offsets, ", "), n_data));
     const auto expected = byte_count(array.shape, item_size(array.dtype));
     if (!expected || *expected != offsets[1] - offsets[0])
-        throw DataError(
-            fmt::format("array '{}': {} bytes do not fill its shape", name, offsets[1] - offsets[0]));
+        throw DataError(fmt::format("array '{}' has {} bytes, which do not fit its shape", name,
+                                    offsets[1] - offsets[0]));
     return {std::move(array), {offsets[0], offsets[1]}};
 }
 
@@ -192,15 +197,17 @@ std::vector<NamedArray> parse_tensors(const std::vector<std::byte>& file,
     std::vector<NamedArray> arrays;
     for (auto& [array, range] : entries) {
         if (range.begin != covered)
-            throw DataError(fmt::format("array '{}' starts at byte {}, expected {} (no gap, no overlap)",
-                                        array.name, range.begin, covered));
+            throw DataError(
+                fmt::format("array '{}' starts at byte {}, expected {} without a gap or an overlap",
+                            array.name, range.begin, covered));
         const auto data = file.begin() + std::ptrdiff_t(header.data_start);
         array.bytes.assign(data + std::ptrdiff_t(range.begin), data + std::ptrdiff_t(range.end));
         covered = range.end;
         arrays.push_back(std::move(array));
     }
     if (covered != n_data)
-        throw DataError(fmt::format("{} bytes of data, the header describes {}", n_data, covered));
+        throw DataError(
+            fmt::format("the file has {} bytes of data, but its header describes {}", n_data, covered));
     if (metadata) *metadata = std::move(file_metadata);
     return arrays;
 }
@@ -226,7 +233,7 @@ std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
     try {
         return parse_tensors(file, metadata);
     } catch (const std::exception& error) {
-        throw DataError(fmt::format("reading safetensors '{}': {}", path.string(), error.what()));
+        throw DataError(fmt::format("cannot read safetensors '{}': {}", path.string(), error.what()));
     }
 }
 

@@ -49,7 +49,7 @@ StagedFolder::StagedFolder(const fs::path& wanted)
     fs::remove_all(path_, failed);
     fs::create_directories(path_, failed);
     if (failed)
-        throw DataError(fmt::format("{}: cannot be made a folder: {}", path_.string(), failed.message()));
+        throw DataError(fmt::format("cannot create the folder {}: {}", path_.string(), failed.message()));
 }
 
 StagedFolder::~StagedFolder() {
@@ -62,10 +62,10 @@ void StagedFolder::finish_new() const {
     if (::rename(path_.c_str(), wanted_.c_str()) == 0) return;
     const int error = errno;
     const bool is_taken = error == ENOTEMPTY || error == EEXIST || error == ENOTDIR;
-    throw DataError(
-        is_taken ? fmt::format("{}: found it there by now, expected a name that is free", wanted_.string())
-                 : fmt::format("{}: renaming what was written: {}", wanted_.string(),
-                               std::generic_category().message(error)));
+    throw DataError(is_taken ? fmt::format("cannot create {}: another process has created it in the meantime",
+                                           wanted_.string())
+                             : fmt::format("cannot create {}: renaming the temporary folder failed: {}",
+                                           wanted_.string(), std::generic_category().message(error)));
 }
 
 void StagedFolder::finish() const {
@@ -80,7 +80,8 @@ void StagedFolder::finish() const {
     if (!failed) fs::rename(path_, wanted_, failed);
     if (failed) fs::rename(old, wanted_, ignored);
     if (failed)
-        throw DataError(fmt::format("{}: renaming what was written: {}", wanted_.string(), failed.message()));
+        throw DataError(fmt::format("cannot create {}: renaming the temporary folder failed: {}",
+                                    wanted_.string(), failed.message()));
     fs::remove_all(old, ignored);
 }
 

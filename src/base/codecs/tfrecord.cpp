@@ -50,29 +50,31 @@ TfRecords::TfRecords(std::filesystem::path file) : file_(std::move(file)) {
     if (!path_exists(file_)) throw DataError(fmt::format("{}: no such file", file_.string()));
     std::ifstream in(file_, std::ios::binary | std::ios::ate);
     const std::streamoff end = in ? std::streamoff(in.tellg()) : -1;
-    if (end < 0) throw DataError(fmt::format("{}: cannot be read", file_.string()));
+    if (end < 0) throw DataError(fmt::format("cannot read {}", file_.string()));
     for (std::uint64_t at = 0, left = std::uint64_t(end); left > 0;) {
         const std::string where = fmt::format("{}: record {}", file_.string(), records_.size());
         std::array<char, kHeader> header{};
         in.seekg(std::streamoff(at));
         if (left < kHeader || !in.read(header.data(), kHeader))
             throw DataError(
-                fmt::format("{}: truncated: {} bytes of its header, expected {}", where, left, kHeader));
+                fmt::format("{} is truncated: its header has {} bytes, expected {}", where, left, kHeader));
         if (number_at<std::uint32_t>(&header[8]) != masked_crc32c({header.data(), 8}))
-            throw DataError(fmt::format("{}: the CRC of its length is wrong, expected a TFRecord", where));
+            throw DataError(fmt::format(
+                "{}: the checksum (CRC) of its length is wrong, expected a TFRecord file", where));
         const auto size = number_at<std::uint64_t>(header.data());
         left -= kHeader;
         if (left < kFooter || size > left - kFooter)
-            throw DataError(
-                fmt::format("{}: truncated: a length of {} bytes with {} left in the file, expected {} more "
-                            "after the data",
-                            where, size, left, kFooter));
+            throw DataError(fmt::format(
+                "{} is truncated: its length is {} bytes, but {} bytes are left in the file, expected {} "
+                "more bytes after the data",
+                where, size, left, kFooter));
         records_.push_back({at + kHeader, size});
         at += kHeader + size + kFooter;
         left -= size + kFooter;
     }
     if (records_.empty())
-        throw DataError(fmt::format("{}: empty, expected records of a TFRecord", file_.string()));
+        throw DataError(
+            fmt::format("{} is empty, expected a TFRecord file with at least one record", file_.string()));
 }
 
 std::string TfRecords::read(std::size_t record) const {
@@ -82,11 +84,13 @@ std::string TfRecords::read(std::size_t record) const {
     in.seekg(std::streamoff(place.begin));
     if (!in.read(data.data(), std::streamsize(data.size())))
         throw DataError(
-            fmt::format("{}: record {}: {} bytes cannot be read", file_.string(), record, data.size()));
+            fmt::format("{}: record {}: cannot read its {} bytes", file_.string(), record, data.size()));
     const auto crc = number_at<std::uint32_t>(&data[place.size]);
     data.resize(place.size);
     if (crc != masked_crc32c(data))
-        throw DataError(fmt::format("{}: record {}: the CRC of its data is wrong", file_.string(), record));
+        throw DataError(
+            fmt::format("{}: record {}: the checksum (CRC) of its data is wrong; the file is damaged",
+                        file_.string(), record));
     return data;
 }
 

@@ -12,7 +12,7 @@ namespace relidar {
 void unpack_lz4(std::string_view from, std::span<char> to) {
     LZ4F_dctx* context = nullptr;
     if (LZ4F_isError(LZ4F_createDecompressionContext(&context, LZ4F_VERSION)))
-        throw DataError("lz4 cannot begin");
+        throw DataError("cannot initialise the lz4 decompression");
     std::size_t read = 0, written = 0, left = 1;
     while (left != 0) {
         std::size_t n_to = to.size() - written, n_from = from.size() - read;
@@ -22,13 +22,15 @@ void unpack_lz4(std::string_view from, std::span<char> to) {
     }
     LZ4F_freeDecompressionContext(context);
     if (left != 0 || written != to.size())
-        throw DataError(fmt::format("a damaged lz4 frame: {} of {} bytes", written, to.size()));
+        throw DataError(
+            fmt::format("an lz4 frame is damaged: it unpacks to {} bytes, expected {}", written, to.size()));
 }
 
 void unpack_zstd(std::string_view from, std::span<char> to) {
     const std::size_t n = ZSTD_decompress(to.data(), to.size(), from.data(), from.size());
     if (ZSTD_isError(n) || n != to.size())
-        throw DataError(fmt::format("damaged zstd data, expected {} bytes", to.size()));
+        throw DataError(
+            fmt::format("zstd data are damaged, expected {} bytes after decompression", to.size()));
 }
 
 }  // namespace relidar

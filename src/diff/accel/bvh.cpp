@@ -44,8 +44,8 @@ std::uint32_t tiles_of(std::uint32_t n) { return (n + RELIDAR_BVH_TILE - 1) / RE
 std::uint32_t subgroup_size(const Device& device) {
     const DeviceInfo& info = device.info();
     if (!info.software)
-        throw DeviceError(fmt::format("making the software acceleration structure on {}: missing {}",
-                                      info.name, info.why_not_software));
+        throw DeviceError(fmt::format("cannot use software traversal on {}: the device lacks {}", info.name,
+                                      info.why_not_software));
     return static_cast<std::uint32_t>(info.subgroup_size);
 }
 

@@ -80,7 +80,7 @@ BackwardPass::BackwardPass(Device& device, const ImageModel& model, Proxy proxy,
                            const BackwardOptions& backward) {
     if (backward.hits_per_ray < 1 || backward.hits_per_ray > kMostHitsPerRay)
         throw UsageError(
-            fmt::format("hit records of the backward pass: found room for {} a ray, expected 1 to {}",
+            fmt::format("cannot create the backward pass: found {} hit records per ray, expected 1 to {}",
                         backward.hits_per_ray, kMostHitsPerRay));
     impl_ = std::make_unique<Impl>(device, model, proxy, options, backward);
 }

@@ -172,7 +172,7 @@ DensifyReport Densifier::Impl::apply(Stream& stream, DeviceScene& scene, Adam& a
     if (room < plan.size()) {
         memory_limit = room;
         plan = limited_to(plan, room);
-        note = fmt::format("densification ends at {} surfels: {}", room, why);
+        note = fmt::format("densification stops at {} surfels: {}", room, why);
     }
     DensifyReport report = report_of(counted, plan);
     report.note = note;

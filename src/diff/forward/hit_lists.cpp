@@ -47,9 +47,8 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
       sort_(sort_kernel(device)),
       most_room_(most_list_room(device)),
       room_(std::min(static_cast<std::uint32_t>(room), most_room_)),
-      n_overflows_(device, std::vector<std::uint32_t>{0u},
-                   "rays with more hits than their lists have room for"),
-      overflows_(device, sizeof(std::uint32_t), "rays with more hits than their lists have room for") {}
+      n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than fit into their lists"),
+      overflows_(device, sizeof(std::uint32_t), "rays with more hits than fit into their lists") {}
 
 /// Allocates the hit lists with as much of the requested capacity as fits into the free
 /// device memory. Allocates none if there is no free memory.

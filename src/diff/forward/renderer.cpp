@@ -88,7 +88,7 @@ void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& vi
 
 void Renderer::record_forward(const RayBatch& rays) {
     Impl& r = *impl_;
-    if (!r.placed) throw UsageError("rendering: found a scene that is not placed, expected place() first");
+    if (!r.placed) throw UsageError("cannot render: the scene has no poses; call place() first");
     if (rays.n_rays > r.rendered.size()) {
         r.stream.finish();
         r.make_room(rays.n_rays);
@@ -119,8 +119,8 @@ void Renderer::check_passes() {
     r.stream.finish();
     if (const std::uint32_t capped = r.forward.take_pass_cap_count())
         throw DeviceError(
-            fmt::format("tracing {} rays: {} of them reached the cap of {} passes or filled the traversal "
-                        "stack, expected every ray to end",
+            fmt::format("cannot trace {} rays: {} of them exceeded the maximum of {} traversal passes or the "
+                        "traversal stack; too many surfels may overlap",
                         r.batch.rays.n_rays, capped, RELIDAR_MAX_PASSES));
 }
 
@@ -160,7 +160,7 @@ void Renderer::set_sh_degree(int degree) {
 
 void Renderer::upload(const Surfels& surfels) {
     if (surfels.size() != impl_->scene.size())
-        throw DataError(fmt::format("uploading surfels: found {}, expected {}, as many as the scene has",
+        throw DataError(fmt::format("cannot upload surfels: found {}, expected {} like in the scene",
                                     surfels.size(), impl_->scene.size()));
     impl_->stream.finish();
     impl_->scene.parameters().upload(surfels);

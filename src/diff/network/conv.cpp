@@ -33,8 +33,10 @@ std::uint32_t checked_taps(const Device& device, std::uint32_t taps) {
     const DeviceInfo& info = device.info();
     const std::string missing = missing_for_networks(device);
     if (!missing.empty())
-        throw DeviceError(fmt::format(
-            "making the ray-drop network on {}: missing {}; set refine.enabled=false", info.name, missing));
+        throw DeviceError(
+            fmt::format("cannot use the ray-drop network on {}: the device lacks {}; use --set "
+                        "refine.enabled=false",
+                        info.name, missing));
     return taps;
 }
 

@@ -62,9 +62,10 @@ DropNetwork shape_of(const RefineOptions& options) {
     const int width = options.width > 0 ? options.width : int(known.width);
     const int levels = options.levels >= 0 ? options.levels : int(known.factors.size()) - 1;
     if (width > kMostWidth || levels > kMostLevels)
-        throw UsageError(
-            fmt::format("refine: a network of {} channels and {} levels, expected at most {} and {}", width,
-                        levels, kMostWidth, kMostLevels));
+        throw UsageError(fmt::format(
+            "cannot create the ray-drop network: found {} channels and {} levels, expected at most "
+            "{} channels and {} levels",
+            width, levels, kMostWidth, kMostLevels));
     DropNetwork network;
     network.inputs = drop_channel_names(options);
     for (int l = 0; l <= levels; ++l)
@@ -73,8 +74,8 @@ DropNetwork shape_of(const RefineOptions& options) {
     network.heads = levels > 0 ? known.heads : 0;
     if (network.heads > 0 && network.widths.back() % network.heads != 0)
         throw UsageError(
-            fmt::format("refine: a network of width {}, expected one whose smallest images ({} channels) {} "
-                        "heads can share",
+            fmt::format("cannot create the ray-drop network of width {}: its deepest level has {} channels, "
+                        "expected a multiple of its {} attention heads",
                         width, network.widths.back(), network.heads));
     network.taps = known.taps;
     network.residual = known.residual;
@@ -104,21 +105,22 @@ void check_image(const DropNetwork& network, const DropImage& image, const std::
     const int side = network.smallest_side();
     if (image.rows < side || image.columns < side)
         throw DataError(fmt::format(
-            "{}: an image of {} x {} pixels, expected at least {} x {} for a network of {} levels", what,
+            "{}: found {} x {} pixels, expected at least {} x {} pixels for a network with {} levels", what,
             image.rows, image.columns, side, side, network.widths.size() - 1));
     const std::size_t pixels = std::size_t(image.rows) * std::size_t(image.columns),
                       n = pixels * network.inputs.size();
     if (image.channels.size() != n || (!image.dropped.empty() && image.dropped.size() != pixels))
         throw DataError(fmt::format(
-            "{}: {} values of channels and {} of drops, expected {} and {} for {} x {} pixels", what,
+            "{}: found {} channel values and {} drop values, expected {} and {} for {} x {} pixels", what,
             image.channels.size(), image.dropped.size(), n, pixels, image.rows, image.columns));
     const auto bad =
         std::find_if(image.channels.begin(), image.channels.end(), [](float x) { return !std::isfinite(x); });
     if (bad != image.channels.end()) {
         const auto at = std::size_t(bad - image.channels.begin());
-        throw DataError(fmt::format("{}: {} of row {} and column {} is {}, expected a finite number", what,
-                                    network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
-                                    at % std::size_t(image.columns), *bad));
+        throw DataError(
+            fmt::format("{}: the input {} at row {} and column {} is {}, expected a finite number", what,
+                        network.inputs[at / pixels], at % pixels / std::size_t(image.columns),
+                        at % std::size_t(image.columns), *bad));
     }
 }
 

@@ -21,16 +21,18 @@ namespace {
 const DropNetwork& checked(const DropNetwork& network) {
     if (network.widths.empty() || network.inputs.empty() || (network.taps != 1 && network.taps != 9))
         throw DataError(
-            "a ray-drop network: found no channels or inputs, expected those it was trained with");
+            "cannot use the ray-drop network: its list of channels or inputs is empty or its kernel "
+            "size is invalid");
     const refine::UnetPlan plan(network);
     const auto check = [](const char* what, std::size_t found, std::size_t expected) {
         if (found != expected)
-            throw DataError(fmt::format("a ray-drop network: found {} {}, expected {} for its channels",
-                                        found, what, expected));
+            throw DataError(
+                fmt::format("cannot use the ray-drop network: found {} {}, expected {} for its channels",
+                            found, what, expected));
     };
     check("parameters", network.parameters.size(), plan.n_parameters);
     check("running moments", network.running.size(), plan.n_running);
-    check("numbers of the normalisation", network.normalisation.size(), 2 * network.inputs.size());
+    check("normalisation values", network.normalisation.size(), 2 * network.inputs.size());
     return network;
 }
 
@@ -109,8 +111,10 @@ const Array<float, shared::DropProbabilities>& DropPass::run(
     Stream& stream, int rows, int columns, const Array<float, shared::DropSamples>& channels) {
     Impl& r = *impl_;
     if (const int side = r.network.smallest_side(); rows < side || columns < side)
-        throw DataError(fmt::format("refining ray-drop: found {} x {} pixels, expected at least {} of each",
-                                    rows, columns, side));
+        throw DataError(fmt::format(
+            "cannot apply the ray-drop network: the image has {} x {} pixels, expected at least {} "
+            "rows and columns",
+            rows, columns, side));
     const refine::Grid grid{1, std::uint32_t(rows), std::uint32_t(columns)};
     RELIDAR_ASSERT_LE(r.network.inputs.size() * grid.pixels(), channels.size());
     ShapedNetwork& shaped = r.network_for(stream, grid);

@@ -18,26 +18,25 @@ constexpr double kLastRate = 0.01;         // last learning rate relative to the
 constexpr std::uint32_t kKeysOfStep = 64;  // dropout keys per step, one for each layer
 
 void check_images(const DropNetwork& network, const std::vector<DropImage>& images) {
-    if (images.empty())
-        throw DataError("training the ray-drop network: found no images, expected at least one");
+    if (images.empty()) throw DataError("cannot train the ray-drop network: there are no training images");
     double drops = 0.0;
     for (std::size_t i = 0; i < images.size(); ++i) {
         const DropImage& image = images[i];
-        check_image(network, image, fmt::format("training the ray-drop network, image {}", i));
+        check_image(network, image, fmt::format("cannot train the ray-drop network with image {}", i));
         if (image.rows != images[0].rows || image.columns != images[0].columns)
             throw DataError(fmt::format(
-                "training the ray-drop network: image {} has {} x {} pixels, expected {} x {} as the first",
+                "cannot train the ray-drop network: image {} has {} x {} pixels, expected {} x {} like "
+                "the first image",
                 i, image.rows, image.columns, images[0].rows, images[0].columns));
         if (image.dropped.empty())
-            throw DataError(fmt::format(
-                "training the ray-drop network: nothing was measured for image {}, expected drops", i));
+            throw DataError(
+                fmt::format("cannot train the ray-drop network: image {} has no measured drops", i));
         for (const float dropped : image.dropped) drops += dropped > 0.5f;
     }
     if (drops == 0.0)
         throw DataError(
-            "training the ray-drop network: found no dropped ray in any frame, expected some: a log of "
-            "points alone, whose rays are "
-            "not known, has none");
+            "cannot train the ray-drop network: no training frame has a dropped ray, because the log "
+            "probably contains only points and no rays without return; use --set refine.enabled=false");
 }
 
 DropNetwork start(const std::vector<DropImage>& images, const RefineOptions& options, std::uint64_t seed) {
@@ -128,8 +127,9 @@ RefineState DropTraining::state() const {
 void DropTraining::restore(const RefineState& state) {
     const auto check = [](const char* name, std::size_t found, std::size_t expected) {
         if (found != expected)
-            throw DataError(fmt::format("resuming the ray-drop network: {}: found {} numbers, expected {}",
-                                        name, found, expected));
+            throw DataError(
+                fmt::format("cannot resume the ray-drop network: {}: found {} numbers, expected {}", name,
+                            found, expected));
     };
     const DropNetwork& n = impl_->network;
     check("parameters", state.parameters.size(), n.parameters.size());

@@ -50,8 +50,9 @@ struct Course {
         report.n_epochs = options.epochs;
         report.n_steps = options.epochs * int(n_steps);
         if (report.step < 0 || report.step > report.n_steps)
-            throw DataError(fmt::format("resuming the ray-drop network: found step {}, expected at most {}",
-                                        report.step, report.n_steps));
+            throw DataError(
+                fmt::format("cannot resume the ray-drop network: found step {}, expected at most {}",
+                            report.step, report.n_steps));
     }
 
     /// Increments the step, and starts the next epoch after the last step of an epoch.
@@ -72,10 +73,10 @@ struct Course {
         report.seconds =
             before_s + std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
         if (!std::isfinite(score.entropy))
-            throw DataError(
-                fmt::format("training the ray-drop network: the loss is {} in step {}, expected a number; "
-                            "try a smaller refine.rate",
-                            score.entropy, report.step));
+            throw DataError(fmt::format(
+                "training the ray-drop network failed: the loss is {} in step {}, expected a finite "
+                "number; use a smaller refine.rate",
+                score.entropy, report.step));
     }
     RefineState put_into(RefineState state) const {
         state.step = report.step;

@@ -35,8 +35,10 @@ std::vector<shared::RayGradient> ray_gradients(const RenderedGradients& d, std::
     for (const auto& [name, values, at] : lanes) {
         if (values.empty()) continue;
         if (values.size() != n_rays)
-            throw DataError(fmt::format("gradients of rendered {}: found {}, expected {}, one a ray, or none",
-                                        name, values.size(), n_rays));
+            throw DataError(fmt::format(
+                "cannot use the gradients of the rendered {}: found {} values, expected {}, one for each "
+                "ray, or none",
+                name, values.size(), n_rays));
         for (std::size_t i = 0; i < n_rays; ++i) result[i].*at = values[i];
     }
     return result;
@@ -98,7 +100,7 @@ HostGradients DifferentiableRenderer::backward(const RenderedGradients& d_render
     const RenderedBatch last = batch();
     const std::size_t n_rays = last.rays.n_rays;
     if (last.rays.rays == nullptr)
-        throw UsageError("gradients of a rendering: found none, expected forward() first");
+        throw UsageError("cannot compute gradients: nothing was rendered; call forward() first");
     stream().finish();
     impl_->upstream.upload(ray_gradients(d_rendered, n_rays));
     record_backward();

@@ -42,8 +42,8 @@ CollectedHits collect_hits(Device& device, const PlacedScene& placed, const Worl
     stream.finish();
     if (const std::uint32_t capped = pass_cap.download()[0])
         throw DeviceError(
-            fmt::format("collecting hits of {} rays: {} reached the cap of {} passes or filled the traversal "
-                        "stack, expected every ray to end",
+            fmt::format("cannot collect the hits of {} rays: {} of them exceeded the maximum of {} traversal "
+                        "passes or the traversal stack",
                         n, capped, RELIDAR_MAX_PASSES));
     return {max_hits, counts.download(), t.download(), instance.download(), surfel.download()};
 }

@@ -114,9 +114,9 @@ void check_bare_folder(const fs::path& path) {
         const std::string lidars =
             scans == std::string(".") ? R"(, "lidars": [{"name": "lidar", "scans": "."}])" : "";
         throw DataError(
-            fmt::format(R"({}: {} scans without a sequence.json, expected one beside {}, such as )"
+            fmt::format(R"({} contains {} scans but no sequence.json; write one next to {}, for example )"
                         R"({{"format": "relidar log", "version": 1, "rate_hz": 10{}}})"
-                        R"(, and poses.txt or dataset.poses=none; docs/datasets.md has the rest)",
+                        R"(, and add poses.txt or use dataset.poses=none; see docs/datasets.md)",
                         path.string(), n, lidars.empty() ? "the folder of the scans" : "them", lidars));
     }
 }
@@ -150,9 +150,9 @@ void find_farthest(Sequence& sequence) {
         if (std::isfinite(sensor.max_range_m)) continue;
         sensor.max_range_m = farthest_return_m(sequence, static_cast<int>(l));
         const std::string& name = sequence.lidars[l].name;
-        sequence.notes.push_back(
-            fmt::format("range{}: {} m, the farthest return; the sensor's own limit is not known",
-                        name.empty() ? "" : " of " + name, sensor.max_range_m));
+        sequence.notes.push_back(fmt::format(
+            "maximum range{}: {} m, the farthest return, because the limit of the sensor is unknown",
+            name.empty() ? "" : " of " + name, sensor.max_range_m));
     }
 }
 
@@ -187,9 +187,9 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
         if (sum.near + sum.far == 0) continue;
         const Lidar& lidar = sequence.lidars[l];
         std::string parts =
-            sum.far > 0 ? fmt::format("{} beyond {} m", sum.far, lidar.sensor.max_range_m) : "";
+            sum.far > 0 ? fmt::format("{} are beyond {} m", sum.far, lidar.sensor.max_range_m) : "";
         if (sum.near > 0)
-            parts += fmt::format("{}{} nearer than {} m", parts.empty() ? "" : " and ", sum.near,
+            parts += fmt::format("{}{} are nearer than {} m", parts.empty() ? "" : " and ", sum.near,
                                  lidar.sensor.min_range_m);
         sequence.notes.push_back(fmt::format("range{}: {} of {} returns ({:.2g} %) count as dropped: {}",
                                              lidar.name.empty() ? "" : " of " + lidar.name,
@@ -229,8 +229,8 @@ void note_missing_intensities(Sequence& sequence) {
     });
     if (std::ranges::count(has_returns, 1) > 0 && std::ranges::count(has_intensities, 1) == 0)
         sequence.notes.push_back(
-            "no intensities: every return has 0, so that rendered intensities mean nothing and are not "
-            "scored");
+            "the log has no intensities (all are 0), so rendered intensities have no meaning and are "
+            "not scored");
 }
 
 /// Keeps only the named LiDARs, in the order of the log. Removes the frames of all other
@@ -247,7 +247,7 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     std::erase_if(sequence.frames, [&](const Frame& frame) { return place[std::size_t(frame.lidar)] < 0; });
     if (sequence.frames.empty())
         throw UsageError(
-            fmt::format("dataset.lidars: {} took none of the frames that are read, expected another",
+            fmt::format("dataset.lidars: {} has none of the frames that are read; select another LiDAR",
                         fmt::join(names, ", ")));
     PoseTrack track;
     for (Frame& frame : sequence.frames) {
@@ -259,7 +259,7 @@ void keep_lidars(Sequence& sequence, const std::vector<std::string>& names) {
     sequence.lidars = std::move(kept);
     sequence.world_from_vehicle = std::move(track);
     if (!left_out.empty())
-        sequence.notes.push_back(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
+        sequence.notes.push_back(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
 }
 
 /// Splits the text "kind:path" into kind and path. The kind is empty if the text has no
@@ -281,14 +281,15 @@ const DatasetKind& reader_of(const std::string& dataset, const std::string& sequ
     const std::string name = kind.empty() ? recognise_dataset(path) : kind;
     const DatasetKind& reader = find_kind(name);
     if (!sequence.empty() && !reader.holds_drives)
-        throw UsageError(fmt::format("dataset.sequence: found '{}' for {}, which is one drive; expected none",
-                                     excerpt(sequence), reader.describe));
+        throw UsageError(
+            fmt::format("dataset.sequence: found '{}', but {} is a single drive; do not set dataset.sequence",
+                        excerpt(sequence), reader.describe));
     return reader;
 }
 
 void check_range(const FrameRange& range) {
     if (range.begin < 0 || range.end < -1 || (range.end != -1 && range.begin >= range.end)) {
-        throw UsageError(fmt::format("frames {}:{}: an empty range, expected a:b with 0 <= a < b",
+        throw UsageError(fmt::format("frames {}:{} are an empty range, expected a:b with 0 <= a < b",
                                      range.begin, range.end));
     }
 }
@@ -330,9 +331,10 @@ std::string recognise_dataset(const fs::path& path) {
     for (const DatasetKind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty())
-            throw DataError(fmt::format("{}: not a dataset, but {}", path.string(), stranger));
+            throw DataError(fmt::format("{} is not a dataset, but {}", path.string(), stranger));
     }
-    throw DataError(fmt::format("{}: not a dataset, expected one of: {}", path.string(), known));
+    throw DataError(
+        fmt::format("{} is not a dataset of a known format, expected one of: {}", path.string(), known));
 }
 
 std::string absolute_dataset(const std::string& dataset) {
@@ -346,9 +348,9 @@ std::string absolute_dataset(const std::string& dataset) {
 Sequence load_sequence(const std::string& dataset, const DatasetOptions& options) {
     check_range(options.frames);
     if (!(options.min_range_m >= 0.0 && options.max_range_m > options.min_range_m)) {
-        throw UsageError(
-            fmt::format("range limits: {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
-                        options.min_range_m, options.max_range_m));
+        throw UsageError(fmt::format(
+            "the range limits are {} to {} m, expected 0 <= dataset.min_range_m < dataset.max_range_m",
+            options.min_range_m, options.max_range_m));
     }
     Sequence sequence = reader_of(dataset, options.sequence).load(parted(dataset).second, options);
     sequence.rolling_shutter = sequence.rolling_shutter && options.rolling_shutter;

@@ -126,24 +126,23 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, sweeps, is_train, options, thin_m);
     const PoseTrack followed = follow_scans(
         sweeps.track, scans,
-        {first, kLastFollowed, options.given_motion, proceed("following the scans"), options.group});
+        {first, kLastFollowed, options.given_motion, proceed("tracking the scans"), options.group});
     if (result.stopped || !options.group.is_first()) return result;
     const ClosedLoops closed =
-        close_loops(followed, scans, {first, kLastFollowed, proceed("looking for roads driven again")});
+        close_loops(followed, scans, {first, kLastFollowed, proceed("detecting loop closures")});
     if (result.stopped) return result;
     result.places_again = closed.places;
     result.loops_off_m = closed.largest_m;
 
     PlaneAdjustment adjustment(sweeps.track, closed.track, joined(scans),
                                options.given_motion ? is_train : middle_of(is_train));
-    result.rounds = adjustment.run(first, kLast, proceed("registering all scans together"));
+    result.rounds = adjustment.run(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)
-        throw DataError(
-            fmt::format("registering the scans of {}: found no surface that two of its {} training scans "
-                        "see, expected some; "
-                        "train.refine_poses=none leaves poses where they are",
-                        sequence.name, split.train.size()));
+        throw DataError(fmt::format(
+            "cannot register the scans of {}: no surface is visible in two of its {} training scans; "
+            "use train.refine_poses=none to keep the poses of the log",
+            sequence.name, split.train.size()));
     const PlaneMap map = adjustment.planes(kLast);
     result.on_planes = median_share(adjustment, map, scans, is_train);
     result.lost = adjustment.replace_lost(map, is_train, kLast.scale_m, options.largest_m);

@@ -87,7 +87,7 @@ std::vector<ChannelInfo> wanted_channels(const std::string& names) {
         const auto found = std::ranges::find(optional_channels(), name, &ChannelInfo::name);
         if (found == optional_channels().end()) {
             const std::vector<std::string> known = optional_channel_names();
-            throw UsageError(fmt::format("choosing channels: found \"{}\"{}, expected some of {}",
+            throw UsageError(fmt::format("the channel \"{}\" is unknown{}, expected some of {}",
                                          excerpt(name), did_you_mean(name, known), fmt::join(known, ", ")));
         }
         if (std::ranges::find(wanted, name, &ChannelInfo::name) == wanted.end()) wanted.push_back(*found);
@@ -143,21 +143,21 @@ void check_channels(const std::vector<ScanChannel>& channels, std::size_t n, con
         });
         if (!is_word)
             throw DataError(fmt::format(
-                "channels of {}: found the name \"{}\", expected lower case letters, digits and _", what,
+                "channels of {}: the name \"{}\" is invalid, expected lower case letters, digits and _", what,
                 excerpt(info.name)));
         if (!taken.insert(info.name).second)
-            throw DataError(
-                fmt::format("channels of {}: found {} twice, expected a name of its own", what, info.name));
+            throw DataError(fmt::format("channels of {}: the name {} occurs twice, expected different names",
+                                        what, info.name));
         if (size(second) > 0 && !taken.insert(info.name + "_2").second)
-            throw DataError(
-                fmt::format("channels of {}: found {}_2 twice, expected a name of its own", what, info.name));
+            throw DataError(fmt::format(
+                "channels of {}: the name {}_2 occurs twice, expected different names", what, info.name));
         if (size(values) != n)
             throw DataError(fmt::format("channels of {}: found {} values of {}, expected {}", what,
                                         size(values), info.name, n));
         if (size(second) > 0 && (size(second) != n || second.index() != values.index()))
             throw DataError(fmt::format(
-                "channels of {}: found {} values of {} of second returns, expected {} of its type", what,
-                size(second), info.name, n));
+                "channels of {}: found {} values of {} for second returns, expected {} of the same type",
+                what, size(second), info.name, n));
     }
 }
 

@@ -268,8 +268,8 @@ void check_sizes(std::span<const MeasuredIntensities> images) {
                                        r.cosine.size(), r.elevation_rad.size(), measured.size()})
             if (size != n)
                 throw DataError(fmt::format(
-                    "finding how intensities scatter: found an array of {} rays, expected {} x {}", size,
-                    r.rows, r.columns));
+                    "cannot fit the scatter of intensities: found an array of {} rays, expected {} x {}",
+                    size, r.rows, r.columns));
     }
 }
 

@@ -84,17 +84,18 @@ void add_beam(SpinningSensor& sensor, const Values& v, const std::string& where)
     }
     if (v[kMinRange] != sensor.min_range_m || v[kMaxRange] != sensor.max_range_m) {
         throw DataError(
-            fmt::format("{}: found ranges of {} to {} m, expected {} to {} m as in the first line: limits "
-                        "are those of the sensor",
+            fmt::format("{}: found range limits of {} to {} m, expected {} to {} m like in the first line, "
+                        "because all beams have the same limits",
                         where, v[kMinRange], v[kMaxRange], sensor.min_range_m, sensor.max_range_m));
     }
     if (!(v[kMinRange] < v[kMaxRange])) {
-        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m",
-                                    where, v[kMinRange], v[kMaxRange]));
+        throw DataError(
+            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", where,
+                        v[kMinRange], v[kMaxRange]));
     }
     if (!sensor.beams.empty() && beam.elevation_rad > sensor.beams.back().elevation_rad) {
-        throw DataError(
-            fmt::format("{}: elevation_deg rises, expected rows from the highest beam down", where));
+        throw DataError(fmt::format(
+            "{}: elevation_deg increases, expected rows from the highest beam to the lowest", where));
     }
     sensor.beams.push_back(beam);
 }
@@ -114,8 +115,8 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& wher
     for (const FieldRule& field : kFields) known.emplace_back(field.name);
     const std::vector<int> at = find_columns(header, known, fmt::format("{} line {}", where, first + 1));
     if (at[kElevation] < 0)
-        throw DataError(
-            fmt::format("{}: no column 'elevation_deg' in the first line, expected a CSV beam table", where));
+        throw DataError(fmt::format(
+            "{}: the first line has no column 'elevation_deg', expected a CSV beam table", where));
 
     SpinningSensor sensor;
     sensor.columns = columns;
@@ -126,13 +127,13 @@ SpinningSensor parse_beam_table(const std::string& text, const std::string& wher
         const std::string line = fmt::format("{} line {}", where, l + 1);
         const auto cells = csv_cells(lines[l]);
         if (cells.size() != header.size()) {
-            throw DataError(fmt::format("{}: {} values, expected {} as in the header", line, cells.size(),
-                                        header.size()));
+            throw DataError(fmt::format("{}: found {} values, expected {} like in the header", line,
+                                        cells.size(), header.size()));
         }
         add_beam(sensor, parse_line(cells, at, line), line);
     }
     if (sensor.beams.empty())
-        throw DataError(fmt::format("{}: no beams after the header, expected at least one", where));
+        throw DataError(fmt::format("{}: found no beams after the header, expected at least one", where));
     return sensor;
 }
 

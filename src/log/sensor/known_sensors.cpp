@@ -89,7 +89,7 @@ SensorModel hdl64e(int columns, double rate_hz) {
     add_beams(sensor, 32, -24.33 + 31.0 * 0.5, -24.33);
     sensor.max_range_m = 120.0;
     sensor.divergence_rad = 2.0e-3;
-    return model(std::move(sensor), "evenly spaced beams of the data sheet");
+    return model(std::move(sensor), "evenly spaced beams as in the data sheet");
 }
 
 /// Returns one of Waymo's four short-range LiDARs. Its published calibration contains
@@ -100,7 +100,8 @@ SensorModel waymo_side(int columns, double rate_hz) {
     add_beams(sensor, 200, 30.0 - 0.5 * step_deg, -90.0 + 0.5 * step_deg);
     sensor.max_range_m = 20.0;
     return model(std::move(sensor),
-                 "short-range LiDARs of the Waymo Open Dataset: 200 even beams from +30 to -90 degrees");
+                 "short-range LiDARs of the Waymo Open Dataset: 200 evenly spaced beams from +30 to -90 "
+                 "degrees");
 }
 
 /// Returns a spinning sensor whose rays pass through the cells of the KITTI-360 grid.
@@ -112,7 +113,7 @@ SensorModel kitti360(int columns, double rate_hz) {
     for (int row = 0; row < grid.rows; ++row) {
         sensor.beams.push_back({.elevation_rad = grid.fov_up_rad - row * grid.fov_rad / grid.rows});
     }
-    return model(std::move(sensor), "the image of published results on KITTI-360, 66 x 1030");
+    return model(std::move(sensor), "image size of published results on KITTI-360, 66 x 1030");
 }
 
 /// Returns the text of a sensor's beam table. The first line begins with # and describes
@@ -167,7 +168,8 @@ SensorModel at128() {
 /// 25.4 degrees, 0.1 degrees per column, 10 Hz.
 SensorModel window_128() {
     return {"window-128",
-            "a hybrid solid state as the AT128: mirrors sweep 120 x 25.4 degrees, 1200 columns of 128 rows",
+            "hybrid solid-state LiDAR similar to the AT128: mirrors scan 120 x 25.4 degrees, 1200 "
+            "columns of 128 rows",
             {0.5, 200.0},
             ScanningWindow{.name = "window-128",
                            .rows = 128,
@@ -183,7 +185,8 @@ SensorModel window_128() {
 /// that sensor.
 SensorModel rosette() {
     return {"rosette",
-            "non-repetitive, as the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 rays a second",
+            "non-repetitive LiDAR similar to the Mid-40: two prisms, a cone of 38.4 degrees, 100 000 "
+            "rays per second",
             {1.0, 260.0},
             Rosette{.name = "rosette",
                     .deflection_rad = 9.6 * kDegree,
@@ -225,7 +228,7 @@ std::optional<SensorModel> known_sensor(const std::string& name, int columns, do
     const bool spins = *known != "AT128" && *known != "window-128" && *known != "rosette";
     if (!spins && (columns > 0 || rate_hz > 0.0)) {
         throw UsageError(fmt::format(
-            "sensor '{}': found columns and a rate, expected the name alone: it does not spin", name));
+            "sensor '{}': found columns and a rate, but this sensor does not spin; use only its name", name));
     }
     if (*known == "kitti360") return kitti360(columns, rate);
     if (*known == "HDL-64E") return hdl64e(columns, rate);

@@ -147,16 +147,16 @@ void add_ray(RayTable& rays, const glm::dvec3& direction, double time_s, int cha
 void check_count(const std::string& sensor, double n_rays) {
     if (!(n_rays >= 1.0 && n_rays <= double(kMaxRays)))
         throw UsageError(
-            fmt::format("sensor '{}': makes {} rays, expected 1 to {}", sensor, n_rays, kMaxRays));
+            fmt::format("sensor '{}' has {} rays per scan, expected 1 to {}", sensor, n_rays, kMaxRays));
 }
 
 void check_finite(const std::string& sensor, double sum, double period_s) {
     if (!std::isfinite(sum))
         throw UsageError(
-            fmt::format("sensor '{}': an angle or rate is not finite, expected numbers", sensor));
+            fmt::format("sensor '{}': an angle or rate is not finite, expected finite numbers", sensor));
     if (!(period_s > 0.0) || !std::isfinite(period_s))
         throw UsageError(
-            fmt::format("sensor '{}': has a period of {} s, expected a positive number", sensor, period_s));
+            fmt::format("sensor '{}' has a period of {} s, expected a positive number", sensor, period_s));
 }
 
 }  // namespace pattern_detail

@@ -25,7 +25,7 @@ RangeGrid kitti360_grid() {
 
 RangeGrid find_grid(const std::string& name) {
     if (known_name(name, {"kitti360"})) return kitti360_grid();
-    throw UsageError(fmt::format("grid '{}': unknown name, expected kitti360", name));
+    throw UsageError(fmt::format("the grid '{}' is unknown, expected kitti360", name));
 }
 
 std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {
@@ -42,7 +42,7 @@ std::optional<int> project(const RangeGrid& grid, const glm::dvec3& point_m) {
 GridImage project_points(const RangeGrid& grid, const std::vector<glm::vec3>& points_m,
                          const std::vector<float>& intensity) {
     if (points_m.size() != intensity.size()) {
-        throw UsageError(fmt::format("project_points: intensity has {} entries, expected {} as points_m",
+        throw UsageError(fmt::format("project_points: intensity has {} entries, expected {} like points_m",
                                      intensity.size(), points_m.size()));
     }
     GridImage image;

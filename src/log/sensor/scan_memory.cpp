@@ -41,10 +41,11 @@ std::size_t whole_pages(std::size_t bytes) {
 }
 
 [[noreturn]] void fail_to_make_room(const fs::path& folder, std::size_t bytes, int error) {
-    throw DataError(fmt::format(
-        "making room for scans in '{}', which do not fit into memory: {} (found no room for {} bytes more, "
-        "expected TMPDIR to name a folder with enough; dataset.memory_mib keeps more of them in memory)",
-        folder.string(), std::generic_category().message(error), bytes));
+    throw DataError(
+        fmt::format("cannot store scans that do not fit into memory in '{}': {} ({} more bytes are needed; "
+                    "set TMPDIR to a folder with enough space, or increase dataset.memory_mib to keep more "
+                    "scans in memory)",
+                    folder.string(), std::generic_category().message(error), bytes));
 }
 
 /// Memory-mapped file without a name, in which arrays are allocated.

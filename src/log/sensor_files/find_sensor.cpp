@@ -41,10 +41,10 @@ SensorName parse_name(const std::string& text) {
     if (!columns || !rate_hz) return {text};
     if (!(*columns >= 1.0 && *columns <= kMaxColumns) || *columns != std::floor(*columns) ||
         !(*rate_hz > 0.0 && *rate_hz <= kMaxRate_hz)) {
-        throw UsageError(
-            fmt::format("sensor '{}': {} columns at {} Hz, expected a whole number from 1 to {} and a rate "
-                        "above 0, at most {}",
-                        text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
+        throw UsageError(fmt::format(
+            "sensor '{}': found {} columns at {} Hz, expected 1 to {} columns and a rate above 0 and "
+            "up to {} Hz",
+            text, *columns, *rate_hz, kMaxColumns, kMaxRate_hz));
     }
     return {text.substr(0, colon), static_cast<int>(*columns), *rate_hz};
 }
@@ -77,7 +77,8 @@ SensorModel read_sensor(const SensorName& name, double max_range_m) {
     }();
     if (name.columns > 0 && !std::holds_alternative<SpinningSensor>(sensor.pattern))
         throw UsageError(fmt::format(
-            "sensor '{}:{}': found columns for a table of rays, expected the file alone: it does not spin",
+            "sensor '{}:{}': found columns for a table of rays, but such a sensor does not spin; use "
+            "only the file name",
             name.name, name.columns));
     sensor_files::limit_range(sensor, max_range_m, name.name);
     return sensor;
@@ -89,8 +90,9 @@ void sensor_files::limit_range(SensorModel& sensor, double max_range_m, const st
     if (!std::isinf(sensor.limits.max_m)) return;
     if (!(sensor.limits.min_m < max_range_m))
         throw DataError(fmt::format(
-            "{}: found {} to {} m, the default of max_range_m; expected min_range_m < max_range_m", where,
-            sensor.limits.min_m, max_range_m));
+            "{}: found range limits of {} to {} m, where max_range_m has its default value; expected "
+            "min_range_m < max_range_m",
+            where, sensor.limits.min_m, max_range_m));
     sensor.limits.max_m = max_range_m;
     if (auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern)) spinning->max_range_m = max_range_m;
 }
@@ -109,50 +111,42 @@ SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::
     std::vector<std::string> known = also_known;
     for (const std::string& sensor : sensor_names()) known.push_back(sensor);
     throw UsageError(
-        fmt::format("sensor '{}': unknown name{} (known: {}; the path of a file works too, as "
-                    "beams.csv:1024x10, rays.npz "
-                    "or an Ouster's metadata.json)",
+        fmt::format("the sensor '{}' is unknown{} (known: {}; or the path of a file, such as "
+                    "beams.csv:1024x10, rays.npz or the metadata.json of an Ouster sensor)",
                     name_or_file, did_you_mean(name_or_file, known, "'"), fmt::join(known, ", ")));
 }
 
 std::string sensor_file_help() {
-    return "NAME is one of `relidar list sensors`. A FILE holds a sensor of your own:\n"
-           "  beams.csv   a spinning one: a header line, then a line for each beam, from the highest down, "
-           "with "
-           "the columns elevation_deg\n"
-           "              (needed; up is positive), azimuth_offset_deg (from where the head points, to the "
-           "left), "
-           "origin_offset_m (where the\n"
-           "              beam starts: along the head's direction), origin_up_m (at right angles to the "
-           "beam, "
-           "upwards), origin_left_m,\n"
-           "              firing_offset_us, min_range_m, max_range_m (of the sensor; default 0, 80), channel "
-           "(not "
-           "used). Columns left out\n"
-           "              are 0; any other is an error. beams.csv:1024x10 is 1024 columns a sweep at 10 Hz "
-           "(default: 1800x10);\n"
-           "              so are VLP-16:900x20 and other spinning sensors by name.\n"
-           "  rays.csv    any other: a line for each ray with azimuth_deg, elevation_deg, and where they are "
-           "not 0 "
-           "origin_x_m, origin_y_m,\n"
-           "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam); the same in "
-           "each "
-           "line: min_range_m,\n"
-           "              max_range_m.\n"
-           "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, as a rendered scan holds "
-           "them; "
-           "divergence (radians,\n"
-           "              of each ray) or divergence_mrad (of all).\n"
-           "  FILE.json   lists by the same names; an Ouster sensor's own metadata; or one of\n" +
+    return "NAME is one of `relidar list sensors`. A FILE contains a custom sensor:\n"
+           "  beams.csv   a spinning sensor: a header line, then one line per beam, from the "
+           "highest to the lowest. Columns: elevation_deg\n"
+           "              (required; up is positive), azimuth_offset_deg (relative to the head, "
+           "positive to the left), origin_offset_m\n"
+           "              (start of the beam along the head direction), origin_up_m (perpendicular "
+           "to the beam, upwards), origin_left_m,\n"
+           "              firing_offset_us, min_range_m and max_range_m (same for all beams; "
+           "default 0 and 80), channel (ignored).\n"
+           "              Missing columns are 0; unknown columns are an error. beams.csv:1024x10 "
+           "means 1024 columns per sweep at 10 Hz\n"
+           "              (default: 1800x10). The names of spinning sensors accept the same suffix, "
+           "for example VLP-16:900x20.\n"
+           "  rays.csv    any other sensor: one line per ray with azimuth_deg, elevation_deg, and "
+           "optionally origin_x_m, origin_y_m,\n"
+           "              origin_z_m, time_s, channel, divergence_mrad (full angle of the beam), "
+           "min_range_m and max_range_m (the\n"
+           "              same in each line).\n"
+           "  rays.npz    directions [n,3] or [rows,columns,3], origin, time, ring, like in a "
+           "rendered scan; divergence (radians,\n"
+           "              one value per ray) or divergence_mrad (one value for all rays).\n"
+           "  FILE.json   lists with the same names, the metadata of an Ouster sensor, or one of\n" +
            describe_pattern_kinds() +
-           "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), max_range_m "
-           "(80). "
-           "NAME_deg may be NAME_rad.\n"
-           "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": \"VLP-16\", "
-           "\"translation_m\": [1,0,2],\n"
-           "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the frame of "
-           "the "
-           "sensor they stand in for.";
+           "              each with name, period_s (0.1), divergence_mrad (0), min_range_m (0), "
+           "max_range_m (80); defaults in parentheses.\n"
+           "              NAME_rad can be used instead of NAME_deg.\n"
+           "  rig.json    several sensors: {\"sensors\": [{\"name\": \"front\", \"sensor\": "
+           "\"VLP-16\", \"translation_m\": [1,0,2],\n"
+           "              \"yaw_pitch_roll_deg\": [90,0,0], \"returns\": 1}, ...]}, mounted in the "
+           "frame of the sensor that the rig replaces.";
 }
 
 }  // namespace relidar

@@ -32,8 +32,8 @@ void check_reach(const std::vector<double>& values, double low, double high, con
     const auto bad =
         std::find_if(values.begin(), values.end(), [&](double v) { return !(v >= low && v <= high); });
     if (bad != values.end()) {
-        throw DataError(fmt::format("{}: {} number {} is {}, expected a number in [{}, {}]", where, what,
-                                    bad - values.begin(), *bad, low, high));
+        throw DataError(fmt::format("{0}: entry {2} of {1} is {3}, expected a number in [{4}, {5}]", where,
+                                    what, bad - values.begin(), *bad, low, high));
     }
 }
 
@@ -47,7 +47,7 @@ void check(const RayColumns& c, const std::string& where) {
         throw DataError(fmt::format("{}: found {} rays, expected 1 to {}", where, n, kMaxRays));
     if (c.rows < 1 || c.columns < 1 || std::size_t(c.rows) * std::size_t(c.columns) != n)
         throw DataError(
-            fmt::format("{}: found {} rays, expected {} rows of {}", where, n, c.rows, c.columns));
+            fmt::format("{}: found {} rays, expected {} rows of {} rays", where, n, c.rows, c.columns));
     check_length(c.origin, 3 * n, "origin", where);
     check_length(c.time_s, n, "time", where);
     check_length(c.channel, n, "ring", where);
@@ -55,12 +55,13 @@ void check(const RayColumns& c, const std::string& where) {
     check_reach(c.origin, -kFarthestOrigin_m, kFarthestOrigin_m, "origin", where);
     check_reach(c.time_s, -kLongestScan_s, kLongestScan_s, "time", where);
     check_reach(c.channel, 0.0, 65535.0, "ring", where);
-    check_reach(c.divergence_rad, 0.0, kWidestBeam_rad, "divergence in radians,", where);
+    check_reach(c.divergence_rad, 0.0, kWidestBeam_rad, "divergence (radians)", where);
     check_reach({c.limits.min_m, std::isinf(c.limits.max_m) ? kMostRange_m : c.limits.max_m}, 0.0,
                 kMostRange_m, "range limits", where);
     if (!(c.limits.min_m < c.limits.max_m))
-        throw DataError(fmt::format("{}: found ranges of {} to {} m, expected min_range_m below max_range_m",
-                                    where, c.limits.min_m, c.limits.max_m));
+        throw DataError(
+            fmt::format("{}: found range limits of {} to {} m, expected min_range_m below max_range_m", where,
+                        c.limits.min_m, c.limits.max_m));
 }
 
 /// Sets the beam divergences of the rays. Stores a single number if all rays have the
@@ -95,7 +96,7 @@ SensorModel ray_sensor(const RayColumns& c, const std::string& name, const std::
         const double length = glm::length(direction);
         if (!(std::abs(length - 1.0) <= kUnit))
             throw DataError(
-                fmt::format("{}: directions number {} has length {}, expected 1", where, i, length));
+                fmt::format("{}: entry {} of directions has length {}, expected 1", where, i, length));
         const bool is_exact =
             c.keeps_floats && std::abs(length - 1.0) < 1e-6 && glm::dvec3(glm::vec3(direction)) == direction;
         rays.direction.emplace_back(is_exact ? direction : direction / length);
@@ -121,7 +122,8 @@ SensorModel read_ray_npz(const std::string& path, const std::string& name) {
     };
     const NamedArray* directions = find_array(arrays, "directions");
     if (!directions)
-        throw DataError(fmt::format("{}: found no array \"directions\", expected rays of a sensor", path));
+        throw DataError(
+            fmt::format("{}: the array \"directions\" is missing, expected the rays of a sensor", path));
     const std::vector<std::size_t>& shape = directions->shape;
     if ((shape.size() != 2 && shape.size() != 3) || shape.back() != 3 || shape[0] > kMaxRays ||
         shape[1] > kMaxRays) {

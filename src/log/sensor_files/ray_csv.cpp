@@ -44,7 +44,7 @@ Values parse_line(const std::string& line, const std::vector<int>& at, std::size
     const std::vector<std::string_view> cells = csv_cells(line);
     if (cells.size() != n_cells)
         throw DataError(
-            fmt::format("{}: {} values, expected {} as in the header", where, cells.size(), n_cells));
+            fmt::format("{}: found {} values, expected {} like in the header", where, cells.size(), n_cells));
     Values value{};
     value[kMaxRange] = RayColumns{}.limits.max_m;
     for (std::size_t f = 0; f < kFieldCount; ++f) {
@@ -79,7 +79,9 @@ SensorModel parse_ray_csv(const std::string& text, const std::string& name, cons
     const std::vector<int> at = find_columns(header, kNames, where + " line 1");
     if (at[kAzimuth] < 0 || at[kElevation] < 0)
         throw DataError(fmt::format(
-            "{} line 1: found no azimuth_deg or no elevation_deg, expected both in a ray table", where));
+            "{} line 1: the column azimuth_deg or elevation_deg is missing, expected both in a ray "
+            "table",
+            where));
     RayColumns rays;
     Values first{};
     for (std::size_t l = 1; l < lines.size(); ++l) {
@@ -89,9 +91,9 @@ SensorModel parse_ray_csv(const std::string& text, const std::string& name, cons
         if (rays.time_s.empty()) first = v;
         for (const Field f : kOfSensor) {
             if (v[f] != first[f])
-                throw DataError(
-                    fmt::format("{}: {} is {}, expected {} as in the first line: it is the sensor's", line,
-                                kNames[f], v[f], first[f]));
+                throw DataError(fmt::format(
+                    "{}: {} is {}, expected {} like in the first line, because all rays have the same value",
+                    line, kNames[f], v[f], first[f]));
         }
         add_ray(rays, v);
     }

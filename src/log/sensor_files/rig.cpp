@@ -86,7 +86,7 @@ void check_name(const std::string& name, const std::set<std::string>& taken, con
         throw DataError(fmt::format("{}: name: found \"{}\", expected letters, digits, -, _ and .", where,
                                     excerpt(name)));
     if (taken.contains(name))
-        throw DataError(fmt::format("{}: name: \"{}\" is there twice, expected it once", where, name));
+        throw DataError(fmt::format("{}: name: \"{}\" occurs twice, expected it once", where, name));
 }
 
 /// Throws an error for unknown keys. Without this check, a misspelt key of the mounting
@@ -112,7 +112,8 @@ std::optional<std::vector<MountedSensor>> find_rig(const std::string& path) {
     check_keys(json, {"sensors"}, path);
     if (!json.at("sensors").is_array() || json.at("sensors").empty() ||
         json.at("sensors").size() > kMostSensors)
-        throw DataError(fmt::format("{}: expected a list \"sensors\" of 1 to {}", path, kMostSensors));
+        throw DataError(
+            fmt::format("{}: expected a list \"sensors\" with 1 to {} entries", path, kMostSensors));
     std::vector<MountedSensor> rig;
     std::set<std::string> names;
     for (const Json& sensor : json.at("sensors")) {

@@ -69,8 +69,9 @@ std::pair<int, double> ouster_mode(const Json& json, const std::string& where) {
     const auto rate =
         x == std::string::npos ? std::nullopt : parse_number(std::string_view(text).substr(x + 1));
     if (!columns || !rate || !(*columns >= 1 && *columns <= 65536) || !(*rate > 0.0 && *rate <= 1000.0))
-        throw DataError(fmt::format("{}: lidar_mode is \"{}\", expected columns and rate as in \"1024x10\"",
-                                    where, excerpt(text)));
+        throw DataError(
+            fmt::format("{}: lidar_mode is \"{}\", expected columns and rate, for example \"1024x10\"", where,
+                        excerpt(text)));
     return {static_cast<int>(*columns), *rate};
 }
 
@@ -81,10 +82,10 @@ SensorModel ouster_sensor(const Json& json, const std::string& name, const std::
     };
     const std::vector<double> altitude = list("beam_altitude_angles"), azimuth = list("beam_azimuth_angles");
     if (altitude.empty() || altitude.size() > kMostBeams || azimuth.size() != altitude.size()) {
-        throw DataError(
-            fmt::format("{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected as many of "
-                        "both, at most {}",
-                        where, altitude.size(), azimuth.size(), kMostBeams));
+        throw DataError(fmt::format(
+            "{}: found {} beam_altitude_angles and {} beam_azimuth_angles, expected the same number "
+            "of both and at most {}",
+            where, altitude.size(), azimuth.size(), kMostBeams));
     }
     const double offset_m =
         1e-3 * number_of(find(json, "lidar_origin_to_beam_origin_mm", {"beam_intrinsics"}), 0.0,
@@ -101,10 +102,10 @@ SensorModel ouster_sensor(const Json& json, const std::string& name, const std::
     sensor.max_range_m = limits.max_m;
     for (std::size_t b = 0; b < altitude.size(); ++b) {
         if (!(std::abs(altitude[b]) <= 90.0 && std::abs(azimuth[b]) <= 180.0 && std::abs(offset_m) < 1.0))
-            throw DataError(
-                fmt::format("{}: beam {} has altitude {}, azimuth {} and starts {} m from the axis, expected "
-                            "angles in degrees and less than 1 m",
-                            where, b, altitude[b], azimuth[b], offset_m));
+            throw DataError(fmt::format(
+                "{}: beam {} has altitude {} and azimuth {} and starts {} m from the axis, expected "
+                "angles in degrees and less than 1 m",
+                where, b, altitude[b], azimuth[b], offset_m));
         sensor.beams.push_back({.elevation_rad = altitude[b] * kPi / 180.0,
                                 .azimuth_offset_rad = -azimuth[b] * kPi / 180.0,
                                 .origin_offset_m = offset_m});
@@ -122,7 +123,7 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
         json = Json::parse(text);
     } catch (const Json::exception& error) {
         throw DataError(
-            fmt::format("{}: no valid JSON ({}), expected a sensor", where, excerpt(error.what())));
+            fmt::format("{} is not valid JSON ({}), expected a sensor", where, excerpt(error.what())));
     }
     const JsonField root(json, where, "");
     // Such a file has the members of the kind "rays", but without the name of the kind.
@@ -130,7 +131,8 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
     if (find_pattern_kind(root)) {
         SensorModel sensor = read_sensor_json(root, name);
         const auto* spinning = std::get_if<SpinningSensor>(&sensor.pattern);
-        if (spinning && spinning->beams.empty()) root.at("spinning").fail("found no beams", "expected some");
+        if (spinning && spinning->beams.empty())
+            root.at("spinning").fail("found no beams", "expected at least one");
         return sensor;
     }
     if (json.is_object() && find(json, "beam_altitude_angles", {"beam_intrinsics"}))
@@ -138,8 +140,8 @@ SensorModel parse_sensor_json(const std::string& text, const std::string& name, 
     std::string kinds;
     for (const PatternKind& kind : pattern_kinds()) kinds += fmt::format("\"{}\", ", kind.name);
     throw DataError(
-        fmt::format("{}: found none of {}\"directions\" and \"beam_altitude_angles\", expected a sensor's "
-                    "pattern, a ray table, or Ouster's metadata",
+        fmt::format("{}: found none of the keys {}\"directions\" and \"beam_altitude_angles\", expected a "
+                    "scan pattern, a ray table, or Ouster metadata",
                     where, kinds));
 }
 

@@ -66,8 +66,10 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
 
 TrackPlace PoseTrack::place(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
-        throw DataError(fmt::format("pose track: {} poses at {} times, expected at least one of each",
-                                    pose.size(), time_s.size()));
+        throw DataError(
+            fmt::format("found a pose track with {} poses at {} times, expected at least one of each and the "
+                        "same number",
+                        pose.size(), time_s.size()));
     }
     return pose.size() == 1 ? TrackPlace{} : find_place(time_s, t_s);
 }
@@ -103,7 +105,7 @@ std::size_t Sequence::pose_of(const Frame& frame) const {
     const auto at = std::ranges::lower_bound(times, frame.time_s);
     if (at == times.end() || *at != frame.time_s || times.size() != world_from_vehicle.pose.size())
         throw DataError(
-            fmt::format("{}: {} poses of the vehicle at {} times, none of frame {} at {} s, expected one",
+            fmt::format("{}: found {} poses of the vehicle at {} times, but no pose for frame {} at {} s",
                         name, world_from_vehicle.pose.size(), times.size(), frame.index, frame.time_s));
     return std::size_t(at - times.begin());
 }
@@ -117,7 +119,7 @@ int find_lidar(const Sequence& sequence, const std::string& name) {
     for (const Lidar& lidar : sequence.lidars) known.push_back(lidar.name);
     const auto it = std::find(known.begin(), known.end(), name);
     if (it == known.end() && !name.empty()) {
-        const std::string expected = known.size() == 1 ? "none: the log has one LiDAR"
+        const std::string expected = known.size() == 1 ? "none, because the log has a single LiDAR"
                                                        : fmt::format("one of {}", fmt::join(known, ", "));
         throw UsageError(fmt::format("lidar: found \"{}\", expected {}", name, expected));
     }

@@ -36,9 +36,10 @@ IndexRange parse_range(std::string_view text) {
                                        ? first.value_or(0) + 1
                                        : file_number(std::string(text.substr(colon + 1)));
     if (!first || !end || *first >= *end)
-        throw UsageError(fmt::format(
-            "{}: found \"{}\", expected a frame's number, or first:end with first < end, as in 13,26,40:45",
-            kSetting, excerpt(text)));
+        throw UsageError(
+            fmt::format("{}: found \"{}\", expected frame numbers or FIRST:END with FIRST < END, for example "
+                        "13,26,40:45",
+                        kSetting, excerpt(text)));
     return {*first, *end};
 }
 
@@ -57,7 +58,7 @@ std::vector<int> sweeps_of(const Sequence& sequence) {
 std::set<int> every(int test_every, const std::vector<int>& sweeps) {
     if (test_every < 0 || test_every == 1)
         throw UsageError(
-            fmt::format("test_every: {}, expected 0 (hold out nothing) or at least 2", test_every));
+            fmt::format("test_every is {}, expected 0 (hold out no frame) or at least 2", test_every));
     std::set<int> held_out;
     for (auto i = std::size_t(test_every); test_every > 0 && i < sweeps.size(); i += std::size_t(test_every))
         held_out.insert(sweeps[i]);
@@ -81,16 +82,17 @@ std::set<int> named(const std::string& list, const std::vector<int>& sweeps) {
         const IndexRange range = parse_range(cell);
         for (int index = range.first; index < range.end; ++index) {
             if (!known.contains(index))
-                throw UsageError(fmt::format("{}: found {}, expected frames that are read of the log: {}",
-                                             kSetting, index, list_text(sweeps)));
+                throw UsageError(
+                    fmt::format("{}: found frame {}, expected only frames that are read from the log: {}",
+                                kSetting, index, list_text(sweeps)));
             if (!held_out.insert(index).second)
-                throw UsageError(fmt::format("{}: found {} twice, expected it once", kSetting, index));
+                throw UsageError(fmt::format("{}: frame {} occurs twice, expected it once", kSetting, index));
         }
     }
     if (held_out.size() == known.size())
-        throw UsageError(
-            fmt::format("{}: found all frames of the log, expected some to be left to train on: {}", kSetting,
-                        list_text(sweeps)));
+        throw UsageError(fmt::format(
+            "{}: all frames of the log are held out, expected at least one frame for training: {}", kSetting,
+            list_text(sweeps)));
     return held_out;
 }
 

@@ -80,8 +80,9 @@ void update_best_actors(const Run& part, const Sequence& sequence, const Block& 
         if (instance.track.empty()) continue;
         const BoxTrack* box = find_box(part.sequence, instance.track);
         if (!box)
-            throw DataError(fmt::format("{}: instance \"{}\" has no box, expected one", part.folder.string(),
-                                        instance.track));
+            throw DataError(fmt::format(
+                "{}: the scene has an instance of track \"{}\", but the log has no box with this track id",
+                part.folder.string(), instance.track));
         const std::size_t sightings = count_sightings(*box, sequence, block);
         Candidate& candidate = best[instance.track];
         if (candidate.surfels.size() > 0 && sightings <= candidate.sightings) continue;

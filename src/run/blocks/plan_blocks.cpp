@@ -56,11 +56,11 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
             if (is_near_any(places[std::size_t(position)], places, block.own, options.halo_m))
                 block.train.push_back(position);
         if (block.train.empty())
-            throw DataError(
-                fmt::format("cutting {} into blocks: found no training frame within {:g} m of metres {:.0f} "
-                            "to {:.0f} of its trajectory, "
-                            "expected one: dataset.test_every and dataset.test_frames say which are held out",
-                            sequence.name, options.halo_m, block.begin_m, block.end_m));
+            throw DataError(fmt::format(
+                "cannot divide {} into blocks: the part of its trajectory within {:g} m of metres {:.0f} "
+                "to {:.0f} has no training frame; hold out fewer frames there (settings "
+                "dataset.test_every and dataset.test_frames)",
+                sequence.name, options.halo_m, block.begin_m, block.end_m));
     }
     return blocks;
 }

@@ -59,7 +59,7 @@ std::string checksum(const Texts& texts, const std::vector<NamedArray>& arrays) 
 /// such an entry, not the caller.
 std::string extract_text(Texts& texts, const std::string& key) {
     const auto it = texts.find(key);
-    if (it == texts.end()) throw DataError(fmt::format("metadata {}: missing, expected it", key));
+    if (it == texts.end()) throw DataError(fmt::format("the metadata key \"{}\" is missing", key));
     std::string value = std::move(it->second);
     texts.erase(it);
     return value;
@@ -74,7 +74,8 @@ int iteration_of(const std::string& text) {
     int iteration = -1;
     const auto [stop, error] = std::from_chars(text.data(), text.data() + text.size(), iteration);
     if (error != std::errc() || stop != text.data() + text.size() || iteration < 0)
-        throw DataError(fmt::format("metadata iteration: found \"{}\", expected a count", excerpt(text)));
+        throw DataError(fmt::format("the metadata key \"iteration\" is \"{}\", expected an integer from 0",
+                                    excerpt(text)));
     return iteration;
 }
 
@@ -85,7 +86,7 @@ Checkpoint parse(Texts texts, std::vector<NamedArray> arrays) {
     // checksum differently.
     expect("metadata version", version == texts.end() ? "" : version->second, kVersion);
     const std::string found = checksum(texts, arrays);
-    expect("checksum of what was read", found, extract_text(texts, kChecksum));
+    expect("checksum of the metadata and arrays", found, extract_text(texts, kChecksum));
     for (const char* key : {"format", "version", "relidar"}) extract_text(texts, key);
     const int iteration = iteration_of(extract_text(texts, "iteration"));
     Checkpoint checkpoint{iteration, std::move(texts), std::move(arrays)};
@@ -123,7 +124,7 @@ Checkpoint read_checkpoint(const std::filesystem::path& path) {
     try {
         return parse(std::move(texts), std::move(arrays));
     } catch (const DataError& error) {
-        throw DataError(fmt::format("reading checkpoint '{}': {}", path.string(), error.what()));
+        throw DataError(fmt::format("cannot read checkpoint '{}': {}", path.string(), error.what()));
     }
 }
 
@@ -162,12 +163,12 @@ std::optional<Checkpoint> load_newest_checkpoint(const std::filesystem::path& fo
         try {
             return read_checkpoint(*path);
         } catch (const DataError& error) {
-            note(fmt::format("{}; taking the checkpoint before it", error.what()));
+            note(fmt::format("{}; the previous checkpoint is used instead", error.what()));
         }
     }
     if (!paths.empty())
         throw DataError(
-            fmt::format("resuming from {}: found {} checkpoints and none that can be read, expected one",
+            fmt::format("cannot resume from {}: it contains {} checkpoints, but none of them can be read",
                         folder.string(), paths.size()));
     return std::nullopt;
 }

@@ -23,8 +23,8 @@ void check_finite(const NamedArray& array) {
         std::memcpy(&value, array.bytes.data() + i * sizeof(T), sizeof(T));
         if (std::isfinite(value)) continue;
         const std::size_t rows = array.shape.empty() ? 1 : array.shape[0];
-        throw DataError(fmt::format("array {}: row {} holds {}, expected finite numbers", array.name,
-                                    i / (n / rows), value));
+        throw DataError(fmt::format("row {1} of array \"{0}\" contains {2}, expected finite numbers",
+                                    array.name, i / (n / rows), value));
     }
 }
 
@@ -33,8 +33,7 @@ void check_finite(const NamedArray& array) {
 const NamedArray& Checkpoint::array(const std::string& name) const {
     const NamedArray* match = find_array(arrays, name);
     if (!match)
-        throw DataError(
-            fmt::format("checkpoint of iteration {}: array {}: missing, expected it", iteration, name));
+        throw DataError(fmt::format("the checkpoint of iteration {} has no array \"{}\"", iteration, name));
     return *match;
 }
 
@@ -42,7 +41,7 @@ const std::string& Checkpoint::text(const std::string& name) const {
     const auto it = texts.find(name);
     if (it == texts.end())
         throw DataError(
-            fmt::format("checkpoint of iteration {}: text {}: missing, expected it", iteration, name));
+            fmt::format("the checkpoint of iteration {} has no metadata key \"{}\"", iteration, name));
     return it->second;
 }
 

@@ -47,9 +47,9 @@ std::vector<std::string> all_keys() {
 }
 
 std::string unknown_key(const std::string& key) {
-    return fmt::format(
-        "setting {}: unknown key{}", excerpt(key),
-        did_you_mean(key, all_keys(), "", ", expected one that `relidar list settings --all` lists"));
+    return fmt::format("setting {}: unknown key{}", excerpt(key),
+                       did_you_mean(key, all_keys(), "",
+                                    ", expected one of the keys that `relidar list settings --all` prints"));
 }
 
 template <class T>
@@ -103,14 +103,15 @@ void flatten(const toml::table& table, const std::string& prefix,
 /// to_toml() has written.
 /// @throws UsageError if a setting is missing or a key is unknown
 void check_complete(const std::map<std::string, ParsedValue>& settings) {
-    constexpr const char* kAdvice = "a run of another version of relidar must be trained again";
+    constexpr const char* kAdvice = "a run that another version of relidar has written must be trained again";
     const std::vector<std::string> keys = all_keys();
     for (const auto& [key, found] : settings)
         if (std::ranges::find(keys, key) == keys.end())
             throw UsageError(fmt::format("{}; {}", unknown_key(key), kAdvice));
     for (const std::string& key : keys)
         if (!settings.contains(key))
-            throw UsageError(fmt::format("setting {}: missing, expected every setting; {}", key, kAdvice));
+            throw UsageError(fmt::format("the setting {} is missing, expected a value for every setting; {}",
+                                         key, kAdvice));
 }
 
 /// Returns text as a TOML string, with quotes and escaped characters.
@@ -211,7 +212,7 @@ std::string toml_of(const Config& config, const Shown& is_shown) {
 }  // namespace
 
 std::string to_toml(const Config& config) {
-    return "# Settings of a relidar run: every value used. Read back by `relidar train --config`.\n" +
+    return "# All settings of a relidar run. `relidar train --config` can read this file.\n" +
            toml_of(config, [](const std::string&) { return true; });
 }
 
@@ -222,8 +223,9 @@ std::string to_short_toml(const Config& config) {
         if (keys[i].expert && keys[i].value == preset[i].value) left_out.insert(keys[i].key);
     return toml_of(config, [&](const std::string& key) { return !left_out.contains(key); }) +
            fmt::format(
-               "\n# {} expert settings, all as the preset has them, are not shown: relidar list settings "
-               "--all\n",
+               "\n"
+               "# {} expert settings with the values of the preset are not shown; `relidar list "
+               "settings --all` shows them\n",
                left_out.size());
 }
 

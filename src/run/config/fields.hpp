@@ -64,125 +64,131 @@ inline constexpr double kMaxSeed = 9007199254740992.0;
 
 template <class C, class Visitor>
 void visit_dataset(C& c, Visitor&& f) {
-    f("dataset.path", c.dataset.path, anything(), "dataset: a path, or kind:path; training fills it in");
+    f("dataset.path", c.dataset.path, anything(),
+      "the log, as a path or as KIND:PATH; training writes it into the settings of the run");
     f("dataset.sequence", c.dataset.sequence, anything(),
-      "which drive of a dataset that holds several, by its own name; empty: the only one, or the first");
+      "name of the drive if the dataset contains several; empty: the first drive");
     f("dataset.lidars", c.dataset.lidars, anything(),
-      "names of the LiDARs that are read of a log with several, separated by commas; empty: all");
+      "names of the LiDARs to read, separated by commas; empty: all LiDARs of the log");
     f("dataset.frames_begin", c.dataset.frames_begin, between(0, kMaxCount),
-      "first frame, by the dataset's own number");
+      "number of the first frame to read, in the numbering of the dataset");
     f("dataset.frames_end", c.dataset.frames_end, between(-1, kMaxCount),
-      "frame after the last one; -1: to the end of the log");
+      "number of the frame after the last frame to read; -1: read to the end of the log");
     f("dataset.test_every", c.dataset.test_every, between(0, kMaxCount),
-      "every so many frames one is held out for testing; 0: none");
+      "N: every Nth frame is held out for testing; 0: no frame is held out");
     f("dataset.test_frames", c.dataset.test_frames, anything(),
-      "frames that are held out for testing, by the dataset's own numbers, ends of ranges not included, as "
-      "in 13,26,40:45; empty: "
-      "dataset.test_every decides");
+      "frames that are held out for testing, in the numbering of the dataset, for example "
+      "13,26,40:45, where 40:45 excludes 45; empty: use dataset.test_every");
     f("dataset.poses", c.dataset.poses, anything(),
-      "file with 12 numbers a line, world_from_sensor of each frame; empty: the dataset's own poses; none: "
-      "no poses, they are found from "
-      "the scans alone");
+      "file with one line of 12 numbers per frame, the 3 x 4 matrix world_from_sensor; empty: "
+      "use the poses of the dataset; none: estimate the poses from the scans");
     f("dataset.poses_from", c.dataset.poses_from, anything(),
-      "of a ROS bag: frame of /tf, such as map or odom, or topic of odometry or poses that says where the "
-      "LiDAR was; empty: guessed, info "
-      "says what is used");
+      "for a ROS bag, the source of the LiDAR's poses: a frame of /tf, such as map or odom, or "
+      "a topic with odometry or poses; empty: chosen automatically, and `relidar info` prints "
+      "the choice");
     f("dataset.skip_broken", c.dataset.skip_broken, anything(),
-      "leave scans that cannot be read out, with a note each; false: the first of them is an error");
+      "skip scans that cannot be read, and print a note for each; false: the first such scan "
+      "is an error");
     f("dataset.min_range_m", c.dataset.min_range_m, at_least(0),
-      "returns nearer than this count as dropped, and the log's sensor simulates none there, metres");
+      "minimum range in metres; nearer returns of the log count as dropped, and the simulated "
+      "sensor of the log returns nothing nearer");
     f("dataset.max_range_m", c.dataset.max_range_m, at_least(0),
-      "returns beyond this range count as dropped, and the log's sensor simulates none there, metres; 0: the "
-      "sensor's own limit, or the "
-      "log's farthest return if that is not known");
+      "maximum range in metres; farther returns of the log count as dropped, and the simulated "
+      "sensor of the log returns nothing farther; 0: the limit of the sensor, or if it is "
+      "unknown the farthest return of the log");
     f("dataset.waymo_intensity", c.dataset.waymo_intensity, one_of({"tanh", "clamp"}),
-      expert("intensities of Waymo Open, which have no upper end: their tanh, or cut at 1"));
+      expert("how intensities of Waymo Open, which have no upper limit, are mapped to 0 to 1: by "
+             "tanh, or by clamping at 1"));
     f("dataset.memory_mib", c.dataset.memory_mib, between(0, kMaxCount),
-      "memory for scans, MiB; those that do not fit lie in a file in TMPDIR, mapped; 0: half of the memory "
-      "of the machine");
+      "memory for scans in MiB; further scans are stored in a memory-mapped file in TMPDIR; 0: "
+      "half of the machine's memory");
 }
 
 template <class C, class Visitor>
 void visit_sensor(C& c, Visitor&& f) {
     f("sensor.grid", c.sensor.grid, one_of({"native", "kitti360"}),
-      "image that is rendered and scored: the sensor's own, or the KITTI-360 grid (66 x 1030)");
+      "pixel grid of the range image that is rendered and scored: the rows and columns of the "
+      "sensor (native), or the grid of KITTI-360 with 66 x 1030 pixels (kitti360)");
     f("sensor.grid_method", c.sensor.grid_method, one_of({"project", "cast"}),
-      expert(
-          "grid images: simulate the native scan and bin its points, or cast rays through the cell centres"));
+      expert("how images on the KITTI-360 grid are made: project: simulate the native scan and "
+             "project its points onto the pixels; cast: cast one ray through the centre of each pixel"));
     f("sensor.rolling_shutter", c.sensor.rolling_shutter, one_of({"auto", "true", "false"}),
-      "rays of a rendered scan start where the sensor is when each is fired; auto: those of the log's own "
-      "sensor only if the log's scans "
-      "are not motion-compensated");
+      "each ray of a rendered scan starts at the position that the sensor has when it fires "
+      "the ray; auto: off for the sensor of the log if the scans of the log are "
+      "motion-compensated, otherwise on");
     f("sensor.calibrate", c.sensor.calibrate, one_of({"none", "range", "intensity", "range,intensity"}),
-      "what is found of each beam from the training scans: the offset of its ranges, which differ by "
-      "centimetres between beams; gain and "
-      "offset of its intensities");
+      "quantities that are calibrated for each beam from the training scans: the offset of its "
+      "ranges, which differ by centimetres between beams, and the gain and offset of its "
+      "intensities");
     f("sensor.sub_rays", c.sensor.sub_rays, between(1, 9),
-      "rays cast for each one that is simulated, over the footprint of its beam: 1, 5 or 9; what they meet "
-      "is put together as a receiver "
-      "does");
+      "number of rays that are cast per simulated beam to sample its footprint: 1, 5 or 9; "
+      "their hits are combined into returns like in a LiDAR receiver");
     f("sensor.divergence_mrad", c.sensor.divergence_mrad, between(0, 100),
-      "full beam divergence of the simulated sensor, milliradians; 0: the sensor's own");
+      "full beam divergence of the simulated sensor in milliradians; 0: the value of the sensor");
     f("sensor.returns", c.sensor.returns, between(1, 2),
-      "returns simulated for each ray: 1, or with sensor.sub_rays the strongest and the last (where that is "
-      "the strongest, the next "
-      "strongest)");
+      "number of simulated returns per ray; 2 needs sensor.sub_rays and gives the strongest "
+      "and the last return, or the second strongest if the last is the strongest");
     f("sensor.return_separation_m", c.sensor.return_separation_m, above(0),
-      expert("surfaces nearer to each other than this are one return, metres"));
+      expert("hits of a beam whose ranges differ by less than this merge into one return, in metres"));
 }
 
 template <class C, class Visitor>
 void visit_scene(C& c, Visitor&& f) {
     f("init.voxel_m", c.init.voxel_m, above(0),
-      "points of all training frames are averaged per voxel of this edge, metres");
+      "edge length in metres of the voxels in which the points of all training frames are "
+      "averaged to initialise surfels");
     f("init.voxel_growth", c.init.voxel_growth, at_least(0),
-      expert("the voxel edge grows by this share of the range to the nearest sensor position; 0: paper"));
+      expert("growth of the voxel edge per metre of range from the nearest sensor position; 0: "
+             "constant voxels (paper)"));
     f("init.normals", c.init.normals, anything(),
-      expert("orient surfels along normals of the nearest neighbours; false: at random"));
+      expert("orient new surfels along normals estimated from their nearest neighbours; false: random "
+             "orientation"));
     f("init.unlabelled_movers", c.init.unlabelled_movers, one_of({"background", "removed", "actors"}),
-      "what moves without a label belongs to the background (paper), is left out where other training frames "
-      "see through it, or that and "
-      "becomes an actor with a track of its own");
+      "treatment of moving objects without a labelled box: background: part of the background "
+      "(paper); removed: their points are removed where other training frames see free space; "
+      "actors: removed from the background, and each becomes an actor with a new track");
     f("init.scale_factor", c.init.scale_factor, above(0),
-      expert("standard deviation of a new surfel over the mean distance to its 3 nearest neighbours"));
+      expert("ratio of the standard deviation of a new surfel to the mean distance to its 3 nearest "
+             "neighbours"));
     f("init.max_gap_m", c.init.max_gap_m, at_least(0),
-      expert("new surfels on surfaces reach across gaps between scan lines of up to so many metres; 0: all "
-             "are round (paper)"));
+      expert("new surfels are elongated to close gaps between scan lines of up to this width in "
+             "metres; 0: all new surfels are round (paper)"));
     f("init.actor_classes", c.init.actor_classes, anything(),
-      "moving boxes that become actors of their own, separated by commas: vehicle, cyclist, person, other, "
-      "or a dataset's own class; all: "
-      "every class; empty: none (init.mask_others says what becomes of them)");
+      "classes whose moving boxes become actors, separated by commas: vehicle, cyclist, "
+      "person, other, or a class name of the dataset; all: every class; empty: no class; see "
+      "init.mask_others for the other boxes");
     f("init.mask_others", c.init.mask_others, anything(),
-      expert("moving boxes of classes that init.actor_classes leaves out are masked out of points and "
-             "losses; false: they belong to the "
-             "background (paper)"));
+      expert("ignore points and losses inside moving boxes whose class is not in init.actor_classes; "
+             "false: these boxes are part of the background (paper)"));
     f("init.actor_tracks", c.init.actor_tracks, anything(),
-      expert("tracks that become actors, whatever their class and motion, separated by commas; empty: by "
-             "class"));
+      expert("ids of tracks that become actors in any case, even if they are parked or of another "
+             "class, separated by commas; empty: only init.actor_classes decides"));
     f("init.deform", c.init.deform, anything(),
-      "actors that bend as they walk, where their points show a gait: vehicle, cyclist, person, other, or a "
-      "dataset's own class, separated "
-      "by commas; empty: all are rigid (paper)");
+      "classes whose actors deform while they walk, if a gait is detected in their points, "
+      "separated by commas: vehicle, cyclist, person, other, or a class name of the dataset; "
+      "empty: all actors are rigid (paper)");
     f("init.actor_pad_to", c.init.actor_pad_to, between(0, 1e6),
-      expert("an actor with fewer points is filled up with random points of its box; 0: not; paper: 8000"));
+      expert("add random points inside the box of an actor until it has this number of points; 0: add "
+             "none; paper: 8000"));
     f("init.actor_min_points", c.init.actor_min_points, between(10, 1e6),
-      expert("a box with fewer points is masked instead"));
+      expert("minimum number of points of an actor; points and losses in boxes with fewer points are "
+             "ignored"));
     f("image.alpha_min", c.image.alpha_min, between(1e-6, 0.5),
-      expert("a surfel ends where its alpha falls below this (paper: 1/255); the higher, the fewer surfels a "
-             "ray meets"));
+      expert("minimum alpha at the edge of a surfel (paper: 1/255); larger values make surfels "
+             "smaller, so that rays hit fewer of them"));
     f("image.transmittance_min", c.image.transmittance_min, between(0, 0.5),
-      expert("a surfel that would bring the transmittance below this ends the ray unseen; less than 0.01, or "
-             "opaque surfels do"));
+      expert("a ray stops before the surfel that would reduce its transmittance below this value; "
+             "must be less than 0.01, otherwise opaque surfels are never rendered"));
     f("image.sh_degree", c.image.sh_degree, between(0, 3), "degree of the spherical harmonics");
     f("image.sh_direction", c.image.sh_direction, one_of({"ray", "surfel"}),
-      expert(
-          "spherical harmonics are evaluated per hit along the ray, or once a surfel along sensor to mean"));
+      expert("direction in which spherical harmonics are evaluated: ray: along the ray, for each hit; "
+             "surfel: from the sensor to the mean of the surfel, once per surfel"));
     f("image.single_drop_logit", c.image.single_drop_logit, anything(),
-      expert("ray-drop is the sigmoid of one blended logit, hit logits stay 0; false: the softmax of two "
-             "(paper)"));
+      expert("compute the ray-drop probability as the sigmoid of one blended logit; false: as the "
+             "softmax of a drop logit and a hit logit (paper)"));
     f("image.primitive", c.image.primitive, one_of(primitive_names()),
-      expert("what the scene is made of: 2D Gaussians (paper), or 3D Gaussians, in ray query over triangles "
-             "with icosahedra as proxies"));
+      expert("primitives of the scene: flat 2D Gaussians (paper) or 3D Gaussians; ray query traces 3D "
+             "Gaussians as icosahedra of triangles"));
 }
 
 template <class C, class Visitor>
@@ -192,70 +198,82 @@ void visit_losses(C& c, Visitor&& f) {
     RELIDAR_LOSS_TERMS(RELIDAR_TERM)
 #undef RELIDAR_TERM
     f("loss.normalised_depth", c.loss.normalised_depth, anything(),
-      expert("the range term compares D / W; false: D, as the paper does"));
+      expert("the range loss compares the normalised range D / W, where D is the blended range and W "
+             "the sum of weights; false: D (paper)"));
 }
 
 template <class C, class Visitor>
 void visit_training(C& c, Visitor&& f) {
     f("train.iterations", c.train.iterations, between(0, kMaxCount),
-      "optimiser steps; 0: keep the initial scene");
+      "number of optimiser steps; 0: keep the initial scene");
     f("train.grid", c.train.grid, one_of({"native", "kitti360"}),
-      expert("frames: rays as fired, or images of 66 x 1030 cells (published)"));
+      expert("rays of a training frame: the rays as fired (native), or one ray per pixel of the 66 x "
+             "1030 grid (kitti360, as published)"));
     f("train.rays_per_iteration", c.train.rays_per_iteration, between(0, kMaxCount),
-      "rays of one step; 0: all rays of one frame");
+      "number of rays per optimiser step; 0: all rays of one frame");
     f("train.sh_degree_interval", c.train.sh_degree_interval, between(1, kMaxCount),
-      expert("the active degree of the spherical harmonics rises by one after so many steps"));
+      expert("number of steps after which the active degree of the spherical harmonics increases by "
+             "one"));
     f("train.only_touched", c.train.only_touched, anything(),
-      expert("surfels without a gradient in a step keep their values and moments"));
+      expert("surfels without a gradient in a step keep their values and their Adam moments"));
     f("train.deterministic", c.train.deterministic, anything(),
-      "gradients are summed in a fixed order: bit-equal parameters from run to run on one device");
+      "sum gradients in a fixed order, so that repeated runs on one device give bit-identical "
+      "parameters");
     f("train.sensor_drop", c.train.sensor_drop, anything(),
-      expert("learn what the sensor itself never sees (its own vehicle) by itself"));
+      expert("learn a map of the rays that the sensor never receives, for example because its own "
+             "vehicle blocks them, separately from the scene"));
     f("train.refine_poses", c.train.refine_poses, one_of({"none", "sensor", "actors", "sensor,actors"}),
-      "poses that are corrected together with the scene: of the sensor, of the actors' boxes");
+      "poses that training refines together with the scene: those of the sensor and those of "
+      "the actors' boxes");
     f("train.allow_lost_scans", c.train.allow_lost_scans, anything(),
-      "train also where more than 5 % of the scans did not find their place; false: an error");
+      "train even if more than 5 % of the scans could not be registered; false: this is an "
+      "error");
 }
 
 /// Calls f for each setting of logging and checkpoints during training.
 template <class C, class Visitor>
 void visit_keeping(C& c, Visitor&& f) {
     f("train.frame_memory_mib", c.train.frame_memory_mib, between(0, kMaxCount),
-      expert("device memory for rays and targets that stay there, MiB; those of further frames are sent "
-             "again whenever it is their turn"));
-    f("train.log_every", c.train.log_every, between(1, kMaxCount), "steps between two lines of the log");
+      expert("device memory in MiB for the rays and targets of frames; frames that do not fit are "
+             "uploaded again for each step that uses them"));
+    f("train.log_every", c.train.log_every, between(1, kMaxCount),
+      "number of steps between two lines in log.jsonl");
     f("train.checkpoint_minutes", c.train.checkpoint_minutes, at_least(0),
-      "minutes between two checkpoints; 0: no checkpoint but the one that Ctrl-C leaves");
+      "minutes between two checkpoints; 0: write a checkpoint only if Ctrl-C interrupts "
+      "training");
     f("train.seed", c.train.seed, between(0, kMaxSeed),
-      "seed of the initialisation, and of the order of frames and rays");
+      "random seed of the initialisation and of the order of frames and rays");
 }
 
 template <class C, class Visitor>
 void visit_refine(C& c, Visitor&& f) {
     f("refine.enabled", c.refine.enabled, anything(),
-      "training ends with a network that corrects ray-drop (paper, Eq. 12-13), and rendering uses it where a "
-      "run has one");
+      "train a network that corrects ray-drop after the scene (paper, Eq. 12-13), and use it "
+      "in rendering if the run has one");
     f("refine.network", c.refine.network, one_of({"small", "paper", "pixel"}),
-      "U-Net of 8 channels and 3 levels, the paper's of 32 and 4 with attention, or a function of each pixel "
-      "by itself");
+      "type of the network: small: a U-Net with 8 channels and 3 levels; paper: a U-Net with "
+      "32 channels, 4 levels and attention; pixel: a network that processes each pixel "
+      "independently");
     f("refine.image", c.refine.image, one_of({"native", "grid"}),
-      expert("what the network looks at: the sensor's rays, before they are binned, or the cells of "
-             "sensor.grid"));
+      expert("image that the network reads: native: the image of the sensor's rays; grid: the image "
+             "on the pixel grid of sensor.grid"));
     f("refine.rays", c.refine.rays, one_of({"none", "direction", "origin,direction"}),
-      expert("inputs of the network about the rays: elevation of the direction, origin of the sensor; the "
-             "paper: both"));
+      expert("additional inputs of the network: direction: the elevation of each ray; origin: the "
+             "position of the sensor; the paper uses both"));
     f("refine.frames", c.refine.frames, at_least(0),
-      expert("training frames that the network learns from at most, spread over all; 0: all"));
-    f("refine.epochs", c.refine.epochs, between(1, 100000), "times that the network sees each of them");
+      expert("maximum number of training frames that the network is trained on, evenly distributed "
+             "over the log; 0: all"));
+    f("refine.epochs", c.refine.epochs, between(1, 100000),
+      "number of epochs, which are passes over these training frames");
     f("refine.rate", c.refine.rate, above(0),
-      expert("the network's learning rate at the start; it falls to a hundredth"));
+      expert("initial learning rate of the network; it decreases to one hundredth of this value"));
 }
 
 /// Calls f(key, field, accepts, help) for every setting, in the order of the TOML file.
 template <class C, class Visitor>
 void visit(C& c, Visitor&& f) {
     f("preset", c.preset, one_of({"paper", "released", "default", "quick"}),
-      "where all values start from; setting it replaces every other value");
+      "name of the preset that sets all values; setting it overwrites all other settings");
     visit_dataset(c, f);
     visit_sensor(c, f);
     visit_scene(c, f);
@@ -263,28 +281,32 @@ void visit(C& c, Visitor&& f) {
     visit_training(c, f);
     visit_keeping(c, f);
     f("blocks.length_m", c.blocks.length_m, between(0, 1e6),
-      "the log is trained in blocks of at most so many metres of its trajectory; 0: in one piece");
+      "maximum length in metres of a block of the trajectory; a long log is trained block by "
+      "block; 0: train the log as one piece");
     f("densify.strategy", c.densify.strategy, one_of({"none", "adaptive"}),
-      "surfels are added and removed by their gradients (adaptive, paper)");
+      "how training adds and removes surfels; adaptive: by their gradients (paper)");
     visit_refine(c, f);
     f("render.range", c.render.range, one_of({"expected", "normalised", "median", "mode"}),
-      expert("range of a ray in range images: D (paper), D / W, where the transmittance crosses 0.5, or the "
-             "mean of the heaviest "
-             "surface (hits nearer to each other than sensor.return_separation_m are one)"));
+      expert("range of a ray in range images: expected: the blended range D (paper); normalised: D / "
+             "W, where W is the sum of the weights; median: the range at which the transmittance "
+             "falls below 0.5; mode: the mean range of the surface with the largest weight, where "
+             "hits closer together than sensor.return_separation_m form one surface"));
     f("render.channels", c.render.channels, some_of(optional_channel_names()),
-      "what scans say of each ray beside the basic channels, in all their outputs; `relidar render --help` "
-      "says what they are");
+      "additional channels of scans, in all output files; `relidar render --help` describes "
+      "them");
     f("render.points", c.render.points, one_of({"median", "range"}),
-      expert("points of point clouds lie where the transmittance crosses 0.5, on the dominant surface, or at "
-             "render.range, which has "
-             "points between two surfaces"));
+      expert("range of points in point clouds: median: where the transmittance falls below 0.5, so "
+             "that each point is on a surface; range: the range that render.range selects, which can "
+             "be between two surfaces"));
     f("render.memory_mib", c.render.memory_mib, between(0, kMaxCount),
-      "device memory, MiB, for blocks of a long scene that are kept beside those that a scan needs");
-    f("trace.chunk", c.trace.chunk, between(1, 64), expert("hits sorted at a time"));
+      "device memory in MiB for caching blocks of a long scene, in addition to the blocks that "
+      "the current scan needs");
+    f("trace.chunk", c.trace.chunk, between(1, 64),
+      expert("number of hits that a ray collects and sorts per traversal"));
     f("trace.keep_hits", c.trace.keep_hits, between(0, 4096),
-      expert("training: hits kept a ray, 16 bytes each, which need no second search; doubled up to 256 while "
-             "any ray has more; "
-             "0: cast all again, as the paper does"));
+      expert("number of hits per ray, 16 bytes each, that training stores so that the backward pass "
+             "needs no second traversal; it is doubled up to 256 if a ray has more hits; 0: traverse "
+             "again (paper)"));
 }
 
 }  // namespace relidar::config_detail

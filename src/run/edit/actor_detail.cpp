@@ -60,8 +60,8 @@ ActorDetail actor_detail(const DrivingScene& driving, const std::string& track, 
         std::ranges::find_if(driving.scene.instances, [&](const Instance& i) { return i.track == track; });
     const auto box = std::ranges::find_if(log.boxes, [&](const BoxTrack& b) { return b.id == track; });
     if (instance == driving.scene.instances.end() || box == log.boxes.end())
-        throw UsageError(fmt::format(
-            "looking at actor \"{}\": found no such track, expected one of the scene's actors", track));
+        throw UsageError(
+            fmt::format("cannot inspect actor \"{}\": the scene has no actor with this track id", track));
     ActorDetail detail{std::numeric_limits<double>::infinity(), 0.0, 0,
                        driving.scene.models[instance->model].count};
     const PoseTrack world_from_sensor = log.world_from_sensor(lidar);

@@ -36,14 +36,13 @@ FieldPlaces places_of_header(const std::vector<std::string_view>& header, const 
     FieldPlaces at = find_columns(header, kNames, where);
     for (const Field field : {kTime, kX, kY, kZ})
         if (at[field] < 0)
-            throw DataError(fmt::format("{}: found no column '{}', expected it", where, kNames[field]));
+            throw DataError(fmt::format("{}: the column '{}' is missing", where, kNames[field]));
     if (at[kYaw] < 0 && at[kYawRad] < 0)
-        throw DataError(
-            fmt::format("{}: found no column 'yaw_deg' or 'yaw_rad', expected one of them", where));
+        throw DataError(fmt::format("{}: the column 'yaw_deg' or 'yaw_rad' is missing", where));
     for (int angle = kYaw; angle <= kRoll; ++angle)
         if (const int other = angle + kYawRad - kYaw; at[angle] >= 0 && at[other] >= 0)
-            throw DataError(fmt::format("{}: found both '{}' and '{}', expected one of them", where,
-                                        kNames[angle], kNames[other]));
+            throw DataError(fmt::format("{}: found both columns '{}' and '{}', expected only one of them",
+                                        where, kNames[angle], kNames[other]));
     return at;
 }
 
@@ -51,10 +50,10 @@ FieldPlaces places_of_header(const std::vector<std::string_view>& header, const 
 /// @throws DataError if there are too few or too many columns
 FieldPlaces places_without_header(std::size_t n_cells, const std::string& where) {
     if (n_cells < kNeeded || n_cells > kUnnamed)
-        throw DataError(
-            fmt::format("{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally "
-                        "pitch_deg,roll_deg, or a header with names",
-                        where, n_cells));
+        throw DataError(fmt::format(
+            "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, "
+            "or a header line with the names of the columns",
+            where, n_cells));
     FieldPlaces at(kFieldCount, -1);
     for (std::size_t i = 0; i < kUnnamed; ++i) at[i] = static_cast<int>(i);
     return at;
@@ -70,14 +69,14 @@ std::array<double, kFieldCount> read_row(const std::vector<std::string_view>& ce
         const bool may_be_absent = f == kPitch || f == kRoll || f == kPitchRad || f == kRollRad;
         if (at[f] < 0 || (may_be_absent && static_cast<std::size_t>(at[f]) >= cells.size())) continue;
         if (static_cast<std::size_t>(at[f]) >= cells.size())
-            throw DataError(
-                fmt::format("{}: found {} columns, expected {}: '{}' is missing", where, cells.size(),
-                            std::ranges::count_if(at, [](int place) { return place >= 0; }), kNames[f]));
+            throw DataError(fmt::format(
+                "{}: found {} columns, expected {}; the column '{}' is missing", where, cells.size(),
+                std::ranges::count_if(at, [](int place) { return place >= 0; }), kNames[f]));
         const std::string_view cell = cells[static_cast<std::size_t>(at[f])];
         const std::optional<double> value = parse_number(cell);
         if (!value || !(std::abs(*value) <= kLargest))
-            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number within {:.0e}", where,
-                                        kNames[f], excerpt(cell), kLargest));
+            throw DataError(fmt::format("{}: {}: found \"{}\", expected a finite number of at most {:.0e}",
+                                        where, kNames[f], excerpt(cell), kLargest));
         row[f] = *value;
     }
     return row;
@@ -110,11 +109,12 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
         }
         if (cells.size() > n_cells)
             throw DataError(
-                fmt::format("{}: found {} columns, expected {} at most", where, cells.size(), n_cells));
+                fmt::format("{}: found {} columns, expected at most {}", where, cells.size(), n_cells));
         const auto row = read_row(cells, at, where);
         if (!track.time_s.empty() && !(row[kTime] > track.time_s.back()))
-            throw DataError(fmt::format("{}: time_s: found {} after {}, expected times that rise", where,
-                                        row[kTime], track.time_s.back()));
+            throw DataError(
+                fmt::format("{}: time_s is {} after {} in the previous line, expected increasing times",
+                            where, row[kTime], track.time_s.back()));
         track.time_s.push_back(row[kTime]);
         track.pose.push_back(pose_of(row));
     }

@@ -22,10 +22,9 @@ namespace {
 std::string without_surfels(const std::string& track, std::vector<std::string> actors) {
     actors.push_back(track);
     return fmt::format(
-        "editing track \"{}\": the log has its box, but it has no surfels of its own: it is parked, of a "
-        "class that "
-        "init.actor_classes leaves out, or has fewer points than init.actor_min_points; train with "
-        "init.actor_tracks = {}, which makes actors of these tracks whether they move or not",
+        "cannot edit track \"{}\": the log has a box for it, but it is part of the background, "
+        "because it is parked, its class is not in init.actor_classes, or it has fewer points "
+        "than init.actor_min_points; train with init.actor_tracks = {} to make it an actor",
         track, fmt::join(actors, ","));
 }
 
@@ -38,8 +37,8 @@ std::size_t find_actor(const DrivingScene& driving, const std::string& track) {
         if (!name.empty()) known.push_back(name);
     }
     if (find_box(driving.sequence, track)) throw UsageError(without_surfels(track, known));
-    const std::string message = fmt::format("editing track \"{}\": found no such track", track);
-    if (known.empty()) throw UsageError(message + ", and the scene has no actor at all");
+    const std::string message = fmt::format("cannot edit track \"{}\": the run has no such track", track);
+    if (known.empty()) throw UsageError(message + ", and its scene has no actors");
     throw UsageError(
         fmt::format("{}{} (actors: {})", message, did_you_mean(track, known, "\""), fmt::join(known, ", ")));
 }
@@ -50,7 +49,7 @@ BoxTrack& box_of(DrivingScene& driving, const std::string& track) {
     if (const BoxTrack* box = find_box(driving.sequence, track))
         return boxes[std::size_t(box - boxes.data())];
     throw DataError(fmt::format(
-        "editing track \"{}\": an instance has it, but the log has no box of it, expected one", track));
+        "cannot edit track \"{}\": the scene has an instance of it, but the log has no box for it", track));
 }
 
 /// Removes models that no instance uses. The model of the background is kept.
@@ -115,17 +114,20 @@ PoseTrack straight_track(const Sequence& sequence, const Start& start) {
 
 void check_trajectory(const PoseTrack& track, const std::string& id) {
     const auto fail = [&](const std::string& found, const char* expected) {
-        throw DataError(fmt::format("trajectory of track \"{}\": {}, expected {}", id, found, expected));
+        throw DataError(fmt::format("cannot use the new trajectory of track \"{}\": found {}, expected {}",
+                                    id, found, expected));
     };
     if (track.pose.size() < 2 || track.pose.size() != track.time_s.size())
-        fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()), "at least two");
+        fail(fmt::format("{} poses at {} times", track.pose.size(), track.time_s.size()),
+             "at least two of each and the same number of both");
     for (std::size_t i = 0; i < track.pose.size(); ++i) {
         const glm::dvec3& p = track.pose[i].translation;
         if (!std::isfinite(track.time_s[i] + p.x + p.y + p.z + glm::length(track.pose[i].rotation)))
-            fail(fmt::format("entry {} is not finite", i + 1), "finite numbers");
+            fail(fmt::format("values in entry {} that are not finite", i + 1), "finite numbers");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1]))
-            fail(fmt::format("entry {} is of {} s after {} s", i + 1, track.time_s[i], track.time_s[i - 1]),
-                 "times that rise");
+            fail(fmt::format("the time {1} s in entry {0} after {2} s in the previous entry", i + 1,
+                             track.time_s[i], track.time_s[i - 1]),
+                 "increasing times");
     }
 }
 
@@ -185,8 +187,8 @@ std::string lost_frames_note(const BoxTrack& before, const Sequence& edited) {
     if (lost.empty()) return "";
     const std::vector<double>& times_s = box->world_from_box.time_s;
     return fmt::format(
-        "track {} is absent from {} frames in which it was present, of {} to {}: it is there from {:.2f} to "
-        "{:.2f} s now",
+        "track {} is now missing in {} frames between {} and {} in which it was present before, "
+        "because its new trajectory lasts only from {:.2f} to {:.2f} s",
         before.id, lost.size(), *lost.begin(), *lost.rbegin(), times_s.front(), times_s.back());
 }
 

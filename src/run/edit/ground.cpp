@@ -88,7 +88,8 @@ struct Footprint {
 const Pose& nearest_pose(const PoseTrack& track, const glm::dvec2& xy) {
     if (track.pose.empty())
         throw DataError(
-            "placing an actor on the ground: found no pose of the log's vehicle, expected its trajectory");
+            "cannot place an actor on the ground: the log has no poses of the vehicle, which are "
+            "needed to find the ground");
     return *std::ranges::min_element(
         track.pose, {}, [&](const Pose& p) { return glm::distance(glm::dvec2(p.translation), xy); });
 }
@@ -129,10 +130,10 @@ public:
     /// Returns a text with the distance from a position to the nearest level surfel, for
     /// an error message.
     std::string nearest(const glm::dvec2& xy) const {
-        if (points_.empty()) return "it has no level surfel at all";
+        if (points_.empty()) return "the background has no horizontal surfel";
         double nearest_m = std::numeric_limits<double>::infinity();
         for (const glm::dvec3& p : points_) nearest_m = std::min(nearest_m, glm::distance(glm::dvec2(p), xy));
-        return fmt::format("its nearest level surfel is {:.1f} m away", nearest_m);
+        return fmt::format("the nearest horizontal surfel is {:.1f} m away", nearest_m);
     }
 
 private:
@@ -316,11 +317,10 @@ Start start_on_ground(const DrivingView& driving, const GroundPlace& place, cons
     };
     std::optional<GroundPlane> plane = ground_at(xy);
     if (!plane)
-        throw UsageError(
-            fmt::format("placing {} on the ground at {:.6g},{:.6g} of the dataset's world: found no surface "
-                        "of the background "
-                        "below its box ({}), expected a place that the log has seen",
-                        track, place.dataset_m.x, place.dataset_m.y, surfels.nearest(xy)));
+        throw UsageError(fmt::format(
+            "cannot place {} on the ground at {:.6g},{:.6g} in the dataset's world: the background "
+            "has no surface below its box ({}); choose a position that the log has observed",
+            track, place.dataset_m.x, place.dataset_m.y, surfels.nearest(xy)));
     const std::optional<double> clearance_m =
         place.clearance_m ? place.clearance_m : ground_clearance(owner, track);
     const double above_m = 0.5 * box.size_m.z + clearance_m.value_or(0.0);

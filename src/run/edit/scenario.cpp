@@ -39,7 +39,7 @@ struct Source {
         const auto parameter = parameters.find(value.substr(1));
         if (parameter == parameters.end())
             fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"",
-                 "a value, or $ and a parameter of the scenario");
+                 "a value, or $ followed by the name of a parameter that the scenario declares");
         return parameter->second;
     }
     double number(const pugi::xml_node& node, const char* name, const std::string& where,
@@ -49,7 +49,7 @@ struct Source {
         const auto number = parse_number(trimmed(value));
         if (!number || !(std::abs(*number) <= kMost))
             fail(fmt::format("{}: {}", where, name), "\"" + excerpt(value) + "\"",
-                 fmt::format("a finite number within {:.0e}", kMost));
+                 fmt::format("a finite number of at most {:.0e}", kMost));
         return *number;
     }
 };
@@ -115,10 +115,11 @@ Timing read_timing(const Source& source, const pugi::xml_node& action, std::opti
                    const std::string& where) {
     const pugi::xml_node timing = action.child("TimeReference").child("Timing");
     if (!timing)
-        source.fail(where, "no TimeReference/Timing", "one: without it the times of vertices do not count");
+        source.fail(where, "no element TimeReference/Timing",
+                    "this element, because the times of vertices have no meaning without it");
     if (!start_s)
-        source.fail(where, "a trajectory that another condition starts",
-                    "a SimulationTimeCondition alone (greaterThan), or none");
+        source.fail(where, "a trajectory that starts with an unsupported condition",
+                    "a single SimulationTimeCondition with the rule greaterThan, or no condition");
     const std::string domain = source.text(timing, "domainAbsoluteRelative", where);
     if (domain != "absolute" && domain != "relative")
         source.fail(where + ": domainAbsoluteRelative", "\"" + excerpt(domain) + "\"",
@@ -145,12 +146,13 @@ PoseTrack read_polyline(const Source& source, const Action& action, const std::s
     // version 1.0.
     pugi::xml_node trajectory = follow.child("TrajectoryRef").child("Trajectory");
     if (!trajectory) trajectory = follow.child("Trajectory");
-    if (!trajectory) source.fail(where, "no Trajectory", "one in the file itself, not of a catalog");
+    if (!trajectory)
+        source.fail(where, "no Trajectory", "a Trajectory in this file; catalogs are not supported");
     const pugi::xml_node polyline = trajectory.child("Shape").child("Polyline"),
                          other = trajectory.child("Shape").first_child();
     if (!polyline) source.fail(where, other ? "a " + excerpt(other.name()) : "no Shape", "a Polyline");
     if (source.text(trajectory, "closed", where) == "true")
-        source.fail(where, "a closed trajectory", "one that ends");
+        source.fail(where, "a closed trajectory", "a trajectory with closed=\"false\"");
     if (source.number(follow, "initialDistanceOffset", where, 0.0) != 0.0)
         source.fail(where, "an initialDistanceOffset", "a trajectory that is followed from its first vertex");
     const Timing timing = read_timing(source, follow, action.start_s, where);
@@ -160,17 +162,17 @@ PoseTrack read_polyline(const Source& source, const Action& action, const std::s
         const double time_s = timing.offset_s + timing.scale * source.number(vertex, "time", at);
         if (!track.time_s.empty() && !(time_s > track.time_s.back()))
             source.fail(at + ": time", fmt::format("{} s after {} s", time_s, track.time_s.back()),
-                        "times that rise");
+                        "increasing times");
         track.time_s.push_back(time_s);
         track.pose.push_back(read_position(source, vertex, at));
     }
     if (track.pose.size() < 2)
-        source.fail(where, fmt::format("{} vertices", track.pose.size()), "two or more");
+        source.fail(where, fmt::format("{} vertices", track.pose.size()), "at least two");
     if (*action.start_s > track.time_s.front() + kSlack_s)
         source.fail(where,
-                    fmt::format("a start at {} s, after the first vertex at {} s", *action.start_s,
-                                track.time_s.front()),
-                    "a start that is not after it");
+                    fmt::format("a start time of {} s, which is after the time {} s of the first vertex",
+                                *action.start_s, track.time_s.front()),
+                    "a start at or before the first vertex");
     return track;
 }
 
@@ -180,9 +182,9 @@ void read_box(const Source& source, const pugi::xml_node& object, const std::str
     for (const char* kind : {"Vehicle", "Pedestrian", "MiscObject"})
         if (!box) box = object.child(kind).child("BoundingBox");
     if (!box)
-        source.fail(
-            where, "no BoundingBox",
-            "one in the file itself: positions are those of a reference point, and say nothing of it");
+        source.fail(where, "no BoundingBox",
+                    "a BoundingBox in this file, because it relates the reference point of the trajectory to "
+                    "the box");
     const pugi::xml_node centre = box.child("Center"), size = box.child("Dimensions");
     entity.centre_m = {source.number(centre, "x", where), source.number(centre, "y", where),
                        source.number(centre, "z", where)};
@@ -202,7 +204,7 @@ ScenarioEntity read_entity(const Source& source, const pugi::xml_node& object,
             continue;
         }
         if (!entity.world_from_reference.pose.empty())
-            source.fail(where, "a second trajectory", "one at most");
+            source.fail(where, "a second trajectory", "at most one trajectory");
         entity.world_from_reference = read_polyline(source, action, where);
     }
     if (!entity.world_from_reference.pose.empty()) read_box(source, object, where, entity);
@@ -221,7 +223,8 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
     const pugi::xml_node root = document.child("OpenSCENARIO");
     if (!root.child("Storyboard"))
         throw DataError(fmt::format(
-            "{}: found no element OpenSCENARIO/Storyboard, expected a scenario of OpenSCENARIO XML 1.x",
+            "{}: the element OpenSCENARIO/Storyboard is missing, expected a scenario in OpenSCENARIO "
+            "XML 1.x",
             path.string()));
     Source source{path.string(), {}};
     for (const pugi::xml_node& parameter :
@@ -235,8 +238,9 @@ std::vector<ScenarioEntity> read_scenario(const std::filesystem::path& path) {
             read_entity(source, object, entity_actions ? entity_actions.mapped() : std::vector<Action>()));
     }
     if (!actions.empty())
-        source.fail("Storyboard", fmt::format("actions of \"{}\"", excerpt(actions.begin()->first)),
-                    "a ScenarioObject of that name");
+        source.fail("Storyboard",
+                    fmt::format("actions of the entity \"{}\"", excerpt(actions.begin()->first)),
+                    "a ScenarioObject with that name in the list of entities");
     return entities;
 }
 

@@ -64,8 +64,10 @@ Coverage load_coverage(const std::filesystem::path& path) {
     const NamedArray &places = table(arrays, "place", "i4", 3, file),
                      &cells = table(arrays, "cells", "u2", Coverage::kWords, file);
     if (places.shape[0] != cells.shape[0])
-        throw DataError(fmt::format("{}: found {} places and {} rows of cells, expected as many of both",
-                                    file, places.shape[0], cells.shape[0]));
+        throw DataError(fmt::format(
+            "{}: the array of places has {} rows and the array of cells has {}, expected the same "
+            "number of rows",
+            file, places.shape[0], cells.shape[0]));
     Coverage coverage;
     for (std::size_t i = 0; i < places.shape[0]; ++i) {
         Coverage::Block block;

@@ -24,11 +24,11 @@ std::vector<float> values_of(const std::vector<NamedArray>& arrays, const char* 
                              const std::string& file) {
     const NamedArray* array = find_array(arrays, name);
     if (!array || array->dtype != "f4")
-        throw DataError(fmt::format("{}: array {}: missing or not f4, expected it", file, name));
+        throw DataError(fmt::format("{}: the array {} is missing or its type is not f4", file, name));
     std::vector<float> values = array->as_float();
     for (std::size_t i = 0; i < values.size(); ++i)
         if (!std::isfinite(values[i]))
-            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected finite numbers", file, name,
+            throw DataError(fmt::format("{}: array {}: entry {} is {}, expected a finite number", file, name,
                                         i, values[i]));
     return values;
 }

@@ -25,7 +25,8 @@ inline void check_format(const std::map<std::string, std::string>& metadata, con
             fmt::format("{}: metadata format: found \"{}\", expected \"{}\"", file, value("format"), format));
     if (value("version") != version)
         throw DataError(fmt::format(
-            "{}: metadata version: found \"{}\", this relidar ({}) reads version {}: train the run again",
+            "{}: metadata version: found \"{}\", but relidar {} reads only version {}; train the run "
+            "again",
             file, value("version"), RELIDAR_VERSION, version));
 }
 

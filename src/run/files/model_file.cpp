@@ -35,14 +35,14 @@ void check_finite(const ParameterGroup& group, const Surfels& surfels, const std
     const auto bad = std::ranges::find_if(values, [](float v) { return !std::isfinite(v); });
     if (bad == values.end()) return;
     const auto row = static_cast<std::size_t>(bad - values.begin()) / group.floats();
-    throw DataError(
-        fmt::format("{}: array {}: row {} holds {}, expected finite numbers", file, group.name, row, *bad));
+    throw DataError(fmt::format("{}: array {}: row {} contains {}, expected finite numbers", file, group.name,
+                                row, *bad));
 }
 
 const NamedArray& array_of(const std::vector<NamedArray>& arrays, std::string_view name,
                            const std::string& file) {
     const NamedArray* array = find_array(arrays, name);
-    if (!array) throw DataError(fmt::format("{}: array {}: missing, expected it", file, name));
+    if (!array) throw DataError(fmt::format("{}: the array {} is missing", file, name));
     return *array;
 }
 
@@ -92,7 +92,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
                            count = m.at("count").integer(0, kMaxSurfels);
         if (first != next)
             m.at("first").fail(fmt::format("found {}", first),
-                               fmt::format("expected {}, where the model before ends", next));
+                               fmt::format("expected {}, which is the end of the previous model", next));
         next = first + count;
         scene.models.push_back({m.at("name").text(), static_cast<std::uint32_t>(first),
                                 static_cast<std::uint32_t>(count), read_half_size(m), read_stride(m),
@@ -101,7 +101,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
     if (next != n)
         models.fail(fmt::format("found models of {} surfels", next), fmt::format("expected {}", n));
     if (models.size() == 0 || instances.size() == 0)
-        models.fail("found no model or no instance", "expected at least one each");
+        models.fail("found no model or no instance", "expected at least one of each");
     for (std::size_t i = 0; i < instances.size(); ++i) {
         const JsonField instance = instances.at(i);
         const std::int64_t model =
@@ -113,7 +113,7 @@ void read_layout(const JsonField& layout, Scene& scene) {
 void check_metadata(const std::map<std::string, std::string>& metadata, const std::string& file) {
     run_detail::check_format(metadata, file, kModelFormat, kModelVersion);
     if (!metadata.contains("layout"))
-        throw DataError(fmt::format("{}: metadata layout: missing, expected it", file));
+        throw DataError(fmt::format("{}: the metadata key \"layout\" is missing", file));
 }
 
 constexpr const char* kBlocks = "blocks";
@@ -147,7 +147,8 @@ void read_blocks_json(const std::string& text, const std::string& where, const s
         const std::filesystem::path file = block.at("file").text();
         const bool goes_up = std::ranges::find(file, std::filesystem::path("..")) != file.end();
         if (file.empty() || file.is_absolute() || goes_up)
-            block.at("file").fail("found " + file.string(), "expected a file in the folder of the model");
+            block.at("file").fail("found " + file.string(),
+                                  "expected the name of a file in the folder of the model");
         scene.blocks.push_back({folder / file,
                                 static_cast<std::uint32_t>(block.at("surfels").integer(0, kMaxSurfels)),
                                 read_corner(block.at("low_m")), read_corner(block.at("high_m"))});
@@ -168,8 +169,8 @@ void read_sensor_drop(const std::vector<NamedArray>& arrays, Scene& scene, const
     scene.sensor_drop = {static_cast<int>(it->shape[0]), static_cast<int>(it->shape[1]), it->as_float()};
     for (const float p : scene.sensor_drop.probability)
         if (!(p >= 0.0f && p <= 1.0f))
-            throw DataError(
-                fmt::format("{}: array {}: holds {}, expected probabilities", file, kSensorDrop, p));
+            throw DataError(fmt::format("{}: array {}: found {}, expected probabilities from 0 to 1", file,
+                                        kSensorDrop, p));
 }
 
 }  // namespace
@@ -234,8 +235,9 @@ Scene load_model(const std::filesystem::path& path) {
     for (const ParameterGroup& group : groups_of(parameters)) {
         const NamedArray& array = array_of(arrays, group.name, file);
         if (array.shape.empty() || array.shape[0] != mean.shape[0])
-            throw DataError(fmt::format("{}: array {}: found shape [{}], expected {} rows as in mean", file,
-                                        group.name, fmt::join(array.shape, ", "), mean.shape[0]));
+            throw DataError(
+                fmt::format("{}: array {}: found shape [{}], expected {} rows like in the array mean", file,
+                            group.name, fmt::join(array.shape, ", "), mean.shape[0]));
     }
     Scene scene;
     scene.surfels.resize(mean.shape[0], parameters);

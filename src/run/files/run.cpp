@@ -41,8 +41,8 @@ void make_folder(const fs::path& folder) {
     fs::create_directories(folder, failed);
     std::error_code unknown;
     if (!fs::is_directory(folder, unknown))
-        throw DataError(fmt::format("{}: cannot be made a folder: {}", folder.string(),
-                                    failed ? failed.message() : "something else has that name"));
+        throw DataError(fmt::format("cannot create the folder {}: {}", folder.string(),
+                                    failed ? failed.message() : "a file with this name exists"));
 }
 
 /// Creates a hard link to a file. Copies the file if the file system cannot create the
@@ -56,7 +56,7 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
     write_atomically(to, [&](const fs::path& temporary) {
         std::error_code why;
         if (!fs::copy_file(from, temporary, why))
-            throw DataError(fmt::format("copying {}: {}", from.string(), why.message()));
+            throw DataError(fmt::format("cannot copy {}: {}", from.string(), why.message()));
     });
 }
 
@@ -82,11 +82,10 @@ void save_config(const Run& run, const fs::path& folder) {
     const fs::path path = folder / kConfigFile;
     write_text(path, to_toml(run.config));
     if (load_saved_config(path) != run.config)
-        throw DataError(
-            fmt::format("saving {}: an option that is no setting differs from preset {}; expected changes of "
-                        "settings that "
-                        "`relidar list settings --all` lists alone",
-                        (run.folder / kConfigFile).string(), run.config.preset));
+        throw DataError(fmt::format(
+            "cannot save {}: an option that is not a setting differs from preset {}; change only the "
+            "settings that `relidar list settings --all` prints",
+            (run.folder / kConfigFile).string(), run.config.preset));
 }
 
 void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
@@ -143,8 +142,8 @@ void rename_file(const fs::path& from, const fs::path& to) {
     std::error_code failed;
     fs::rename(from, to, failed);
     if (failed)
-        throw DataError(
-            fmt::format("writing '{}': renaming the temporary file: {}", to.string(), failed.message()));
+        throw DataError(fmt::format("cannot write '{}': renaming the temporary file failed: {}", to.string(),
+                                    failed.message()));
 }
 
 /// Returns true if a file exists and its contents equal `bytes`.
@@ -201,7 +200,7 @@ Run load_run(const fs::path& folder) {
     for (const char* name : {kConfigFile, kSceneFile, kModelFile}) {
         if (!path_exists(folder / name))
             throw DataError(
-                fmt::format("{}: no such file, expected it in a run folder", (folder / name).string()));
+                fmt::format("{} is missing, but every run folder must contain it", (folder / name).string()));
     }
     Run run;
     run.folder = folder;
@@ -217,7 +216,7 @@ Run load_run(const fs::path& folder) {
     run.scene = load_model(folder / kModelFile);
     for (const SceneBlock& block : run.scene.blocks)
         if (!path_exists(block.file))
-            throw DataError(fmt::format("{}: no such file, expected it in a run of {} blocks",
+            throw DataError(fmt::format("{} is missing, but this run has {} blocks with one file each",
                                         block.file.string(), run.scene.blocks.size()));
     if (path_exists(folder / kSweepsFile)) run_detail::load_sweeps(folder / kSweepsFile, run.sequence);
     if (path_exists(folder / kCoverageFile)) run.coverage = run_detail::load_coverage(folder / kCoverageFile);
@@ -226,11 +225,12 @@ Run load_run(const fs::path& folder) {
     if (path_exists(folder / kDropNetworkFile))
         run.drop_network = load_drop_network(folder / kDropNetworkFile);
     if (run.scene.surfels.size() != scene.n_surfels) {
-        throw DataError(fmt::format("{}: counts.surfels: found {}, but {} holds {}", scene_path.string(),
-                                    scene.n_surfels, kModelFile, run.scene.surfels.size()));
+        throw DataError(fmt::format("{}: counts.surfels is {}, but {} contains {} surfels",
+                                    scene_path.string(), scene.n_surfels, kModelFile,
+                                    run.scene.surfels.size()));
     }
     if (run.scene.surfels.size() > 0 && run.scene.surfels.primitive != run.config.image.primitive)
-        throw DataError(fmt::format("{}: image.primitive: found {}, but {} holds {}",
+        throw DataError(fmt::format("{}: image.primitive is {}, but {} contains {}",
                                     (folder / kConfigFile).string(), kind_of(run.config.image.primitive).name,
                                     kModelFile, kind_of(run.scene.surfels.primitive).label));
     return run;
@@ -250,7 +250,7 @@ void check_writable(const fs::path& folder) {
     const int file = ::open(probe.c_str(), O_WRONLY | O_CREAT | O_CLOEXEC, 0600);
     if (file < 0)
         throw DataError(
-            fmt::format("writing into '{}': {}", folder.string(), std::generic_category().message(errno)));
+            fmt::format("cannot write to '{}': {}", folder.string(), std::generic_category().message(errno)));
     ::close(file);
     ::unlink(probe.c_str());
 }

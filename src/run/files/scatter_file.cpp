@@ -62,12 +62,13 @@ struct ScatterArrays {
         if (!array) throw DataError(fmt::format("{}: array {} is missing", file, name));
         if (array->dtype != dtype || array->shape.size() != 1 || array->count() == 0 ||
             (n > 0 && array->count() != n))
-            throw DataError(fmt::format("{}: array {}: found {} of {} numbers, expected {}{}", file, name,
-                                        array->dtype, array->count(), dtype,
-                                        n > 0 ? fmt::format(" of {}", n) : ""));
+            throw DataError(fmt::format("{}: array {}: found type {} with {} numbers, expected {}{}", file,
+                                        name, array->dtype, array->count(), dtype,
+                                        n > 0 ? fmt::format(" with {} numbers", n) : ""));
         std::vector<double> values = array->as_double();
         if (!std::ranges::all_of(values, [](double v) { return std::isfinite(v); }))
-            throw DataError(fmt::format("{}: array {}: found a number that is not finite", file, name));
+            throw DataError(fmt::format(
+                "{}: array {}: found a number that is not finite, expected only finite numbers", file, name));
         return values;
     }
     IntensityScatter read() const {
@@ -87,7 +88,8 @@ struct ScatterArrays {
                            first[i] >= 0.0 && count[i] > 0.0 && first[i] + count[i] <= double(values.size());
             if (!has_values || !(is_leaf || (has_feature && has_children)))
                 throw DataError(fmt::format(
-                    "{}: LiDAR {}: node {} is none of a tree: feature {}, child {}, values {} and {} more",
+                    "{}: LiDAR {}: node {} of the intensity tree is invalid: feature {}, first child {}, "
+                    "first value {}, {} values",
                     file, lidar, i, feature[i], child[i], first[i], count[i]));
             result.nodes.push_back({std::int32_t(feature[i]), float(at[i]), std::int32_t(child[i]),
                                     std::uint32_t(first[i]), std::uint32_t(count[i])});

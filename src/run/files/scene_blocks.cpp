@@ -14,8 +14,9 @@ Surfels read_block(const SceneBlock& block) {
     const Scene scene = load_model(block.file);
     const Model& background = scene.models.front();
     if (background.count != block.count)
-        throw DataError(fmt::format("{}: found {} surfels of the background, expected {} as its run says",
-                                    block.file.string(), background.count, block.count));
+        throw DataError(
+            fmt::format("{}: the block has {} surfels of the background, expected {} as stored in the run",
+                        block.file.string(), background.count, block.count));
     return scene.surfels.slice(0, background.count);
 }
 

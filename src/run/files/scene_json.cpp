@@ -98,7 +98,8 @@ Json frames_json(const Sequence& sequence, const Split& split) {
 void check_within(const JsonField& field, std::initializer_list<double> values, double limit) {
     for (const double v : values)
         if (std::abs(v) > limit)
-            field.fail(fmt::format("found {}", v), fmt::format("expected numbers within {:.15g}", limit));
+            field.fail(fmt::format("found {}", v),
+                       fmt::format("expected an absolute value of at most {:.15g}", limit));
 }
 
 Pose read_pose(const JsonField& field) {
@@ -125,7 +126,7 @@ RangeNoise read_range_noise(const JsonField& field) {
         field.at("sigma_m").fail(fmt::format("found {} numbers", n.sigma_m.size()),
                                  fmt::format("expected {} x {}", n.range_m.size(), n.cosine.size()));
     if (!std::all_of(n.sigma_m.begin(), n.sigma_m.end(), [](double s) { return s >= 0.0 && s < 1e3; }))
-        field.at("sigma_m").fail("found a value out of 0 ... 1000", "expected metres");
+        field.at("sigma_m").fail("found a value outside 0 to 1000", "expected standard deviations in metres");
     return n;
 }
 
@@ -150,11 +151,11 @@ IntensityResponse read_intensity_response(const JsonField& field) {
                               field.at("incidence").number(0.0, 1.0)};
     if (r.factor.size() != r.range_m.size())
         field.at("factor").fail(fmt::format("found {} factors", r.factor.size()),
-                                fmt::format("expected {}, one a knot", r.range_m.size()));
+                                fmt::format("expected {}, one for each knot", r.range_m.size()));
     if (!std::is_sorted(r.range_m.begin(), r.range_m.end()))
-        field.at("range_m").fail("found falling ranges", "expected ranges that rise");
+        field.at("range_m").fail("found decreasing ranges", "expected increasing ranges");
     if (!std::all_of(r.factor.begin(), r.factor.end(), [](double f) { return f > 0.0 && f < kHuge; }))
-        field.at("factor").fail("found a factor that is not above 0", "expected all above 0");
+        field.at("factor").fail("found a factor of 0 or less", "expected all above 0");
     return r;
 }
 
@@ -178,7 +179,7 @@ void read_frames(const JsonField& field, SceneFile& scene) {
         if (i > 0 && std::pair(frame.time_s, frame.lidar) <=
                          std::pair(scene.sequence.frames.back().time_s, scene.sequence.frames.back().lidar))
             entry.at("time_s").fail(fmt::format("found {}", frame.time_s),
-                                    "expected times that rise, or the next LiDAR at the same time");
+                                    "expected increasing times, or the next LiDAR at the same time");
         const std::string part = entry.at("split").text();
         if (part == "train") scene.split.train.push_back(static_cast<int>(i));
         else if (part == "test") scene.split.test.push_back(static_cast<int>(i));
@@ -204,9 +205,10 @@ BoxTrack read_box(const JsonField& field) {
     const std::size_t n = box.world_from_box.time_s.size();
     for (const double t : box.world_from_box.time_s) check_within(field.at("time_s"), {t}, kHuge);
     if (poses.size() != n)
-        poses.fail(fmt::format("found {} poses", poses.size()), fmt::format("expected {}, one a time", n));
+        poses.fail(fmt::format("found {} poses", poses.size()),
+                   fmt::format("expected {}, one for each time", n));
     if (!std::is_sorted(box.world_from_box.time_s.begin(), box.world_from_box.time_s.end()))
-        field.at("time_s").fail("found falling times", "expected times that rise");
+        field.at("time_s").fail("found decreasing times", "expected increasing times");
     if (field.has("size_guess")) box.size_guess = field.at("size_guess").text();
     if (field.has("beside_labels")) {
         const JsonField beside = field.at("beside_labels");
@@ -232,7 +234,7 @@ void check_counts(const JsonField& root, const SceneFile& scene) {
         const JsonField count = root.at("counts").at(name);
         if (count.integer(0, kMaxInt) != static_cast<std::int64_t>(n))
             count.fail(fmt::format("found {}", count.integer(0, kMaxInt)),
-                       fmt::format("expected {}, as many as are listed", n));
+                       fmt::format("expected {}, the number of listed entries", n));
     };
     check("frames", scene.sequence.frames.size());
     check("boxes", scene.sequence.boxes.size());
@@ -281,7 +283,7 @@ SceneFile parse_scene_json(const std::string& text, const std::string& file) {
         root.at("format").fail("found \"" + format + "\"", fmt::format("expected \"{}\"", kSceneFormat));
     if (const std::int64_t version = root.at("version").integer(0, kMaxInt); version != kSceneVersion)
         root.at("version").fail(fmt::format("found {}", version),
-                                fmt::format("this relidar ({}) reads version {}: train the run again",
+                                fmt::format("relidar {} reads only version {}; train the run again",
                                             RELIDAR_VERSION, kSceneVersion));
     SceneFile scene;
     Sequence& s = scene.sequence;

@@ -23,8 +23,9 @@ Frame& frame_of(const std::string& name, Sequence& sequence, const std::string& 
     std::size_t position = sequence.frames.size();
     const auto [end, error] = std::from_chars(name.data(), name.data() + name.size(), position);
     if (error != std::errc{} || end != name.data() + name.size() || position >= sequence.frames.size())
-        throw DataError(fmt::format("{}: array {}: no such frame, expected a name below {}", file, name,
-                                    sequence.frames.size()));
+        throw DataError(
+            fmt::format("{}: the name of array {} is not a frame of the log, expected a number below {}",
+                        file, name, sequence.frames.size()));
     return sequence.frames[position];
 }
 
@@ -52,13 +53,13 @@ void load_sweeps(const std::filesystem::path& path, Sequence& sequence) {
         Frame& frame = frame_of(array.name, sequence, file);
         const auto columns = std::size_t(sequence.lidar_of(frame).sensor.columns);
         if (array.dtype != "f4" || array.shape != std::vector<std::size_t>{columns})
-            throw DataError(
-                fmt::format("{}: array {}: found {} [{}], expected f4 [{}], one a column of its LiDAR", file,
-                            array.name, array.dtype, fmt::join(array.shape, ", "), columns));
+            throw DataError(fmt::format(
+                "{}: array {}: found {} [{}], expected f4 [{}] with one value per column of the LiDAR", file,
+                array.name, array.dtype, fmt::join(array.shape, ", "), columns));
         frame.azimuth_shift_rad = array.as_float();
         for (const float shift : frame.azimuth_shift_rad)
             if (!(std::abs(shift) <= float(kPi)))
-                throw DataError(fmt::format("{}: array {}: found {}, expected radians of -pi to pi", file,
+                throw DataError(fmt::format("{}: array {}: found {}, expected radians from -pi to pi", file,
                                             array.name, shift));
     }
 }

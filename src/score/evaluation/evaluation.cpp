@@ -204,12 +204,13 @@ void attach_scans(Run& run, const std::vector<int>& positions, const Sequence& l
             return f.index == frame.index && f.lidar == frame.lidar;
         });
         if (it == log.frames.end())
-            throw DataError(fmt::format("{}: frame {} is not there, expected it as when {} was trained",
-                                        run.config.dataset.path, frame.index, run.folder.string()));
+            throw DataError(
+                fmt::format("{} has no frame {}, but {} was trained with this frame; use the same log",
+                            run.config.dataset.path, frame.index, run.folder.string()));
         if (std::abs(it->time_s - frame.time_s) > kSameTime_s) {
-            throw DataError(fmt::format("{}: frame {} is of time {} s, expected {} s as when {} was trained",
-                                        run.config.dataset.path, frame.index, it->time_s, frame.time_s,
-                                        run.folder.string()));
+            throw DataError(fmt::format(
+                "{}: frame {} has the time {} s, but it had {} s when {} was trained; use the same log",
+                run.config.dataset.path, frame.index, it->time_s, frame.time_s, run.folder.string()));
         }
         frame.scan = it->scan;
         frame.start = it->start;

@@ -125,10 +125,11 @@ Features normalised_colours(const std::vector<float>& image, int rows, int colum
 
 void check_weights(const char* name, int layer, const std::vector<float>& values, std::size_t expected) {
     if (values.size() != expected)
-        throw DataError(fmt::format("weights of LPIPS: {}{} has {} values, expected {}", name, layer,
-                                    values.size(), expected));
+        throw DataError(fmt::format("cannot use the weights of LPIPS: {}{} has {} values, expected {}", name,
+                                    layer, values.size(), expected));
     if (!std::all_of(values.begin(), values.end(), [](float v) { return std::isfinite(v); }))
-        throw DataError(fmt::format("weights of LPIPS: {}{} holds a value that is not finite", name, layer));
+        throw DataError(fmt::format(
+            "cannot use the weights of LPIPS: {}{} contains a value that is not finite", name, layer));
 }
 
 }  // namespace
@@ -150,11 +151,13 @@ Lpips::~Lpips() = default;
 std::array<double, 5> Lpips::by_layer(const std::vector<float>& a, const std::vector<float>& b, int rows,
                                       int columns) const {
     if (rows < kMinEdge || columns < kMinEdge)
-        throw DataError(
-            fmt::format("LPIPS: image of {} x {} pixels, expected at least 31 x 31", rows, columns));
+        throw DataError(fmt::format(
+            "cannot compute LPIPS: the image has {} x {} pixels, expected at least 31 x 31", rows, columns));
     const std::size_t n = 3 * std::size_t(rows) * std::size_t(columns);
     if (a.size() != n || b.size() != n)
-        throw DataError(fmt::format("LPIPS: images of {} and {} values, expected {}", a.size(), b.size(), n));
+        throw DataError(
+            fmt::format("cannot compute LPIPS: the images have {} and {} values, expected {} values each",
+                        a.size(), b.size(), n));
     Features fa = normalised_colours(a, rows, columns), fb = normalised_colours(b, rows, columns);
     std::array<double, 5> distance{};
     for (std::size_t l = 0; l < distance.size(); ++l) {

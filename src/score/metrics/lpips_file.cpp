@@ -16,7 +16,7 @@ LpipsWeights read_lpips_weights(const std::filesystem::path& path) {
     const auto values = [&](const std::string& name) {
         const NamedArray* array = find_array(arrays, name);
         if (!array)
-            throw DataError(fmt::format("{}: array {}: missing, expected it among the weights of LPIPS",
+            throw DataError(fmt::format("{}: the array {} is missing, expected the weights of LPIPS",
                                         path.string(), name));
         return array->as_float();
     };

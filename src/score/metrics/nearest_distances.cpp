@@ -38,9 +38,10 @@ constexpr std::size_t kLeafSize = 16;
 void check_finite(const std::vector<glm::dvec3>& points, const char* name) {
     for (std::size_t i = 0; i < points.size(); ++i)
         if (!std::isfinite(points[i].x + points[i].y + points[i].z))
-            throw DataError(
-                fmt::format("nearest distances: {} point {} is ({}, {}, {}), expected finite values", name, i,
-                            points[i].x, points[i].y, points[i].z));
+            throw DataError(fmt::format(
+                "cannot search nearest points: {} point {} is ({}, {}, {}), expected finite coordinates "
+                "in metres",
+                name, i, points[i].x, points[i].y, points[i].z));
 }
 
 }  // namespace
@@ -50,7 +51,8 @@ std::vector<double> nearest_distances(const std::vector<glm::dvec3>& query,
     std::vector<double> distance(query.size());
     if (query.empty()) return distance;
     if (target.empty())
-        throw DataError(fmt::format("nearest distances: {} query points, no target point", query.size()));
+        throw DataError(fmt::format(
+            "cannot search nearest points: there are {} query points, but no target point", query.size()));
     check_finite(query, "query");
     check_finite(target, "target");
 

@@ -35,7 +35,8 @@ std::vector<int> neighbours_of(const Sequence& sequence, int position, const std
         if (p >= 0) neighbours.push_back(p);
     if (neighbours.empty())
         throw DataError(fmt::format(
-            "projecting neighbouring scans: no training frame beside position {}, expected at least one",
+            "cannot project neighbouring scans: no training frame is before or after position {} of "
+            "the log",
             position));
     return neighbours;
 }
@@ -162,10 +163,10 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
 
 Scan bin_onto_rays(const RayTable& rays, const Scan& points) {
     if (rays.rows < 2 || rays.columns < 2 * kColumnSearch + 1)
-        throw DataError(
-            fmt::format("binning points onto the sensor's rays: found {} x {} rays, expected an image of "
-                        "rows and columns",
-                        rays.rows, rays.columns));
+        throw DataError(fmt::format(
+            "cannot project points into an image: the sensor has {} x {} rays, expected rays that "
+            "are ordered in rows and columns",
+            rays.rows, rays.columns));
     const Beams beams{rays};
     Scan scan{rays, ScanArray<float>(rays.size()), ScanArray<float>(rays.size())};
     for (std::size_t i = 0; i < points.range_m.size(); ++i) {

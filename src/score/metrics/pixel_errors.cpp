@@ -28,26 +28,31 @@ double median(Values values) {
 
 void check_values(const std::vector<float>& values, std::size_t n, const char* image, const char* array) {
     if (values.size() != n)
-        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image,
-                                    array, values.size(), n));
+        throw DataError(fmt::format(
+            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}", image,
+            array, values.size(), n));
     const auto bad = std::find_if(values.begin(), values.end(), [](float v) { return !std::isfinite(v); });
     if (bad != values.end())
-        throw DataError(
-            fmt::format("evaluating a range image: {} {} is {} at pixel {}, expected a finite value", image,
-                        array, *bad, bad - values.begin()));
+        throw DataError(fmt::format(
+            "cannot compare range images: array {1} of the {0} image is {2} at pixel {3}, expected a "
+            "finite value",
+            image, array, *bad, bad - values.begin()));
 }
 
 void check_vectors(const std::vector<glm::vec3>& values, std::size_t n, const char* image,
                    const char* array) {
     if (values.size() != n)
-        throw DataError(fmt::format("evaluating a range image: {} {} has {} values, expected {}", image,
-                                    array, values.size(), n));
+        throw DataError(fmt::format(
+            "cannot compare range images: array {1} of the {0} image has {2} values, expected {3}", image,
+            array, values.size(), n));
 }
 
 void check_image(const RangeImage& image, const char* name) {
     if (image.rows <= 0 || image.columns <= 0)
-        throw DataError(fmt::format("evaluating a range image: the {} one has {} x {} pixels", name,
-                                    image.rows, image.columns));
+        throw DataError(
+            fmt::format("cannot compare range images: the {} image has {} x {} pixels, expected at least one "
+                        "pixel",
+                        name, image.rows, image.columns));
     const std::size_t n = std::size_t(image.rows) * std::size_t(image.columns);
     check_values(image.range_m, n, name, "range_m");
     check_values(image.intensity, n, name, "intensity");
@@ -62,8 +67,10 @@ void check_pair(const RangeImage& rendered, const RangeImage& real) {
     check_image(rendered, "rendered");
     check_image(real, "real");
     if (rendered.rows == real.rows && rendered.columns == real.columns) return;
-    throw DataError(fmt::format("evaluating a range image: {} x {} pixels rendered, {} x {} real",
-                                rendered.rows, rendered.columns, real.rows, real.columns));
+    throw DataError(
+        fmt::format("cannot compare range images: the rendered image has {} x {} pixels, but the real image "
+                    "has {} x {}",
+                    rendered.rows, rendered.columns, real.rows, real.columns));
 }
 
 Mask not_dropped(const RangeImage& image, double threshold) {

@@ -62,8 +62,9 @@ MetricRow evaluate_regions(const RangeImage& rendered, const RangeImage& real,
     MetricRow row;
     for (const Region& region : regions) {
         if (region.pixels.size() != truth.size())
-            throw DataError(fmt::format("evaluating region {}: {} pixels, expected {}", region.name,
-                                        region.pixels.size(), truth.size()));
+            throw DataError(
+                fmt::format("cannot compute scores of region {}: its mask has {} pixels, expected {}",
+                            region.name, region.pixels.size(), truth.size()));
         const Mask mask = both(region.pixels, truth);
         const auto n = std::count(mask.begin(), mask.end(), true);
         const std::string name = region.name + "/";

@@ -58,15 +58,21 @@ std::vector<Moments> sum_along_rows(const std::vector<double>& a, const std::vec
 
 void check(std::size_t n_a, std::size_t n_b, int rows, int columns, double data_range) {
     if (rows < kWindow || columns < kWindow)
-        throw DataError(fmt::format("structural similarity: image of {} x {} pixels, expected at least 7 x 7",
-                                    rows, columns));
+        throw DataError(
+            fmt::format("cannot compute the structural similarity: the image has {} x {} pixels, expected at "
+                        "least 7 x 7",
+                        rows, columns));
     const std::size_t n = std::size_t(rows) * std::size_t(columns);
     if (n_a != n || n_b != n)
-        throw DataError(
-            fmt::format("structural similarity: images of {} and {} values, expected {}", n_a, n_b, n));
+        throw DataError(fmt::format(
+            "cannot compute the structural similarity: the images have {} and {} values, expected {} "
+            "values each",
+            n_a, n_b, n));
     if (!(data_range > 0.0))
         throw DataError(
-            fmt::format("structural similarity: data range {}, expected a positive one", data_range));
+            fmt::format("cannot compute the structural similarity: the data range is {}, expected a positive "
+                        "number",
+                        data_range));
 }
 
 }  // namespace

@@ -203,8 +203,9 @@ std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, 
     Extent x_extent, y_extent;
     for (const ReportCurve* curve : curves) {
         if (curve->x.size() != curve->y.size())
-            throw DataError(fmt::format("report curve '{}': {} x and {} y values", curve->name,
-                                        curve->x.size(), curve->y.size()));
+            throw DataError(fmt::format(
+                "cannot draw the curve '{}': it has {} x values and {} y values, expected the same number",
+                curve->name, curve->x.size(), curve->y.size()));
         for (std::size_t i = 0; i < curve->x.size(); ++i)
             if (drawable(*curve, i)) x_extent.add(curve->x[i]), y_extent.add(curve->y[i]);
     }

@@ -140,12 +140,12 @@ std::string metrics(const Report& report) {
         rows += fmt::format("<tr><td class=\"name\">{}</td>{}</tr>\n", escape_html(metric),
                             metric_cells(report, name));
     }
-    const char* marks = report.same_scans
-                            ? "Green: best of the row."
-                            : "Columns are of different scans: neither is better than the other.";
+    const char* marks = report.same_scans ? "Green marks the best value of a row."
+                                          : "The columns show different scans, so they cannot be compared.";
     const std::string note =
         report.metrics.size() > 1
-            ? fmt::format("<p class=\"note\">{} Dash: not given or not defined.</p>\n", marks)
+            ? fmt::format("<p class=\"note\">{} A dash means that a value is missing or undefined.</p>\n",
+                          marks)
             : "";
     return table(head, rows) + note;
 }
@@ -189,8 +189,8 @@ std::string curves(const Report& report) {
     for (const auto& [title, members] : charts) body += chart(title, members, charts.size() > 1 ? 550 : 1130);
     if (body.empty()) return "";
     return "<div class=\"charts\">\n" + body + "</div>\n" +
-           (means ? "<p class=\"note\">Faint: every value. Solid: running mean over one fortieth of the "
-                    "curve.</p>\n"
+           (means ? "<p class=\"note\">Faint line: all values. Solid line: running mean over one fortieth of "
+                    "the curve.</p>\n"
                   : "");
 }
 

@@ -101,7 +101,8 @@ std::vector<fs::path> asset_folders(const fs::path& folder) {
     std::erase_if(assets, [](const fs::path& entry) { return !path_exists(entry / kAssetFile); });
     if (assets.empty())
         throw DataError(fmt::format(
-            "{}: found no asset in it, expected folders with an {} each (`relidar assets RUN --out FOLDER`)",
+            "{} contains no asset, expected folders with an {} each, as written by `relidar assets "
+            "RUN --out FOLDER`",
             folder.string(), kAssetFile));
     return assets;
 }

@@ -115,8 +115,9 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
     const auto box =
         std::ranges::find_if(alone.sequence.boxes, [&](const BoxTrack& b) { return b.id == track; });
     if (alone.scene.instances.size() != 2 || box == alone.sequence.boxes.end())
-        throw UsageError(fmt::format("making an asset of \"{}\": found no such actor, expected one of: {}",
-                                     track, fmt::join(others, ", ")));
+        throw UsageError(
+            fmt::format("cannot make an asset of \"{}\": the run has no such actor, expected one of: {}",
+                        track, fmt::join(others, ", ")));
 
     const BoxSurface surface = seen_surface(box->size_m, sightings);
     Asset asset;
@@ -176,8 +177,8 @@ std::string only_track(const Run& run) {
         if (!instance.track.empty()) tracks.push_back(instance.track);
     if (tracks.size() == 1) return tracks.front();
     throw UsageError(fmt::format(
-        "{}: found {} actors and none of them named, expected an asset, or RUN#TRACK{}", run.folder.string(),
-        tracks.size(), tracks.empty() ? "" : fmt::format(" with one of {}", fmt::join(tracks, ", "))));
+        "{} is a run with {} actors, expected an asset, or RUN#TRACK{}", run.folder.string(), tracks.size(),
+        tracks.empty() ? "" : fmt::format(" with one of {}", fmt::join(tracks, ", "))));
 }
 
 }  // namespace relidar

@@ -74,7 +74,7 @@ std::map<std::string, ActorSightings> sight_actors(Device& device, const Run& ru
     std::map<std::string, ActorSightings> sightings;
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     for (std::size_t k = 0; k < positions.size(); ++k) {
-        if (progress) progress("looking at actors", double(k) / double(positions.size()));
+        if (progress) progress("measuring the visibility of actors", double(k) / double(positions.size()));
         const Frame& frame = run.sequence.frames[std::size_t(positions[k])];
         add_returns(renderer.render(sensors[std::size_t(frame.lidar)], frame.time_s), run, boxes, sightings);
     }

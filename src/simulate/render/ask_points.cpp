@@ -79,7 +79,8 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
     Impl& s = *impl_;
     if (s.asked.size() >= kScansInFlight)
         throw UsageError(fmt::format(
-            "asking for the points of a scan: found {} scans that were not taken, expected fewer than {}",
+            "cannot request the points of another scan: {} requested scans were not read, expected "
+            "fewer than {}",
             s.asked.size(), kScansInFlight));
     AskedPoints asked;
     if (!s.gathers_points(sensor, sample.has_value())) {
@@ -168,8 +169,7 @@ ScanRenderer::~ScanRenderer() {
 RenderedPoints ScanRenderer::take_points(Points memory) {
     Impl& s = *impl_;
     if (s.asked.empty())
-        throw UsageError(
-            "taking the points of a scan: found none that was asked for, expected ask_points() before");
+        throw UsageError("cannot read the points of a scan: no scan was requested; call ask_points() first");
     AskedPoints first = std::move(s.asked.front());
     s.asked.pop_front();
     return s.points_of(first, std::move(memory));

@@ -34,8 +34,8 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
                 },
                 merged.channels.back().values);
         } else if (known->values.index() != channel.values.index()) {
-            throw UsageError(
-                fmt::format("merging scans: found channel {} of two types, expected one", channel.info.name));
+            throw UsageError(fmt::format(
+                "cannot merge scans: the channel {} has different types in two scans", channel.info.name));
         }
     }
 }
@@ -133,9 +133,9 @@ void append_rays(RenderedScan& merged, const RenderedScan& scan, RigPoses& poses
 
 RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vector<Pose>& rig_from_sensor) {
     if (scans.empty() || scans.size() != rig_from_sensor.size())
-        throw UsageError(
-            fmt::format("merging scans: found {} scans and {} mountings, expected as many of both",
-                        scans.size(), rig_from_sensor.size()));
+        throw UsageError(fmt::format(
+            "cannot merge scans: found {} scans and {} mountings, expected the same number of both",
+            scans.size(), rig_from_sensor.size()));
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
@@ -150,7 +150,8 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
         append_rays(merged, scan, poses, rings);
         if (!scan.ring.empty()) rings += std::size_t(*std::ranges::max_element(scan.ring)) + 1;
         if (rings > 65536)
-            throw UsageError(fmt::format("merging scans: found {} beams, expected at most 65536", rings));
+            throw UsageError(
+                fmt::format("cannot merge scans: found {} beams in total, expected at most 65536", rings));
         const std::size_t first_ray = merged.image.range_m.size();
         append_channels(merged, scan, poses, first_ray);
         for_each_basic_pair(scan, merged,

@@ -28,9 +28,10 @@ constexpr double kFarthest = 1e10;  // limit for coordinates in metres and for t
 
 void check_has_normals(const Config& config, const ChannelInfo& channel, const char* doing) {
     if (!channel.needs_normals || kind_of(config.image.primitive).has_normals) return;
-    throw UsageError(fmt::format(
-        "{}: found {} with image.primitive={}, which has no normals, expected surfels, or other channels",
-        doing, channel.name, kind_of(config.image.primitive).name));
+    throw UsageError(
+        fmt::format("{}: the channel {} needs normals, but image.primitive={} has none; use surfels or other "
+                    "channels",
+                    doing, channel.name, kind_of(config.image.primitive).name));
 }
 
 TraceOptions traced_with(const Config& config) {
@@ -45,21 +46,21 @@ TraceOptions traced_with(const Config& config) {
 void check_track(const PoseTrack& track, const std::string& thing) {
     const auto fail = [&](const std::string& found, const char* expected) {
         throw DataError(
-            fmt::format("rendering a scan: poses of {}: found {}, expected {}", thing, found, expected));
+            fmt::format("cannot render a scan: poses of {}: found {}, expected {}", thing, found, expected));
     };
     const std::size_t n = track.pose.size();
     if (n == 0 || n != track.time_s.size())
         fail(fmt::format("{} poses at {} times", n, track.time_s.size()),
-             "as many of each, and one at least");
+             "the same number of both, and at least one");
     for (std::size_t i = 0; i < n; ++i) {
         const auto& [q, t] = track.pose[i];
         bool is_pose = std::abs(glm::length(q) - 1.0) < 1e-3;
         for (const double x : {t.x, t.y, t.z, track.time_s[i]}) is_pose = is_pose && std::abs(x) <= kFarthest;
         if (!is_pose)
-            fail(fmt::format("no finite pose at entry {}", i),
-                 "a unit quaternion, metres and seconds within 1e10");
+            fail(fmt::format("an invalid pose at entry {}", i),
+                 "a unit quaternion, and metres and seconds of at most 1e10");
         if (i > 0 && !(track.time_s[i] > track.time_s[i - 1])) {
-            fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "times that rise");
+            fail(fmt::format("time {} after {}", track.time_s[i], track.time_s[i - 1]), "increasing times");
         }
     }
 }
@@ -89,18 +90,18 @@ std::optional<RayTable> split_beams(const RayTable& rays, const SensorConfig& co
                                     const std::string& sensor) {
     if (config.sub_rays == 1 && config.returns > 1)
         throw UsageError(
-            "sensor.returns: found 2 with sensor.sub_rays = 1, expected sub-rays: a single ray has one "
+            "sensor.returns=2 needs sensor.sub_rays of 5 or 9, because a single ray has only one "
             "return");
     if (config.sub_rays == 1) return {};
     if (config.sub_rays != 5 && config.sub_rays != 9)
         throw UsageError(fmt::format("sensor.sub_rays: found {}, expected 1, 5 or 9", config.sub_rays));
     if (!(config.divergence_mrad > 0.0 || rays.largest_divergence() > 0.0))
         throw UsageError(fmt::format(
-            "sensor.sub_rays: nothing is known of the beam divergence of {}, expected sensor.divergence_mrad",
-            sensor));
+            "sensor.sub_rays: the beam divergence of {} is unknown; set sensor.divergence_mrad", sensor));
     if (rays.size() * std::size_t(config.sub_rays) > kMaxRays)
-        throw UsageError(fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} in all",
-                                     config.sub_rays, rays.size(), kMaxRays));
+        throw UsageError(
+            fmt::format("sensor.sub_rays: found {} for {} rays, expected at most {} rays in total",
+                        config.sub_rays, rays.size(), kMaxRays));
     return split_rays(rays, config.sub_rays, 1e-3 * config.divergence_mrad);
 }
 
@@ -173,7 +174,8 @@ ScanRenderer::ScanRenderer(Device& device, const Run& run)
 void ScanRenderer::show_only(const std::vector<bool>& shown) {
     if (shown.size() != impl_->shown.size())
         throw UsageError(
-            fmt::format("choosing what is rendered: found {} choices, expected {}, one an instance",
+            fmt::format("cannot select the rendered instances: found {} choices, expected {}, one for each "
+                        "instance",
                         shown.size(), impl_->shown.size()));
     impl_->shown = shown;
 }
@@ -196,8 +198,8 @@ void ScanRenderer::want_channels(const std::string& names) {
 
 void ScanRenderer::side_by_side(int n) {
     if (n < 1)
-        throw UsageError(
-            fmt::format("rendering scans side by side: found {} of them, expected 1 at least", n));
+        throw UsageError(fmt::format(
+            "cannot render several scans at the same time: found {} scans, expected at least 1", n));
     impl_->settle();
     impl_->most_strands = n;
     while (std::ssize(impl_->others) >= n) impl_->others.pop_back();
@@ -220,9 +222,8 @@ void ScanRenderer::set_weather(const Weather& weather) {
     check_weather(weather);
     if (!weather.clear() && !impl_->has_intensities())
         throw UsageError(
-            "weather: the run's log has no intensities, expected a log that has them: weather acts by the "
-            "brightness of "
-            "surfaces");
+            "weather cannot be simulated, because the log of the run has no intensities, which "
+            "define the brightness of surfaces");
     impl_->weather = weather;
 }
 
@@ -255,7 +256,7 @@ std::vector<InstancePose> ScanRenderer::drive(const SensorChoice& sensor, const 
     };
     if (!(std::abs(request.time_s) <= kFarthest)) {
         throw DataError(
-            fmt::format("rendering a scan: time_s: found {}, expected a finite time within {:.0e} s",
+            fmt::format("cannot render a scan: time_s: found {}, expected a finite time of at most {:.0e} s",
                         request.time_s, kFarthest));
     }
     s.drive(in_world(request.dataset_from_sensor, "the sensor"), sensor);
@@ -475,13 +476,14 @@ RenderedScan ScanRenderer::take(const SensorChoice& sensor, double time_s, std::
     const SensorConfig config = s.config_of(sensor);
     if (sensor.grid && config.returns > 1)
         throw UsageError(fmt::format(
-            "sensor.returns: found 2 for {}, expected 1: its image has one range a pixel", sensor.name));
+            "sensor.returns: found 2 for {}, expected 1, because its image has one range per pixel",
+            sensor.name));
     const std::optional<RayTable> parts = split_beams(whole, config, sensor.name);
     const RayTable& table = parts ? *parts : whole;
     if (table.size() == 0)
-        throw UsageError(fmt::format(
-            "rendering as {}: it does not spin and has no rays of its own, expected another sensor",
-            sensor.name));
+        throw UsageError(
+            fmt::format("cannot render {}: this sensor does not spin and defines no rays; use another sensor",
+                        sensor.name));
     s.send();
     s.bring(s.first, sensor, time_s, std::move(placed));
     const bool of_rays = s.refines_rays(sensor, whole);

@@ -65,8 +65,7 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
                 .lidar = lidar,
                 .rolling_shutter = rolls_like_log(config, sequence)};
     if (method != "project") {
-        throw UsageError(fmt::format(
-            "choosing the sensor: found sensor.grid_method = \"{}\", expected project or cast", method));
+        throw UsageError(fmt::format("sensor.grid_method: found \"{}\", expected project or cast", method));
     }
     SensorChoice choice = own_sensor(config, sequence, lidar);
     choice.grid = grid;

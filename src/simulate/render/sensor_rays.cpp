@@ -64,8 +64,8 @@ std::uint32_t device_channel(const std::string& name) {
     for (std::uint32_t axis = 0; axis < 3; ++axis)
         if (name == std::string("origin_") + "xyz"[axis]) return RELIDAR_DROP_ORIGIN + axis;
     throw DataError(
-        fmt::format("ray-drop network: found the input \"{}\", expected inputs that this relidar renders; "
-                    "`relidar refine RUN` trains the network again",
+        fmt::format("the ray-drop network needs the input \"{}\", which this version of relidar does not "
+                    "render; `relidar refine RUN` trains the network again",
                     excerpt(name)));
 }
 

@@ -99,15 +99,17 @@ void MomentRecorder::check_times(const RenderedScan& scan, const Sweep& all) {
     if (!shift_s_) shift_s_ = all.first_s < 0.0 ? std::ceil(-all.first_s) : 0.0;
     if (falls || !(all.first_s + *shift_s_ >= 0.0 && all.last_s + *shift_s_ < kLatest_s))
         throw DataError(fmt::format(
-            "writing a recording: found a scan at {} s, expected times that do not fall, and lie before 2038",
+            "cannot write a recording: found a scan at {} s, expected times that do not decrease and "
+            "are before the year 2038",
             scan.time_s));
     last_scan_s_ = scan.time_s;
 }
 
 RecordedMoment MomentRecorder::take(std::span<const RenderedScan> scans) {
     if (scans.size() != sensors_.size())
-        throw UsageError(fmt::format("writing a recording: found {} scans, expected {}, one of each sensor",
-                                     scans.size(), sensors_.size()));
+        throw UsageError(
+            fmt::format("cannot write a recording: found {} scans, expected {}, one for each sensor",
+                        scans.size(), sensors_.size()));
     std::vector<Sweep> sweeps;
     for (std::size_t s = 0; s < scans.size(); ++s) {
         const std::vector<float>& offsets_s = scans[s].time_offset_s;

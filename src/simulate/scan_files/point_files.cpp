@@ -53,8 +53,8 @@ std::string ply_name(const std::string& name) {
 void check_lengths(const Points& points) {
     const auto check = [&](const char* name, std::size_t found, bool may_be_unknown = true) {
         if (found != points.size() && !(may_be_unknown && found == 0))
-            throw DataError(
-                fmt::format("point cloud: {} values of {}, expected {}", found, name, points.size()));
+            throw DataError(fmt::format("cannot write a point cloud: found {} values of {}, expected {}",
+                                        found, name, points.size()));
     };
     check("intensity", points.intensity.size(), false);
     check("ring", points.ring.size());

@@ -75,8 +75,9 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining)
     const std::vector<std::string> known = scan_formats();
     for (const std::string& name : format_.formats)
         if (std::find(known.begin(), known.end(), name) == known.end())
-            throw UsageError(fmt::format("writing scans: found format \"{}\"{} (known: {})", name,
-                                         did_you_mean(name, known), fmt::join(known, ", ")));
+            throw UsageError(
+                fmt::format("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
+                            did_you_mean(name, known), fmt::join(known, ", ")));
     check_writable(folder_);
     channels_ = wanted_channels(format_.config.render.channels);
 }
@@ -85,10 +86,10 @@ ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {
     ScanFolder joined(std::move(folder), std::move(format), Joining{});
     for (const std::string& name : joined.format_.formats)
         if (is_recording(name))
-            throw UsageError(
-                fmt::format("writing scans by several processes: found format {}, one file of all scans; "
-                            "expected one process",
-                            name));
+            throw UsageError(fmt::format(
+                "cannot write scans with several processes: the format {} stores all scans in one file; "
+                "use one process",
+                name));
     return joined;
 }
 
@@ -173,7 +174,7 @@ void scan_files::remove_scans(const fs::path& folder) {
         fs::remove(file, failed);
         if (failed)
             throw DataError(
-                fmt::format("removing {} of an earlier rendering: {}", file.string(), failed.message()));
+                fmt::format("cannot remove {} of an earlier rendering: {}", file.string(), failed.message()));
     }
     remove_temporaries(folder);
 }

@@ -42,18 +42,17 @@ void check_names(const scan_files::RecordedRig& rig) {
     std::set<std::string> taken{scan_files::kWorldFrame, scan_files::kVehicleFrame};
     for (const scan_files::RecordedSensor& sensor : rig.sensors) {
         if (!is_topic(sensor.topic))
-            throw UsageError(
-                fmt::format("recording: found topic \"{}\", expected one as /lidar/points: words of letters, "
-                            "digits and _, not "
-                            "beginning with a digit, each behind a /",
-                            sensor.topic));
+            throw UsageError(fmt::format(
+                "cannot write a recording: found topic \"{}\", expected a name such as /lidar/points; "
+                "each part follows a /, consists of letters, digits and _, and does not begin with a "
+                "digit",
+                sensor.topic));
         if (sensor.frame_id.empty() || sensor.frame_id.front() == '/' ||
             !taken.insert(sensor.frame_id).second)
-            throw UsageError(
-                fmt::format("recording: found frame \"{}\" of the sensor with topic {}, expected a name "
-                            "without a / in front, "
-                            "other than {}",
-                            sensor.frame_id, sensor.topic, fmt::join(taken, ", ")));
+            throw UsageError(fmt::format(
+                "cannot write a recording: found frame id \"{}\" for the sensor with topic {}, expected "
+                "a name that does not begin with / and is none of {}",
+                sensor.frame_id, sensor.topic, fmt::join(taken, ", ")));
     }
 }
 
@@ -63,8 +62,10 @@ void check_topics(const std::vector<scan_files::RecordedTopic>& topics) {
     std::set<std::string> taken;
     for (const scan_files::RecordedTopic& topic : topics)
         if (!taken.insert(topic.name).second)
-            throw UsageError(fmt::format("recording: found topic {} twice, expected another for each of {}",
-                                         topic.name, fmt::join(taken, ", ")));
+            throw UsageError(fmt::format(
+                "cannot write a recording: topic {} occurs twice, expected a different topic for each of "
+                "{}",
+                topic.name, fmt::join(taken, ", ")));
 }
 
 /// Returns the metadata of a recording.

@@ -29,10 +29,11 @@ CheckpointFolder::CheckpointFolder(std::filesystem::path folder, int newest, std
 void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Checkpoint&)>& fill) {
     const int iteration = checkpoint.iteration;
     const auto failed = [&](const std::string& why) {
-        const std::string safe =
-            newest_ > 0 ? fmt::format("the last one is of {} {}", count_, newest_) : "there is none yet";
+        const std::string safe = newest_ > 0
+                                     ? fmt::format("the last checkpoint is that of {} {}", count_, newest_)
+                                     : "no earlier checkpoint exists";
         if (note_)
-            note_(fmt::format("checkpoint of {} {} not written, {}: {}", count_, iteration, safe, why));
+            note_(fmt::format("cannot write the checkpoint of {} {} ({}): {}", count_, iteration, safe, why));
     };
     try {
         fill(checkpoint);
@@ -42,7 +43,7 @@ void CheckpointFolder::save(Checkpoint checkpoint, const std::function<void(Chec
     try {
         check_finite(checkpoint);
     } catch (const DataError& error) {
-        throw DataError(fmt::format("training, {} {}: {}", count_, iteration, error.what()));
+        throw DataError(fmt::format("training failed at {} {}: {}", count_, iteration, error.what()));
     }
     try {
         save_checkpoint(folder_, checkpoint, kKept);

@@ -19,7 +19,7 @@ namespace {
 
 constexpr const char* kSetting = "setting/";
 constexpr const char* kTrainAgain =
-    "a checkpoint of another version of relidar cannot be continued: train again";
+    "a checkpoint that another version of relidar has written cannot be resumed; train again";
 
 /// Computes a hash of all added values. The order of the values matters.
 class Hash {
@@ -134,8 +134,8 @@ void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkp
     for (const ConfigKey& setting : settings) {
         const auto it = saved.find(setting.key);
         if (it == saved.end())
-            throw DataError(fmt::format("{}: setting {}: missing in the checkpoint; {}", doing, setting.key,
-                                        kTrainAgain));
+            throw DataError(fmt::format("{}: the checkpoint has no value for the setting {}; {}", doing,
+                                        setting.key, kTrainAgain));
         if (it->second != setting.value)
             throw UsageError(differs(doing, "setting " + setting.key, setting.value, it->second));
     }
@@ -155,7 +155,7 @@ std::map<std::string, std::string> settings_in(const Checkpoint& checkpoint) {
         if (!text.starts_with(prefix)) continue;
         const std::string key = text.substr(prefix.size());
         if (!known.contains(key))
-            throw DataError(fmt::format("checkpoint of iteration {}: setting {}: unknown key; {}",
+            throw DataError(fmt::format("the checkpoint of iteration {} has the unknown setting {}; {}",
                                         checkpoint.iteration, excerpt(key), kTrainAgain));
         settings.emplace(key, value);
     }

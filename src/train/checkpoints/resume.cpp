@@ -91,13 +91,15 @@ std::string differing_setting(const Config& config, const Config& other) {
 
 void check_resumable(const Checkpoint& checkpoint, const Sequence& sequence, const Split& split,
                      const Config& config) {
-    const std::string doing = fmt::format("resuming from iteration {}", checkpoint.iteration);
+    const std::string doing = fmt::format("cannot resume from iteration {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = config_keys(config);
     std::erase_if(settings, [](const ConfigKey& key) { return is_free(key.key); });
     check_same(settings, checkpoint, doing);
     if (config.train.iterations < checkpoint.iteration)
-        throw UsageError(fmt::format("{}: setting train.iterations: found {}, expected at least as many",
-                                     doing, config.train.iterations));
+        throw UsageError(
+            fmt::format("{}: setting train.iterations: found {}, expected at least the iteration of the "
+                        "checkpoint",
+                        doing, config.train.iterations));
     for (const Mark& mark : marks_of(sequence, split)) check_same(checkpoint, mark, doing);
 }
 
@@ -134,8 +136,9 @@ std::vector<TrainProgress> resumed_log(const Checkpoint& checkpoint, const Confi
     const bool even = as_long(log.seconds) && as_long(log.surfels) &&
                       std::ranges::all_of(log.terms, as_long) && std::ranges::all_of(log.densified, as_long);
     if (!even)
-        throw DataError(fmt::format("resuming from iteration {}: the columns of the log differ in length",
-                                    checkpoint.iteration));
+        throw DataError(fmt::format(
+            "cannot resume from iteration {}: the checkpoint's columns of log.jsonl differ in length",
+            checkpoint.iteration));
     std::vector<TrainProgress> lines;
     for (std::size_t i = 0; i < n; ++i) {
         std::array<double, kLossTerms> terms{};

@@ -92,8 +92,8 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         spread(images_of(run.config, run.sequence, run.split.train), run.config.refine.frames);
     if (positions.empty())
         throw DataError(
-            fmt::format("training the ray-drop network of {}: no training frame has an image of rows and "
-                        "columns, expected one",
+            fmt::format("cannot train the ray-drop network of {}: no training frame has its rays in rows and "
+                        "columns, which the network needs",
                         run.sequence.name));
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const Unknown masks = masks_of(config, run.scene);

@@ -40,8 +40,8 @@ std::map<std::string, std::string> texts_of(const Run& run) {
 
 RefineKeeper::RefineKeeper(const Run& run, const RefineSession& session)
     : minutes_(run.config.train.checkpoint_minutes),
-      folder_(session.checkpoints, session.start ? session.start->iteration : 0,
-              "the ray-drop network's step", session.note) {
+      folder_(session.checkpoints, session.start ? session.start->iteration : 0, "ray-drop training step",
+              session.note) {
     if (folder_.wanted()) texts_ = std::async(std::launch::async, [&run] { return texts_of(run); });
 }
 
@@ -65,7 +65,8 @@ RefineState refine_state(const Checkpoint& checkpoint) {
 }
 
 void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
-    const std::string doing = fmt::format("resuming the ray-drop network from step {}", checkpoint.iteration);
+    const std::string doing =
+        fmt::format("cannot resume the ray-drop network from step {}", checkpoint.iteration);
     std::vector<ConfigKey> settings = config_keys(run.config);
     std::erase_if(settings, [](const ConfigKey& key) { return !matters(key.key); });
     check_same(settings, checkpoint, doing);

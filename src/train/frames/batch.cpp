@@ -77,7 +77,9 @@ void check_images(const char* setting, const std::vector<FrameData>& frames) {
     for (const FrameData& frame : frames)
         if (!frame.image.is_image())
             throw UsageError(fmt::format(
-                "setting {}: found a sensor without image order, expected rows and columns, or 0", setting));
+                "setting {}: the rays of this sensor are not ordered in rows and columns, so this loss "
+                "cannot be computed; set it to 0",
+                setting));
 }
 
 }  // namespace

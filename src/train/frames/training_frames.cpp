@@ -42,8 +42,8 @@ FrameData describe(const Sequence& sequence, int position, const std::optional<R
     const Frame& frame = trained.frame;
     const RayTable& table = frame.scan.rays;
     if (frame.scan.range_m.empty())
-        throw DataError(fmt::format("preparing frame {} of {}: it has no rays, expected at least one",
-                                    frame.index, sequence.name));
+        throw DataError(fmt::format("cannot use frame {} of {} for training: it has no rays", frame.index,
+                                    sequence.name));
     FrameData data;
     data.position = position;
     data.index = frame.index;

@@ -86,7 +86,7 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
         poses.insert(run.sequence.pose_of(run.sequence.frames[std::size_t(position)]));
     for (const std::size_t pose : poses) {
         if (session.progress)
-            session.progress("placing held-out scans", double(result.scans) / double(poses.size()));
+            session.progress("aligning held-out scans", double(result.scans) / double(poses.size()));
         if (session.stop && session.stop()) return {};
         const ScanPlacement placed = place_scan(
             run.sequence, pose,
@@ -99,7 +99,7 @@ HeldOutPlacement place_held_out(Device& device, Run& run, const PlaceSession& se
         track.pose[pose] = placed.world_from_vehicle;
         moved_m.push_back(placed.moved_m);
     }
-    if (session.progress) session.progress("placing held-out scans", 1.0);
+    if (session.progress) session.progress("aligning held-out scans", 1.0);
     run.sequence.world_from_vehicle = std::move(track);
     run.held_out_placed = true;
     result.placed = moved_m.size();

@@ -95,24 +95,26 @@ TEST(Feather, SaysWhatIsWrong) {
     };
     const auto only_open = [](const Feather&) {};
     const std::string good = test::feather_bytes(Table().columns());
-    expect("", "0 bytes that do not begin with ARROW1", only_open);
-    expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes that do not begin with ARROW1", only_open);
-    expect(good.substr(0, good.size() - 1), "cut short: it does not end with ARROW1", only_open);
+    expect("", "0 bytes of the file do not begin with ARROW1", only_open);
+    expect("FEA1" + std::string(100, '\0') + "FEA1", "108 bytes of the file do not begin with ARROW1",
+           only_open);
+    expect(good.substr(0, good.size() - 1), "does not end with ARROW1", only_open);
     std::string bad = good;
     bad[bad.size() - 7] = '\x7f';  // length of the footer
     expect(bad, "a footer at -", only_open);
-    expect(good, "column 'wider': no such column among 'wide, narrow, ",
+    expect(good, "column 'wider': the file has no such column, expected one of 'wide, narrow, ",
            [](const Feather& t) { t.numbers("wider"); });
-    expect(good, "column 'text': text, expected numbers", [](const Feather& t) { t.numbers("text"); });
-    expect(good, "column 'f64': numbers, expected text", [](const Feather& t) { t.texts("f64"); });
-    expect(good, "column 'f64': no integers, but expected them", [](const Feather& t) { t.integers("f64"); });
+    expect(good, "column 'text': found text", [](const Feather& t) { t.numbers("text"); });
+    expect(good, "column 'f64': found numbers", [](const Feather& t) { t.texts("f64"); });
+    expect(good, "column 'f64': found values that are not integers",
+           [](const Feather& t) { t.integers("f64"); });
     const std::string nan =
         test::feather_bytes({test::number_column("x", std::vector<double>{1.0, std::nan("")})});
     expect(nan, "column 'x': row 1 is nan, expected a finite number",
            [](const Feather& t) { t.numbers("x"); });
     const std::string large =
         test::feather_bytes({test::number_column("x", std::vector<std::uint64_t>{1, 1ull << 63})});
-    expect(large, "column 'x': 9223372036854775808 is beyond 63 bits",
+    expect(large, "column 'x': the integer 9223372036854775808 is too large",
            [](const Feather& t) { t.integers("x"); });
 }
 

@@ -94,9 +94,9 @@ TEST_F(DensifyMemory, OutOfMemoryCapsAndContinues) {
     EXPECT_LE(limited.peak_bytes(), std::uint64_t(12) << 20 | (1u << 20)) << "staging is the host's";
     EXPECT_GT(size, 6000u) << "it grew as far as it could";
     EXPECT_LT(size, 12000u);
-    EXPECT_NE(notes.find("densification ends at " + std::to_string(size) + " surfels: "), std::string::npos)
+    EXPECT_NE(notes.find("densification stops at " + std::to_string(size) + " surfels: "), std::string::npos)
         << notes;
-    EXPECT_EQ(notes.find("densification ends", 1), std::string::npos) << "said once: " << notes;
+    EXPECT_EQ(notes.find("densification stops", 1), std::string::npos) << "said once: " << notes;
 }
 
 TEST_F(DensifyMemory, RoomIsLeftForTheOthers) {

@@ -209,10 +209,10 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
     options.levels = 3;
     EXPECT_THAT(message(some_images(options, 1, 6, 40), options),
                 HasSubstr("6 x 40 pixels, expected at least 8 x 8"));
-    EXPECT_THAT(message({}, options), HasSubstr("no images"));
+    EXPECT_THAT(message({}, options), HasSubstr("no training images"));
     std::vector<DropImage> images = some_images(options, 2);
     images[1].channels[16 * 40 + 45] = std::numeric_limits<float>::quiet_NaN();
-    EXPECT_THAT(message(images, options), HasSubstr("image 1: intensity of row 1 and column 5 is nan"));
+    EXPECT_THAT(message(images, options), HasSubstr("intensity at row 1 and column 5 is nan"));
     images = some_images(options, 2);
     for (DropImage& image : images) std::fill(image.dropped.begin(), image.dropped.end(), 0.0f);
     EXPECT_THAT(message(images, options), HasSubstr("no dropped ray"));
@@ -221,7 +221,7 @@ TEST_F(DropNetworkTest, RefusesWhatItCannotWorkWith) {
     EXPECT_THAT(message(images, options), HasSubstr("image 1 has 16 x 41 pixels, expected 16 x 40"));
     images = some_images(options, 1);
     images[0].dropped.clear();
-    EXPECT_THAT(message(images, options), HasSubstr("nothing was measured"));
+    EXPECT_THAT(message(images, options), HasSubstr("no measured drops"));
 }
 
 TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
@@ -237,7 +237,7 @@ TEST_F(DropNetworkTest, RefusesWeightsOfAnotherConfiguration) {
         [&] {
             refiner.refine({16, 40, std::vector<float>(16 * 40), {}});
         },
-        testing::ThrowsMessage<DataError>(testing::HasSubstr("values of channels")));
+        testing::ThrowsMessage<DataError>(testing::HasSubstr("channel values")));
 }
 
 TEST(DropNetworkShape, PaperHasAbout65MillionParameters) {

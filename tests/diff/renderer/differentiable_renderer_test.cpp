@@ -136,7 +136,7 @@ TEST_F(Differentiable, ALossOfOnesOwnLearns) {
 
 TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
     DifferentiableRenderer renderer(device(), placed.scene, settings.image);
-    EXPECT_THROW(renderer.forward(rays), UsageError) << "not placed";
+    EXPECT_THROW(renderer.forward(rays), UsageError) << "call place() first";
     EXPECT_THROW(renderer.backward({}), UsageError) << "not rendered";
     place(renderer);
     renderer.forward(rays);

@@ -151,7 +151,7 @@ TEST(BrokenScans, OfKittiMayCountIntensitiesTo255) {
     }
     set_intensities(drive, 0.0f);
     EXPECT_THAT(load_sequence(drive.folder.string(), {}).notes,
-                testing::Contains(HasSubstr("no intensities: every return has 0")));
+                testing::Contains(HasSubstr("the log has no intensities")));
 }
 
 TEST(BrokenScans, OfNuscenesAndArgoverse) {
@@ -191,7 +191,7 @@ TEST_F(BareFolder, SaysTheLineThatItLacksAndThatLineDoes) {
     } catch (const DataError& error) {
         said = error.what();
     }
-    EXPECT_THAT(said, HasSubstr("5 scans without a sequence.json"));
+    EXPECT_THAT(said, HasSubstr("contains 5 scans but no sequence.json"));
     const std::size_t begin = said.find('{'), end = said.rfind('}');
     ASSERT_NE(end, std::string::npos) << said;
     test::write_text(folder / "sequence.json", said.substr(begin, end - begin + 1));

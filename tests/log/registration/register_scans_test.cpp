@@ -201,7 +201,7 @@ TEST(RegisterScans, SaysWhatIsMissing) {
         register_scans(street, split_frames(street, 0), {});
         FAIL() << "expected DataError";
     } catch (const DataError& error) {
-        EXPECT_NE(std::string(error.what()).find("no surface that two of its 4 training scans see"),
+        EXPECT_NE(std::string(error.what()).find("no surface is visible in two of its 4 training scans"),
                   std::string::npos)
             << error.what();
     }

@@ -32,9 +32,9 @@ TEST(ChannelList, IsAskedForByNames) {
     EXPECT_EQ(channel_infos[0].name, "seen");
     EXPECT_EQ(channel_infos[1].name, "normal");
     EXPECT_TRUE(wanted_channels("").empty());
-    EXPECT_THAT(
-        refusal("normal,sean"),
-        HasSubstr("found \"sean\", did you mean seen?, expected some of normal, incidence, spread, seen"));
+    EXPECT_THAT(refusal("normal,sean"),
+                HasSubstr("the channel \"sean\" is unknown, did you mean seen?, expected some of normal, "
+                          "incidence, spread, seen"));
 }
 
 TEST(ChannelList, NumbersAndRowsAgree) {

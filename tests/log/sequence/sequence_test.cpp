@@ -334,17 +334,17 @@ TEST(Split, ListsThatNameNoPartOfTheLogAreRefused) {
             EXPECT_EQ(message.find('\n'), std::string::npos) << message;
         }
     };
-    refused(
-        "104",
-        "found 104, expected frames that are read of the log: 100, 103, 106, 109, 112, ... 121 (8 in all)");
+    refused("104",
+            "found frame 104, expected only frames that are read from the log: 100, 103, 106, 109, "
+            "112, ... 121 (8 in all)");
     refused("100:104", "found 101,");
     refused("100:99999999", "found 101,");
-    refused("103,103", "found 103 twice");
-    refused("100:101,100", "found 100 twice");
-    refused("100,103,106,109,112,115,118,121", "found all frames");
+    refused("103,103", "frame 103 occurs twice");
+    refused("100:101,100", "frame 100 occurs twice");
+    refused("100,103,106,109,112,115,118,121", "all frames of the log are held out");
     for (const char* bad : {"x", "-3", "1e2", "100,", ",", " ", "1 03", "103:100", "100:100", "100:", ":103",
                             "1:2:3", "123456789"})
-        refused(bad, "expected a frame's number");
+        refused(bad, "expected frame numbers");
     refused("100,ten", "found \"ten\"");
 }
 

@@ -98,8 +98,7 @@ TEST(PlanBlocks, RefusesABlockThatNothingTrains) {
         plan_blocks(log, split, {100.0, 40.0});
         ADD_FAILURE() << "made a block of one held-out frame";
     } catch (const DataError& error) {
-        EXPECT_THAT(error.what(),
-                    HasSubstr("no training frame within 40 m of metres 300 to 400 of its trajectory"));
+        EXPECT_THAT(error.what(), HasSubstr("within 40 m of metres 300 to 400 has no training frame"));
     }
 }
 

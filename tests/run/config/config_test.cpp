@@ -111,18 +111,20 @@ TEST_F(ConfigFile, SavedFilesHaveEverySettingAndNoOther) {
     };
     put(folder / "config.toml", whole);
     expect_equal(load_saved_config(folder / "config.toml"), make_preset("quick"));
-    const std::string file = (folder / "config.toml").string() + ": setting ";
-    const std::string advice = "; a run of another version of relidar must be trained again";
-    EXPECT_EQ(
-        error(whole + "[mars]\ncolour = \"red\"\n"),
-        file + "mars.colour: unknown key, expected one that `relidar list settings --all` lists" + advice);
+    const std::string file = (folder / "config.toml").string() + ": ";
+    const std::string advice = "; a run that another version of relidar has written must be trained again";
+    EXPECT_EQ(error(whole + "[mars]\ncolour = \"red\"\n"),
+              file +
+                  "setting mars.colour: unknown key, expected one of the keys that `relidar list settings "
+                  "--all` prints" +
+                  advice);
     const std::string line = "alpha_min = 0.04\n";
     std::string less = whole;
     ASSERT_NE(less.find(line), std::string::npos);
     EXPECT_EQ(error(less.erase(less.find(line), line.size())),
-              file + "image.alpha_min: missing, expected every setting" + advice);
+              file + "the setting image.alpha_min is missing, expected a value for every setting" + advice);
     EXPECT_EQ(error(whole.substr(0, whole.find("preset = ")) + whole.substr(whole.find("[dataset]"))),
-              file + "preset: missing, expected every setting" + advice);
+              file + "the setting preset is missing, expected a value for every setting" + advice);
     std::string changed = whole;
     const std::string quoted = "rolling_shutter = \"auto\"";
     ASSERT_NE(changed.find(quoted), std::string::npos);
@@ -322,9 +324,7 @@ TEST_F(ConfigFile, DamagedFilesAreDataErrors) {
     std::string dots = "loss";
     for (int i = 0; i < 40000; ++i) dots += ".a";
     put(folder / "c.toml", dots + " = 1\n");
-    EXPECT_NE(data_error([&] {
-                  load_config(config, folder / "c.toml");
-              }).find("c.toml:1: a key of more than 8 parts"),
+    EXPECT_NE(data_error([&] { load_config(config, folder / "c.toml"); }).find("c.toml:1: found a key"),
               std::string::npos);
     EXPECT_NE(
         data_error([&] { load_config(config, folder / "missing.toml"); }).find("missing.toml: no such file"),

@@ -65,13 +65,13 @@ TEST_F(TrajectoryFile, ColumnsAreReadByName) {
                     1e-12)
             << text;
     }
-    EXPECT_NE(error("time_s,x,y,z,yaw\n").find("line 1: column 'yaw' is not known, did you mean 'yaw_"),
+    EXPECT_NE(error("time_s,x,y,z,yaw\n").find("line 1: column 'yaw' is unknown, did you mean 'yaw_"),
               std::string::npos);
     EXPECT_NE(error("time_s,x,y,z,yaw\n").find("known: time_s, x, y, z, yaw_deg"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,pitch_deg\n").find("found no column 'yaw_deg' or 'yaw_rad'"),
+    EXPECT_NE(error("time_s,x,y,z,pitch_deg\n").find("column 'yaw_deg' or 'yaw_rad' is missing"),
               std::string::npos);
-    EXPECT_NE(error("time_s,x,z,yaw_deg\n").find("found no column 'y'"), std::string::npos);
-    EXPECT_NE(error("time_s,x,y,z,yaw_deg,yaw_rad\n").find("found both 'yaw_deg' and 'yaw_rad'"),
+    EXPECT_NE(error("time_s,x,z,yaw_deg\n").find("column 'y' is missing"), std::string::npos);
+    EXPECT_NE(error("time_s,x,y,z,yaw_deg,yaw_rad\n").find("found both columns 'yaw_deg' and 'yaw_rad'"),
               std::string::npos);
     EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3\n").find("line 2: found 4 columns, expected 5"),
               std::string::npos);
@@ -101,9 +101,9 @@ TEST_F(TrajectoryFile, ComplaintsNameLineAndColumn) {
         std::string::npos);
     EXPECT_NE(error("0,1,2,3,0\n1,1,2,3,\n").find("line 2: yaw_deg: found \"\""), std::string::npos);
     EXPECT_NE(
-        error("0,1,2,3,0\n0,1,2,3,0\n").find("line 2: time_s: found 0 after 0, expected times that rise"),
+        error("0,1,2,3,0\n0,1,2,3,0\n").find("line 2: time_s: found 0 after 0, expected increasing times"),
         std::string::npos);
-    EXPECT_NE(error("2,1,2,3,0\n1,1,2,3,0\n").find("expected times that rise"), std::string::npos);
+    EXPECT_NE(error("2,1,2,3,0\n1,1,2,3,0\n").find("expected increasing times"), std::string::npos);
     EXPECT_NE(error("0,1,2,3\n").find("line 1: found 4 columns"), std::string::npos);
     EXPECT_NE(error("0,1,2,3,4,5,6,7\n").find("found 8 columns"), std::string::npos);
     EXPECT_NE(error("time_s,x,y,z,yaw_deg\n0,1,2,3,0\n").find("found 1 poses, expected at least two"),

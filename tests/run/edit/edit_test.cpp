@@ -92,12 +92,12 @@ TEST(Edit, SaysHowManyFramesLoseAnActor) {
     const DrivingScene before = example();
     const BoxTrack van = box(before, "van");
     EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.4).sequence),
-              "track van is absent from 4 frames in which it was present, of 0 to 3: it is there from 0.40 "
-              "to 1.30 s now");
+              "track van is now missing in 4 frames between 0 and 3 in which it was present before, "
+              "because its new trajectory lasts only from 0.40 to 1.30 s");
     const PoseTrack path{{0.2, 0.5}, {at(0, 0), at(3, 0)}};
     EXPECT_EQ(lost_frames_note(van, replace_trajectory(before, "van", path).sequence),
-              "track van is absent from 6 frames in which it was present, of 0 to 9: it is there from 0.20 "
-              "to 0.50 s now");
+              "track van is now missing in 6 frames between 0 and 9 in which it was present before, "
+              "because its new trajectory lasts only from 0.20 to 0.50 s");
     EXPECT_EQ(lost_frames_note(van, retime_track(before, "van", 0.02).sequence), "");
     EXPECT_EQ(lost_frames_note(van, move_track(before, "van", at(0, 1)).sequence), "");
 }
@@ -205,18 +205,17 @@ TEST(Edit, UnknownTracksNameTheNearest) {
     const auto message = [](const std::string& track) {
         return error_message<UsageError>([&] { move_track(example(), track, {}); });
     };
-    EXPECT_NE(message("vam").find("found no such track, did you mean \"van\"? (actors: van, car)"),
+    EXPECT_NE(message("vam").find("no such track, did you mean \"van\"? (actors: van, car)"),
               std::string::npos)
         << message("vam");
-    EXPECT_NE(message("walker").find("the log has its box, but it has no surfels of its own"),
+    EXPECT_NE(message("walker").find("the log has a box for it, but it is part of the background"),
               std::string::npos);
     EXPECT_NE(message("walker").find("train with init.actor_tracks = van,car,walker"), std::string::npos)
         << message("walker");
-    EXPECT_NE(message("").find("found no such track"), std::string::npos) << "the background is no track";
-    EXPECT_NE(error_message<UsageError>([] {
-                  remove_track(keep_background(example()), "van");
-              }).find("no actor at all"),
-              std::string::npos);
+    EXPECT_NE(message("").find("no such track"), std::string::npos) << "the background is no track";
+    EXPECT_NE(
+        error_message<UsageError>([] { remove_track(keep_background(example()), "van"); }).find("no actors"),
+        std::string::npos);
     const std::string stranger =
         error_message<UsageError>([] { insert_track(example(), example(), "bus", {}); });
     EXPECT_NE(stranger.find("no such track (actors: "), std::string::npos)
@@ -224,7 +223,7 @@ TEST(Edit, UnknownTracksNameTheNearest) {
     DrivingScene boxless = example();
     boxless.sequence.boxes.clear();
     EXPECT_NE(
-        error_message<DataError>([&] { move_track(boxless, "van", {}); }).find("the log has no box of it"),
+        error_message<DataError>([&] { move_track(boxless, "van", {}); }).find("the log has no box for it"),
         std::string::npos);
 }
 

@@ -84,14 +84,12 @@ TEST_F(RunFolder, RefusesADamagedRayDropNetwork) {
         ::testing::HasSubstr("drop_network.safetensors: metadata format: found \"relidar lost network\""));
     EXPECT_THAT(replaced("heads\\\":2", "heads\\\":3"),
                 ::testing::HasSubstr("heads: found 3, expected a divisor of 8"));
-    EXPECT_THAT(replaced("\"running\"", "\"walking\""),
-                ::testing::HasSubstr("array running: missing or not f4, expected it"));
+    EXPECT_THAT(replaced("\"running\"", "\"walking\""), ::testing::HasSubstr("array running is missing"));
     put(file, whole.substr(0, whole.size() - 5));
     EXPECT_THAT(load_error(), ::testing::HasSubstr("drop_network.safetensors"));
     run.drop_network.parameters[7] = std::numeric_limits<float>::quiet_NaN();
     save_run(run);
-    EXPECT_THAT(load_error(),
-                ::testing::HasSubstr("array parameters: entry 7 is nan, expected finite numbers"));
+    EXPECT_THAT(load_error(), ::testing::HasSubstr("array parameters: entry 7 is nan"));
 }
 
 std::vector<IntensityScatter> example_scatter() {
@@ -212,9 +210,9 @@ TEST_F(RunFolder, SweepsAreThoseOfItsFrames) {
         return load_error();
     };
     EXPECT_NE(error_with_array("000004", std::vector<float>(1030))
-                  .find("sweeps.safetensors: array 000004: no such frame"),
+                  .find("sweeps.safetensors: the name of array 000004"),
               std::string::npos);
-    EXPECT_NE(error_with_array("one", std::vector<float>(1030)).find("array one: no such frame"),
+    EXPECT_NE(error_with_array("one", std::vector<float>(1030)).find("array one is not a frame"),
               std::string::npos);
     EXPECT_NE(error_with_array("000001", std::vector<float>(16))
                   .find("array 000001: found f4 [16], expected f4 [1030]"),
@@ -252,7 +250,7 @@ TEST_F(RunFolder, CoverageRoundTripsExactly) {
     EXPECT_NE(error_with_arrays(2, "1").find(
                   "coverage.safetensors: array place: found i4 [3, 2], expected i4 [blocks, 3]"),
               std::string::npos);
-    EXPECT_NE(error_with_arrays(3, "1").find("found 2 places and 1 rows of cells"), std::string::npos);
+    EXPECT_NE(error_with_arrays(3, "1").find("places has 2 rows"), std::string::npos);
     EXPECT_NE(error_with_arrays(3, "2").find("cell_m: found 2, expected 1"), std::string::npos);
 }
 
@@ -339,7 +337,7 @@ TEST_F(RunFolder, KeepsWhatMakesTheRaysOfALidarThatDoesNotSpin) {
     rays.erase("divergence_rad");
     rays["divergence"] = std::vector<double>(30, -1e-3);
     put(run.folder / "scene.json", broken.dump());
-    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("divergence in radians, number 0 is -0.001"),
+    EXPECT_NE(data_error([&] { load_run(run.folder); }).find("entry 0 of divergence (radians) is -0.001"),
               std::string::npos);
 }
 
@@ -388,15 +386,15 @@ TEST_F(RunFolder, RefusesWrongFramesAndPoses) {
     EXPECT_NE(
         replaced("/frames/2/time_s", nullptr).find("frames[2].time_s: found null, expected a finite number"),
         std::string::npos);
-    EXPECT_NE(replaced("/frames/2/time_s", 0.0).find("frames[2].time_s: found 0, expected times that rise"),
-              std::string::npos);
+    EXPECT_NE(replaced("/frames/2/time_s", 0.0).find("frames[2].time_s: found 0"), std::string::npos);
     EXPECT_NE(replaced("/frames/1/split", "tset").find("frames[1].split: found \"tset\""), std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_vehicle", {1, 2, 3}).find("found 3 numbers, expected 7"),
               std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_vehicle/4", 5.0).find("quaternion of length"),
               std::string::npos);
     EXPECT_NE(replaced("/frames/1/world_from_vehicle/0", 1e308)
-                  .find("frames[1].world_from_vehicle: found 1e+308, expected numbers within 1000000"),
+                  .find("frames[1].world_from_vehicle: found 1e+308, expected an absolute value of at most "
+                        "1000000"),
               std::string::npos);
     EXPECT_NE(
         replaced("/boxes/0/world_from_box/1/2", -1e7).find("boxes[0].world_from_box[1]: found -10000000"),
@@ -425,18 +423,18 @@ TEST_F(RunFolder, RefusesWrongSensorsBoxesAndCounts) {
               std::string::npos)
         << "sizes are bounded by their product too";
     EXPECT_NE(replaced("/frames", Json::array()).find("frames: found no frame"), std::string::npos);
-    EXPECT_NE(replaced("/version", 1).find("version: found 1, this relidar"), std::string::npos);
-    EXPECT_NE(replaced("/version", 1).find("reads version 3: train the run again"), std::string::npos);
+    EXPECT_NE(replaced("/version", 1).find("version: found 1"), std::string::npos);
+    EXPECT_NE(replaced("/version", 1).find("reads only version 3; train the run again"), std::string::npos);
     EXPECT_NE(replaced("/format", "other").find("format: found \"other\""), std::string::npos);
     EXPECT_NE(replaced("/counts/boxes", 3).find("counts.boxes: found 3, expected 2"), std::string::npos);
-    EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels: found 3, but model.safetensors holds 5"),
+    EXPECT_NE(replaced("/counts/surfels", 3).find("counts.surfels is 3, but model.safetensors contains 5"),
               std::string::npos);
     EXPECT_NE(replaced("/boxes/0/beside_labels", {1, 2}).find("boxes[0].beside_labels[1]: found 2"),
               std::string::npos);
     EXPECT_NE(replaced("/boxes/0/time_s", {1.0}).find("boxes[0].world_from_box: found 2 poses, expected 1"),
               std::string::npos);
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/columns", -1)
-                  .find("lidars[0].sensor.spinning.columns: found -1, expected an integer in 1.."),
+                  .find("lidars[0].sensor.spinning.columns: found -1, expected an integer from 1 to"),
               std::string::npos);
     EXPECT_NE(replaced("/lidars/0/sensor/spinning/beams/1", {0.0, 1.0})
                   .find("lidars[0].sensor.spinning.beams[1]: found an array of 2, expected an object"),
@@ -460,7 +458,7 @@ TEST_F(RunFolder, MissingFilesAreNamed) {
     for (const char* name : {"config.toml", "scene.json", "model.safetensors"}) {
         std::filesystem::rename(run.folder / name, folder / name);
         const std::string message = load_error();
-        EXPECT_NE(message.find(std::string(name) + ": no such file"), std::string::npos) << message;
+        EXPECT_NE(message.find(std::string(name) + " is missing"), std::string::npos) << message;
         std::filesystem::rename(folder / name, run.folder / name);
     }
     EXPECT_NE(data_error([&] { load_run(folder / "nowhere"); }).find("nowhere: no such folder"),
@@ -489,26 +487,20 @@ TEST_F(RunFolder, WhatCannotBeReadBackIsNotWritten) {
               std::string::npos);
     run = example_run(folder / "second");
     run.config.train.mean_rate *= 2.0;  // a constant of the preset, which config.toml cannot contain
-    EXPECT_NE(
-        data_error([&] { save_run(run); }).find("an option that is no setting differs from preset quick"),
-        std::string::npos);
+    EXPECT_NE(data_error([&] { save_run(run); }).find("an option that is not a setting"), std::string::npos);
     EXPECT_FALSE(is_run(run.folder));
 }
 
 TEST_F(RunFolder, UnwritableFoldersFailEarly) {
     put(folder / "file", "x");
-    EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot be made a folder"),
+    EXPECT_NE(data_error([&] { check_writable(folder / "file"); }).find("cannot create the folder"),
               std::string::npos);
-    EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot be made a folder"),
+    EXPECT_NE(data_error([&] { check_writable(folder / "file" / "run"); }).find("cannot create the folder"),
               std::string::npos);
-    EXPECT_NE(data_error([&] {
-                  check_writable(folder / std::string(300, 'x'));
-              }).find("cannot be made a folder: File name too long"),
+    EXPECT_NE(data_error([&] { check_writable(folder / std::string(300, 'x')); }).find("File name too long"),
               std::string::npos);
     std::filesystem::create_symlink(folder / "loop", folder / "loop");
-    EXPECT_NE(data_error([&] {
-                  check_writable(folder / "loop" / "run");
-              }).find("cannot be made a folder: Too many levels"),
+    EXPECT_NE(data_error([&] { check_writable(folder / "loop" / "run"); }).find("Too many levels"),
               std::string::npos);
     EXPECT_NE(data_error([&] { check_writable("/proc/relidar"); }).find("/proc/relidar"), std::string::npos);
     check_writable(folder / "a" / "b");

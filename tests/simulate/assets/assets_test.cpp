@@ -144,7 +144,7 @@ TEST_F(AssetFiles, SayAgainWhatTheyWereTold) {
 }
 
 TEST_F(AssetFiles, DamageIsNamed) {
-    EXPECT_THAT(data_error([&] { asset_folders(folder); }), HasSubstr("found no asset"));
+    EXPECT_THAT(data_error([&] { asset_folders(folder); }), HasSubstr("contains no asset"));
     EXPECT_THAT(data_error([&] { asset_folders(folder / "nowhere"); }), HasSubstr("nowhere"));
     save_asset(make_asset(run_of(plates(), kAhead), "7", from_outside({}, 8.0)), folder / "car-7");
     const std::string good = contents(folder / "car-7" / kAssetFile);

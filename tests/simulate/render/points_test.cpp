@@ -271,7 +271,7 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     for (const RenderedPoints& of_one : expected)
         expect_equal(renderer->take_points(), of_one, "one of four");
     EXPECT_THAT([&] { renderer->side_by_side(0); },
-                testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 of them")));
+                testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 scans")));
     ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
     make_renderer();  // the two scans are never submitted
     expect_equal(alone(wishes[0]), expected[0], "of the next renderer");
@@ -402,14 +402,14 @@ TEST_F(PointsOfScans, AreTakenAsOftenAsAskedFor) {
     const auto says = [](const char* text) {
         return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text));
     };
-    EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for"));
+    EXPECT_THAT([&] { renderer->take_points(); }, says("no scan was requested"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) ask(wish);
-    EXPECT_THAT([&] { ask(wish); }, says("found 64 scans that were not taken"));
+    EXPECT_THAT([&] { ask(wish); }, says("64 requested scans were not read"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) renderer->take_points();
     Wish wrong = wish;
     wrong.request.dataset_from_sensor.time_s.clear();
     EXPECT_THROW(ask(wrong), DataError);
-    EXPECT_THAT([&] { renderer->take_points(); }, says("found none that was asked for"))
+    EXPECT_THAT([&] { renderer->take_points(); }, says("no scan was requested"))
         << "a request that was refused";
 }
 

@@ -171,7 +171,7 @@ TEST_F(RayDrop, ANetworkOfOtherInputsIsRefused) {
     EXPECT_THAT(
         [&] { renderer.refine_drops(network); },
         testing::ThrowsMessage<DataError>(testing::AllOf(
-            testing::HasSubstr("found the input \"direction_x\""), testing::HasSubstr("relidar refine"))));
+            testing::HasSubstr("needs the input \"direction_x\""), testing::HasSubstr("relidar refine"))));
 }
 
 }  // namespace

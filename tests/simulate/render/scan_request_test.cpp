@@ -121,10 +121,9 @@ TEST_F(ScanRequests, ActorsAreWhereTheCallerHasThem) {
 TEST_F(ScanRequests, WhatMakesNoSenseIsRefused) {
     EXPECT_NE(refusal({0.0, {}}).find("poses of the sensor: found 0 poses at 0 times"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{0.0, 1.0}, {at_x(0)}}}).find("found 1 poses at 2 times"), std::string::npos);
-    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {at_x(0), at_x(1)}}})
-                  .find("found time 1 after 1, expected times that rise"),
+    EXPECT_NE(refusal({0.0, {{1.0, 1.0}, {at_x(0), at_x(1)}}}).find("found time 1 after 1"),
               std::string::npos);
-    EXPECT_NE(refusal({0.0, {{0.0}, {at_x(kNan)}}}).find("found no finite pose at entry 0"),
+    EXPECT_NE(refusal({0.0, {{0.0}, {at_x(kNan)}}}).find("found an invalid pose at entry 0"),
               std::string::npos);
     EXPECT_NE(refusal({0.0, {{0.0}, {at_x(1e300)}}}).find("entry 0"), std::string::npos);
     EXPECT_NE(refusal({0.0, {{kNan}, {at_x(0)}}}).find("entry 0"), std::string::npos);

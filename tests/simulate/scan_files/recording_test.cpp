@@ -155,8 +155,8 @@ TEST_F(Recordings, TimesThatNoFileHasAreRefused) {
     scans.write(0, two_rays(100.0));
     EXPECT_THAT(data_error([&] { scans.write(1, two_rays(-5.0)); }), HasSubstr("found a scan at -5 s"));
     EXPECT_THAT(data_error([&] { scans.write(1, two_rays(99.0)); }),
-                HasSubstr("expected times that do not fall"));
-    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(3e9)); }), HasSubstr("lie before 2038"));
+                HasSubstr("expected times that do not decrease"));
+    EXPECT_THAT(data_error([&] { scans.write(1, two_rays(3e9)); }), HasSubstr("before the year 2038"));
 }
 
 TEST_F(Recordings, OfARigAreOne) {
@@ -183,11 +183,11 @@ TEST_F(Recordings, RefuseNamesThatRosDoesNotTakeOrThatAreTaken) {
     };
     for (const char* topic : {"", "/", "points", "/lidar//points", "/lidar/points/", "/2nd/points",
                               "/lidar/top-left", "/lidar points"})
-        EXPECT_THAT(error(topic, "other"), HasSubstr("expected one as /lidar/points")) << topic;
+        EXPECT_THAT(error(topic, "other"), HasSubstr("expected a name such as /lidar/points")) << topic;
     for (const char* frame : {"", "/other", "lidar", "world", "base_link"})
-        EXPECT_THAT(error("/other", frame), HasSubstr("other than base_link, lidar, world")) << frame;
+        EXPECT_THAT(error("/other", frame), HasSubstr("none of base_link, lidar, world")) << frame;
     for (const char* topic : {"/lidar/points", "/tf", "/tf_static", "/actors"})
-        EXPECT_THAT(error(topic, "other"), HasSubstr(std::string("found topic ") + topic + " twice"))
+        EXPECT_THAT(error(topic, "other"), HasSubstr(std::string("topic ") + topic + " occurs twice"))
             << topic;
     EXPECT_THAT(files(), ElementsAre()) << "nothing is left of those that were refused";
 }

@@ -84,8 +84,8 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         "fog=VISIBILITY_m, rain=MM_PER_H, snow=MM_PER_H, wet=MILLIMETRES, bloom[=REFLECTIVITY], "
         "sun=AZIMUTH:ELEVATION[:KLUX], or several of them";
     const std::string suns =
-        "sun=AZIMUTH:ELEVATION, degrees within 360 and 0 to 90, or sun=AZIMUTH:ELEVATION:KLUX, above 0 to "
-        "150";
+        "sun=AZIMUTH:ELEVATION or sun=AZIMUTH:ELEVATION:KLUX with an azimuth from -360 to 360 "
+        "degrees, an elevation from 0 to 90 degrees and an illuminance above 0 and up to 150 klux";
     const std::map<std::string, std::string> refused = {
         {"fog=0", "weather: found fog=0, expected a visibility of 1 to 1e6 metres"},
         {"fog=-5", "weather: found fog=-5, expected a visibility of 1 to 1e6 metres"},
@@ -97,8 +97,8 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         {"fog=50:60", "weather: found fog=50:60, expected a visibility of 1 to 1e6 metres"},
         {"rain=5mm", "weather: found rain=5mm, expected 0 to 500 mm/h"},
         {"wet=11", "weather: found wet=11, expected 0 to 10 mm of water on the ground"},
-        {"rain=1,snow=2", "weather: found rain=1 and snow=2, expected one of them"},
-        {"fog=50,fog=60", "weather: found fog twice, expected it once"},
+        {"rain=1,snow=2", "weather: found rain=1 and snow=2, expected only one of them"},
+        {"fog=50,fog=60", "weather: fog occurs twice, expected it once"},
         {"fog", "weather: found \"fog\", expected " + kinds},
         {"sun", "weather: found \"sun\", expected " + kinds},
         {"spray=1", "weather: found \"spray=1\", expected " + kinds},
@@ -108,7 +108,7 @@ TEST(Weather, WhatIsNoneIsRefusedInALine) {
         {"sun=10:20:0", "weather: found sun=10:20:0, expected " + suns},
         {"sun=10:20:30:40", "weather: found sun=10:20:30:40, expected " + suns},
         {"sun=east:20", "weather: found sun=east:20, expected " + suns},
-        {"sun=10:20,sun=10:20", "weather: found sun twice, expected it once"},
+        {"sun=10:20,sun=10:20", "weather: sun occurs twice, expected it once"},
         {"hail=3", "weather: found \"hail=3\", expected " + kinds}};
     for (const auto& [text, line] : refused) {
         try {

@@ -14,7 +14,7 @@ except ModuleNotFoundError as error:
         raise
     import sys as _sys
     raise ModuleNotFoundError(
-        f"relidar: found no compiled part for Python {_sys.version_info.major}.{_sys.version_info.minor} in {__path__[0]}, expected "
-        "_relidar*.so of that version; install the Debian package of relidar, or build with -DRELIDAR_PYTHON=ON and put "
-        "BUILD/tools/python on PYTHONPATH (docs/python.md)",
+        f"relidar: {__path__[0]} has no compiled module for Python {_sys.version_info.major}.{_sys.version_info.minor}; expected "
+        "_relidar*.so for this version; install the Debian package of relidar, or build with -DRELIDAR_PYTHON=ON and add "
+        "BUILD/tools/python to PYTHONPATH (docs/python.md)",
         name=error.name) from None

@@ -180,7 +180,8 @@ std::string report_json(const BenchCase& bench, const BenchTimes& t, const Devic
 void run_bench(const BenchOptions& options) {
     const std::filesystem::path json = options.json;
     if (std::error_code failed; std::filesystem::is_directory(json, failed))
-        throw DataError(fmt::format("--json {}: found a folder, expected a file name", options.json));
+        throw DataError(
+            fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
     std::optional<Run> run;
     if (!options.run.empty()) run = load_run(options.run);
     std::optional<OutputFolder> folder;
@@ -210,7 +211,7 @@ void add_bench(CLI::App& app, Call& call) {
     const auto options = std::make_shared<BenchOptions>();
     command
         ->add_option("--run", options->run,
-                     "measure on the scene and sensor of this run instead of the street")
+                     "measure with the scene and the sensor of this run instead of the synthetic street")
         ->type_name("RUN");
     command->add_option("--json", options->json, "also write the report to this file")->type_name("FILE");
     add_device_options(*command, options->device);

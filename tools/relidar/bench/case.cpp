@@ -28,8 +28,10 @@ BenchCase make_street_case(std::uint32_t n_surfels, bool refined, const RayTable
 
 BenchCase make_run_case(const Run& run) {
     if (run.sequence.frames.empty() || count_surfels(run.scene) == 0)
-        throw DataError(fmt::format("{}: the run has no frames or no surfels, expected at least one of each",
-                                    run.folder.string()));
+        throw DataError(fmt::format(
+            "cannot measure the speed of run {}: it has no frames or no surfels; expected at least "
+            "one of each",
+            run.folder.string()));
     const Frame& frame =
         run.sequence.frames[run.split.test.empty() ? 0 : static_cast<std::size_t>(run.split.test.front())];
     const SensorChoice sensor = configured_sensor(run.config, run.sequence, frame.lidar);

@@ -49,12 +49,14 @@ std::string sides_text(const AssetFacts& facts) {
 /// Returns the reason why an actor is not saved as an asset. Returns an empty text if it
 /// is saved.
 std::string reason_against(const AssetFacts& facts, const ActorSightings& sightings, double least) {
-    if (sightings.points_m.empty()) return "no ray of the training frames hits it";
+    if (sightings.points_m.empty()) return "no ray of the training frames hits this actor";
     if (facts.score() >= least) return "";
     return fmt::format(
-        "score {:.2f}, expected {:.2f} (--least): seen {}{}", facts.score(), least, sides_text(facts),
+        "its score is {:.2f}; expected at least {:.2f} (--least); it was seen {}{}", facts.score(), least,
+        sides_text(facts),
         facts.completed > 0.0
-            ? fmt::format("; {:.2f} of the surface completed by its mirror image", facts.completed)
+            ? fmt::format("; a share of {:.2f} of its surface was completed by its mirror image",
+                          facts.completed)
             : "");
 }
 
@@ -66,7 +68,8 @@ std::vector<std::string> actors_of(const Run& run) {
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty() && models.insert(instance.model).second) tracks.push_back(instance.track);
     if (tracks.empty())
-        throw UsageError(fmt::format("{}: found no actor, expected at least one", run.folder.string()));
+        throw UsageError(
+            fmt::format("run {} has no actor; expected at least one actor to save", run.folder.string()));
     return tracks;
 }
 
@@ -91,7 +94,7 @@ std::vector<std::string> row_of(const AssetFacts& facts) {
 
 void run_assets(const AssetOptions& options) {
     if (!(options.least >= 0.0 && options.least <= 1.0))
-        throw UsageError(fmt::format("--least: found {}, expected 0 to 1", options.least));
+        throw UsageError(fmt::format("--least: found {}; expected a number from 0 to 1", options.least));
     check_new(options.out);
     const StagedFolder folder(options.out);
     const Run run = load_run(options.run);
@@ -121,11 +124,11 @@ void run_assets(const AssetOptions& options) {
     end_progress_line();
     if (rows.size() == 1)
         throw DataError(
-            fmt::format("{}: found no actor with a sufficient score: {}", options.run, one_line(skipped)));
+            fmt::format("no actor of run {} has a sufficient score: {}", options.run, one_line(skipped)));
     folder.finish();
     if (options.quiet) return;
     print(table(rows) + skipped +
-          fmt::format("{} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
+          fmt::format("saved {} of {} actors in {}\n", rows.size() - 1, tracks.size(), options.out));
 }
 
 constexpr const char* kAssetsHelp =

@@ -34,8 +34,8 @@ struct EditOptions {
 void check_other_folder(const EditOptions& options) {
     std::error_code failed;
     if (std::filesystem::equivalent(options.run, options.out, failed))
-        throw UsageError(
-            fmt::format("--out {}: found the run to edit, expected a different folder", options.out));
+        throw UsageError(fmt::format(
+            "--out {}: this is the folder of the run to edit; expected a different folder", options.out));
 }
 
 bool is_same(const PoseTrack& a, const PoseTrack& b) {
@@ -75,9 +75,8 @@ std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
 void run_edit(const EditOptions& options) {
     if (options.edits.empty() && options.ply.empty())
         throw UsageError(
-            "found no edit, expected --remove, --move, --retime, --trajectory, --copy, --insert, --scenario, "
-            "--keep or --from-ply (see "
-            "`relidar edit --help`)");
+            "no edit is given; expected at least one of --remove, --move, --retime, --trajectory, "
+            "--copy, --insert, --scenario, --keep and --from-ply (see `relidar edit --help`)");
     check_other_folder(options);
     const NewRun edited(options.out, options.force);
     Run run = load_run(options.run);
@@ -97,8 +96,9 @@ void run_edit(const EditOptions& options) {
     run.replace(std::move(driving));
     edited.save(run);
     if (!options.quiet)
-        print(text + fmt::format("{} instances of {} models, {} surfels in {}\n", run.scene.instances.size(),
-                                 run.scene.models.size(), count_surfels(run.scene), options.out));
+        print(text + fmt::format("saved {} instances of {} models with {} surfels in {}\n",
+                                 run.scene.instances.size(), run.scene.models.size(),
+                                 count_surfels(run.scene), options.out));
 }
 
 constexpr const char* kEditHelp =

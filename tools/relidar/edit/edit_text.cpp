@@ -161,8 +161,8 @@ bool is_ever_present(const DrivingScene& driving, const std::string& track) {
 /// @param before track of the actor before the edit; null for a new actor
 std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
     if (!is_ever_present(driving, track))
-        return fmt::format("track {} is present at no frame of the log: its times are outside the log",
-                           track);
+        return fmt::format(
+            "track {} is not visible in any frame, because all its times are outside the log's time", track);
     return before ? lost_frames_note(*before, driving.sequence) : "";
 }
 
@@ -176,7 +176,7 @@ AppliedEdit retime(DrivingScene driving, const TypedEdit& edit) {
     const BoxTrack before = copy_of_box(driving, track);
     driving = retime_track(std::move(driving), track, numbers(edit, seconds, 1, 1)[0]);
     const std::string note = absence_note(driving, track, &before);
-    return {std::move(driving), fmt::format("retimed {} by {} s", track, seconds), note};
+    return {std::move(driving), fmt::format("delayed the motion of {} by {} s", track, seconds), note};
 }
 
 AppliedEdit trajectory(DrivingScene driving, const TypedEdit& edit) {
@@ -220,8 +220,9 @@ std::string sensor_note(const ExternalActor& actor, const DrivingScene& driving)
     if (actor_sensor.name == run_sensor.name && actor_sensor.beams.size() == run_sensor.beams.size())
         return "";
     return fmt::format(
-        "{} was recorded by another sensor ({}, {} beams; this run: {}, {} beams): the shape and motion of "
-        "{} are right, but its intensities and ray-drop follow the other sensor",
+        "{} was recorded by another sensor ({} with {} beams; this run has {} with {} beams): "
+        "the shape and motion of {} are correct, but its intensities and dropped rays look like "
+        "those of the other sensor",
         actor.folder, actor_sensor.name, actor_sensor.beams.size(), run_sensor.name, run_sensor.beams.size(),
         actor.track);
 }
@@ -290,8 +291,8 @@ void follow(const TypedEdit& edit, const ScenarioEntity& entity, const std::stri
                                 edit.value.substr(0, edit.value.find('@')));
     join_note(applied.note, absence_note(driving, track, is_known ? &before : nullptr));
     if (!entity.ignored.empty())
-        join_note(applied.note,
-                  fmt::format("{} of {} is not read", fmt::join(entity.ignored, ", "), entity.name));
+        join_note(applied.note, fmt::format("the element {} of entity {} is not supported and is ignored",
+                                            fmt::join(entity.ignored, ", "), entity.name));
 }
 
 AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
@@ -307,7 +308,7 @@ AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
                                  : has_track(applied.driving, entity.name) ? entity.name
                                                                            : "";
         if (role && what != "-" && !follows)
-            refuse(edit, fmt::format("an entity that follows a trajectory; {} follows none", entity.name));
+            refuse(edit, fmt::format("an entity with a trajectory, but {} has no trajectory", entity.name));
         if (what.empty() && follows)
             refuse(edit, fmt::format("also {0}=TRACK, {0}=RUN#TRACK, {0}=ASSET or {0}=-, because the run has "
                                      "no actor of that name",
@@ -315,7 +316,7 @@ AppliedEdit scenario(DrivingScene driving, const TypedEdit& edit) {
         if (follows && what != "-") follow(edit, entity, what, applied);
         else
             join_note(applied.note,
-                      fmt::format("{} {}", entity.name, follows ? "is ignored" : "follows no trajectory"));
+                      fmt::format("{} {}", entity.name, follows ? "is ignored" : "has no trajectory"));
     }
     if (!roles.empty())
         refuse(edit, fmt::format("entities of the file; {} is not in the file", roles.begin()->first));
@@ -336,11 +337,13 @@ const std::vector<EditOption>& edit_options() {
     static const std::vector<EditOption> options{
         {"--remove", "TRACK", "remove an actor; rays then hit the surfaces behind it"},
         {"--move", "TRACK:dx,dy,dz[,yaw_deg]",
-         "shift an actor along its whole path, in its own frame (forward, left, up), and turn it left"},
+         "shift an actor along its full path, in the frame of its box (forward, left, up), and "
+         "turn it to the left by yaw_deg"},
         {"--retime", "TRACK:seconds", "delay all motion of an actor by this time"},
         {"--trajectory", "TRACK:FILE.csv",
-         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; a header may "
-         "give these names in any order, with _rad for radians"},
+         "replace the poses of an actor: lines of time_s,x,y,z,yaw_deg[,pitch_deg,roll_deg]; an "
+         "optional header line names the columns in any order, and names that end in _rad are in "
+         "radians"},
         {"--copy", "TRACK@x,y,z,yaw_deg[,pitch_deg,roll_deg][:speed] or TRACK@x,y,ground[,yaw_deg][:speed]",
          "add a copy of an actor that drives straight ahead at speed m/s; ground: take height and tilt from "
          "the surface below"},

@@ -51,7 +51,7 @@ void apply_options(Config& config, const EvalOptions& options) { apply_sets(conf
 void check_held_out(const Split& split, const std::string& where) {
     if (split.test.empty())
         throw DataError(
-            fmt::format("{}: no frame was held out, expected at least one held-out frame", where));
+            fmt::format("cannot evaluate {}: it has no held-out frames; expected at least one", where));
 }
 
 /// Output files and folders. The first process checks that they can be written before any
@@ -104,8 +104,8 @@ void open_page(const std::filesystem::path& page, const Report& report, bool qui
 std::string edit_note(const Run& run) {
     if (run.edits.empty()) return "";
     if (is_recastable(run))
-        return "note: the street was rendered again with the run's edits, without noise; edited/* are scores "
-               "of the pixels that the edits change\n";
+        return "note: the synthetic street was rendered again with the run's edits and without noise; "
+               "the scores edited/* use only the pixels that the edits change\n";
     return "note: the run is edited, but the log shows the scene before the edits; the scores of changed "
            "pixels do not measure the quality of the edit\n";
 }
@@ -221,29 +221,32 @@ void run_eval(const EvalOptions& typed_options, const std::string& command_line)
         return;
     }
     if (options.targets.size() > 1)
-        throw UsageError(
-            fmt::format("RUN: found {} runs, expected one, or --table for a table of their scores",
-                        options.targets.size()));
+        throw UsageError(fmt::format(
+            "found {} runs as arguments; expected one run, or --table FILE to write a table of the "
+            "scores of several runs",
+            options.targets.size()));
     options.target = options.targets.front();
     options.device = ranks.device(options.device);
     if (options.open && ranks.size() > 1)
-        throw UsageError(fmt::format(
-            "--open: found {} processes, expected one, because the page has pictures of all frames",
-            ranks.size()));
+        throw UsageError(
+            fmt::format("--open: found {} MPI processes; expected one, because the page has pictures of all "
+                        "frames",
+                        ranks.size()));
     // Throws an error for an unknown baseline before the log is read, because reading
     // takes long.
     if (!options.baseline.empty()) (void)find_baseline(options.baseline);
     if (!options.baseline.empty() && !is_run(options.target)) {
         if (options.open)
             throw UsageError(
-                "--open: found a log, expected a run, because a baseline without a run has no page");
+                "--open: the argument is a log; expected a run, because --baseline on a log writes no "
+                "page");
         return score_log(options, ranks);
     }
     if (!options.part.frames.empty() || !options.part.sequence.empty())
-        throw UsageError(
-            fmt::format("{}: found it with a run, which already has held-out frames; expected it only with "
-                        "--baseline and a log",
-                        options.part.frames.empty() ? "--sequence" : "--frames"));
+        throw UsageError(fmt::format(
+            "{} cannot be used with a run, because a run already has its held-out frames; expected "
+            "it only with --baseline and a log",
+            options.part.frames.empty() ? "--sequence" : "--frames"));
     score_run(options, ranks, command_line);
 }
 
@@ -255,7 +258,8 @@ void check_table_options(const CLI::App& command) {
             option->check_lname("quiet"))
             continue;
         throw UsageError(fmt::format(
-            "{}: found it with --table, which only reads existing scores; expected it in `relidar eval RUN`",
+            "{} cannot be used together with --table, which only reads existing scores; use it in "
+            "`relidar eval RUN`",
             option->get_name()));
     }
 }
@@ -289,13 +293,13 @@ void add_eval(CLI::App& app, Call& call) {
         ->required();
     command
         ->add_option("--out", options->out,
-                     "JSON file for the numbers (default: RUN/metrics.json; of a log: none)")
+                     "JSON file for the scores (default: RUN/metrics.json for a run, no file for a log)")
         ->type_name("FILE");
     command
         ->add_option("--baseline", options->baseline,
-                     "score the two neighbouring real scans too, moved by the poses: nearest, or "
-                     "nearest-actors, which moves boxes with "
-                     "their tracks")
+                     "also score a prediction that is made only of the two neighbouring real scans, moved to "
+                     "the held-out pose: nearest, or nearest-actors, which also moves the points in boxes "
+                     "along their tracks")
         ->type_name("NAME");
     add_log_part_options(*command, options->part);
     command
@@ -308,13 +312,12 @@ void add_eval(CLI::App& app, Call& call) {
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
     command->add_flag("--no-refine", options->no_refine,
-                      "ray-drop as the surfels have it, without the run's network");
+                      "use the ray-drop of the surfels, without the run's network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command
         ->add_option("--table", options->tables,
-                     "write the scores that the runs have already as a table; the extension decides: .md, "
-                     ".csv, or .html for a page; "
-                     "repeatable")
+                     "write a table of the existing scores of the runs, as .md, .csv or .html (chosen by the "
+                     "file extension); repeatable")
         ->type_name("FILE")
         ->type_size(1)
         ->allow_extra_args(false);

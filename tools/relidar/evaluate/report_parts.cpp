@@ -76,7 +76,8 @@ std::vector<ReportKeyMetric> key_metrics() {
          "mean distance to the nearest point of the other cloud, summed over both directions; less is "
          "better"},
         {"points/f_22cm", "Points with a real point within 22 cm",
-         "and real points with a simulated point within 22 cm, as F-score; 1 is best"},
+         "F-score of this share and of the share of real points with a simulated point within 22 "
+         "cm; 1 is best"},
         {"peer/depth_psnr_db", "Range image, PSNR as in publications, dB",
          "peak signal to noise, dropped rays as 0 m; more is better"}};
 }

@@ -36,7 +36,8 @@ struct ScoredRun {
 ScoredRun read_scores(const std::string& path) {
     const fs::path folder = path;
     if (!holds_run(folder))
-        throw DataError(fmt::format("{}: not a run folder, expected a folder made by `relidar train`", path));
+        throw DataError(
+            fmt::format("{} is not a run folder; expected a folder that `relidar train` has written", path));
     ScoredRun run;
     run.name = path.substr(0, path.find_last_not_of('/') + 1);
     if (const std::vector<TrainProgress> log = read_log(folder); !log.empty())
@@ -180,8 +181,8 @@ void check_scored(const std::vector<ScoredRun>& runs) {
 void write_score_tables(const std::vector<std::string>& runs, const std::vector<std::string>& files) {
     for (const fs::path file : files)
         if (file.extension() != ".md" && file.extension() != ".csv" && file.extension() != ".html")
-            throw UsageError(fmt::format("--table: found {}, expected a file that ends in .md, .csv or .html",
-                                         file.string()));
+            throw UsageError(fmt::format(
+                "--table: found {}; expected a file name that ends in .md, .csv or .html", file.string()));
     std::vector<ScoredRun> scored;
     for (const std::string& run : runs) scored.push_back(read_scores(run));
     for (const fs::path file : files) {

@@ -82,8 +82,8 @@ void add_device_list(CLI::App& list, Call& call) {
             const std::vector<DeviceInfo> devices = list_devices();
             if (devices.empty())
                 throw DeviceError(
-                    "listing devices: found no Vulkan device, expected at least one; tools/dev/setup "
-                    "installs a software driver");
+                    "this machine has no Vulkan device; expected at least one; tools/dev/setup installs a "
+                    "driver that renders on the CPU");
             *json ? print_json(devices) : print_table(devices);
         };
     });

@@ -33,9 +33,10 @@ void show_run(const InfoOptions& options) {
 /// Prints how far the training of a run is, if the run has no scene yet.
 void show_unfinished(const std::filesystem::path& folder) {
     const Config config = load_saved_config(folder / "config.toml");
-    print(fmt::format("{}: {} at iteration {} of {}, no scene yet; log {}\n", folder.string(),
-                      FolderLock::is_held(folder) ? "a run in training" : "a run that was interrupted",
-                      last_logged_iteration(folder), config.train.iterations, config.dataset.path));
+    print(fmt::format(
+        "{}: {}, at iteration {} of {}; no scene has been saved yet; log {}\n", folder.string(),
+        FolderLock::is_held(folder) ? "a run that is being trained" : "a run whose training was interrupted",
+        last_logged_iteration(folder), config.train.iterations, config.dataset.path));
     if (!FolderLock::is_held(folder))
         print(fmt::format("continue with: relidar train --resume {}\n", shell_word(folder.string())));
 }

@@ -198,10 +198,12 @@ std::string text_of(const LidarSummary& l) {
     const std::string second =
         l.n_second_returns == 0 ? "" : fmt::format(", {} second returns", l.n_second_returns);
     if (l.n_beams == 0)
-        return fmt::format("{}{}: no beams known, {:.4g} m{}", name, l.sensor, l.max_range_m, second);
-    return fmt::format("{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s a sweep, {:.4g} m{}",
-                       name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s,
-                       l.max_range_m, second);
+        return fmt::format("{}{}: unknown beams, range up to {:.4g} m{}", name, l.sensor, l.max_range_m,
+                           second);
+    return fmt::format(
+        "{}{}: {} rows x {} columns, {:+.2f} to {:+.2f} degrees, {:.3g} s per sweep, range up to "
+        "{:.4g} m{}",
+        name, l.sensor, l.n_beams, l.columns, l.top_deg, l.bottom_deg, l.period_s, l.max_range_m, second);
 }
 
 std::string text_of(const LogSummary& log, bool of_run) {
@@ -295,15 +297,16 @@ std::string to_text(const RunSummary& run) {
         run.primitive == ImageModel{}.primitive ? "" : fmt::format(" {}", kind_of(run.primitive).label);
     std::string text = line("surfels", fmt::format("{}{}", run.n_surfels, other));
     if (run.n_blocks > 0)
-        text +=
-            line("blocks", fmt::format("{} of the background, loaded when scans need them", run.n_blocks));
+        text += line("blocks",
+                     fmt::format("the background consists of {} blocks, each loaded when a scan needs it",
+                                 run.n_blocks));
     for (const auto& [name, count] : run.models)
         text += line("  model", fmt::format("{}: {} surfels", name, count));
-    text += line("instances", fmt::format("{}, the background is 0", run.n_instances));
+    text += line("instances", fmt::format("{}, of which number 0 is the background", run.n_instances));
     if (run.n_drop_parameters > 0)
         text += line("ray drop", fmt::format("corrected by a network of {} parameters that reads {} images",
                                              run.n_drop_parameters, run.drop_image));
-    for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of {})", e.edit, e.run));
+    for (const RunEdit& e : run.edits) text += line("  edit", fmt::format("{} (of run {})", e.edit, e.run));
     text += line("settings", fmt::format("preset {}, {} iterations", run.preset, run.iterations));
     text += line("split", fmt::format("{} training frames, {} test frames ({})", run.n_train,
                                       run.test_frames.size(), fmt::join(run.test_frames, ", ")));

@@ -109,9 +109,9 @@ void describe_sensor(const SensorsOptions& options) {
 
 void run_sensors(const SensorsOptions& options) {
     if (!options.out.empty() && options.sensor.empty())
-        throw UsageError("--out: found no sensor, expected the sensor to draw");
+        throw UsageError("--out needs a sensor to draw: `relidar list sensors SENSOR --out FILE.png`");
     if (!(std::abs(options.time_s) <= 1e10))
-        throw UsageError(fmt::format("--time: found {}, expected seconds", options.time_s));
+        throw UsageError(fmt::format("--time: found {}; expected a time in seconds", options.time_s));
     options.sensor.empty() ? list_sensors() : describe_sensor(options);
 }
 

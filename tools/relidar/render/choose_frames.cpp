@@ -33,8 +33,8 @@ std::vector<int> positions_in(const Run& run, const FrameRange& range) {
 std::vector<int> choose_frames(const Run& run, const std::optional<std::string>& wanted, bool quiet) {
     if (!wanted && run.split.test.empty()) {
         if (!quiet)
-            note(fmt::format("{} has no held-out frames: rendering all {}", run.folder.string(),
-                             run.sequence.frames.size()));
+            note(fmt::format("{} has no held-out frames; all {} frames are rendered instead",
+                             run.folder.string(), run.sequence.frames.size()));
         return all_positions(run);
     }
     const std::string which = wanted.value_or("test");
@@ -49,9 +49,10 @@ std::vector<int> choose_frames(const Run& run, const std::optional<std::string>&
         if (!positions.empty()) note_frames_beyond(range, last, run.folder.string());
     }
     if (positions.empty()) {
-        throw UsageError(fmt::format(
-            "--frames {}: selects no frame of {}, expected numbers in {}..{}, or test, train or all", which,
-            run.folder.string(), run.sequence.frames.front().index, last));
+        throw UsageError(
+            fmt::format("--frames {} selects no frame of {}; expected frame numbers from {} to {}, or test, "
+                        "train or all",
+                        which, run.folder.string(), run.sequence.frames.front().index, last));
     }
     return positions;
 }

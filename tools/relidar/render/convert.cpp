@@ -45,7 +45,7 @@ void run_convert(const ConvertOptions& options) {
                  }});
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("{}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out),
+        print(fmt::format("wrote {}: {} scans of {} LiDAR{}, {} boxes\n", absolute_path(options.out),
                           sequence.frames.size(), sequence.lidars.size(),
                           sequence.lidars.size() == 1 ? "" : "s", sequence.boxes.size()));
 }

@@ -59,7 +59,7 @@ void export_frames(const ExportOptions& options) {
     }
     end_progress_line();
     if (!options.quiet)
-        print(fmt::format("{}: {} file{}\n", absolute_path(options.out), positions.size(),
+        print(fmt::format("wrote {}: {} file{}\n", absolute_path(options.out), positions.size(),
                           positions.size() == 1 ? "" : "s"));
 }
 
@@ -67,10 +67,10 @@ void run_export(const ExportOptions& options) {
     const std::filesystem::path out = options.out;
     if (options.frames) {
         if (out.has_extension())
-            throw UsageError(
-                fmt::format("--out {}: found the ending {}, expected the name of a folder, because --frames "
-                            "writes one file per frame",
-                            options.out, out.extension().string()));
+            throw UsageError(fmt::format(
+                "--out {}: the name ends in {}; expected the name of a folder, because --frames writes "
+                "one file per frame",
+                options.out, out.extension().string()));
         return export_frames(options);
     }
     const std::optional<std::string> format = known_name(out.extension().string(), {".ply", ".csv"});
@@ -117,8 +117,8 @@ void add_export(CLI::App& app, Call& call) {
         ->type_name("FILE.ply|FILE.csv|FOLDER");
     command
         ->add_option("--frames", options->frames,
-                     "write the scene of each of these frames, first:end, test, train or all, with all "
-                     "actors in their poses")
+                     "for each of these frames (FIRST:END, test, train or all), write one file with the "
+                     "background and all actors at their poses")
         ->type_name("A:B");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kExportHelp);

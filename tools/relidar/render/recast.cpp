@@ -30,10 +30,10 @@ std::size_t car_of(const Model& model, const std::string& track) {
     std::size_t car = 0;
     const auto [end, error] = std::from_chars(model.name.data(), model.name.data() + model.name.size(), car);
     if (error != std::errc() || end != model.name.data() + model.name.size())
-        throw DataError(
-            fmt::format("rendering the edited street: track {} has the model \"{}\", expected the number of "
-                        "a car of the street",
-                        track, model.name));
+        throw DataError(fmt::format(
+            "cannot render the edited street: track {} has the model \"{}\"; expected the number of "
+            "a car of the synthetic street",
+            track, model.name));
     return car;
 }
 

@@ -41,13 +41,14 @@ void check_recording_names(const RecordingNames& names, const std::vector<std::s
     const auto check = [&](const char* option, const std::string& text) {
         if (text.empty()) return;
         if (std::ranges::none_of(formats, is_recording))
-            throw UsageError(
-                fmt::format("{}: found no recording in --format, expected mcap or rosbag, because other "
-                            "files have no topics and frames",
-                            option));
+            throw UsageError(fmt::format(
+                "{} has no effect on the selected formats; expected mcap or rosbag in --format, because "
+                "other files have no topics and frame ids",
+                option));
         if (is_rig && text.find(kName) == std::string::npos)
             throw UsageError(fmt::format(
-                "{}: found \"{}\" for all sensors of a rig, expected {} in it, which is each sensor's name",
+                "{}: found \"{}\" for all sensors of a rig; expected a text that contains {}, which is "
+                "replaced by the name of each sensor",
                 option, text, kName));
     };
     check("--topic", names.topic), check("--frame-id", names.frame_id);

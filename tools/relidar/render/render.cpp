@@ -67,12 +67,14 @@ Pose parse_offset(const std::string& text) {
                                      v.size(), text));
     for (std::size_t i = 0; i < 3; ++i)
         if (std::abs(v[i]) > kFarthestOffset_m) {
-            throw UsageError(fmt::format("--offset: found {} in \"{}\", expected metres between -{} and {}",
-                                         v[i], text, kFarthestOffset_m, kFarthestOffset_m));
+            throw UsageError(
+                fmt::format("--offset: found {} in \"{}\"; expected a distance in metres between -{} and {}",
+                            v[i], text, kFarthestOffset_m, kFarthestOffset_m));
         }
     if (v.size() == 4 && std::abs(v[3]) > 360.0) {
-        throw UsageError(fmt::format(
-            "--offset: found a turn of {} in \"{}\", expected degrees between -360 and 360", v[3], text));
+        throw UsageError(
+            fmt::format("--offset: found a yaw angle of {} in \"{}\"; expected degrees between -360 and 360",
+                        v[3], text));
     }
     const double yaw_rad = v.size() == 4 ? v[3] * kPi / 180.0 : 0.0;
     return {glm::angleAxis(yaw_rad, glm::dvec3(0.0, 0.0, 1.0)), {v[0], v[1], v[2]}};
@@ -86,7 +88,7 @@ std::vector<std::string> parse_formats(const std::string& list) {
         const std::string name = without_blanks(word);
         const std::optional<std::string> format = known_name(name, known_formats);
         if (!format)
-            throw UsageError(fmt::format("--format: found \"{}\"{} (known: {})", name,
+            throw UsageError(fmt::format("--format: \"{}\" is unknown{} (known formats: {})", name,
                                          did_you_mean(name, known_formats), fmt::join(known_formats, ", ")));
         formats.push_back(*format);
     }
@@ -96,8 +98,8 @@ std::vector<std::string> parse_formats(const std::string& list) {
 PointFrame parse_point_frame(const std::string& name) {
     if (known_name(name, {"sensor"})) return PointFrame::sensor;
     if (known_name(name, {"world"})) return PointFrame::world;
-    throw UsageError(fmt::format(
-        "--frame: found \"{}\", expected sensor or world (which scans are rendered is --frames)", name));
+    throw UsageError(
+        fmt::format("--frame: found \"{}\"; expected sensor or world (use --frames to select scans)", name));
 }
 
 /// Removes the boxes of actors that are not rendered. Recordings then contain only the
@@ -136,15 +138,15 @@ ScanFormat scan_file_format(const RenderOptions& options, const Run& run, const 
 /// or if the folder is a run
 void check_empty(const std::filesystem::path& folder, const RenderOptions& options) {
     if (holds_run(folder))
-        throw UsageError(
-            fmt::format("--out {}: found a run, expected another folder for its scans", folder.string()));
+        throw UsageError(fmt::format(
+            "--out {}: this is a run folder; choose a different folder for its scans", folder.string()));
     const std::vector<std::filesystem::path> files =
         options.overwrite ? std::vector<std::filesystem::path>{} : scans_in(folder);
     if (!files.empty()) {
-        throw UsageError(
-            fmt::format("--out {}: the folder holds another rendering ({} files, one is {}), expected a new "
-                        "one; --force replaces it",
-                        folder.string(), files.size(), files.front().filename().string()));
+        throw UsageError(fmt::format(
+            "--out {}: the folder already contains rendered scans ({} files, for example {}); choose "
+            "a new folder, or use --force to replace the files",
+            folder.string(), files.size(), files.front().filename().string()));
     }
 }
 
@@ -154,22 +156,22 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
     for (const std::string& format : parse_formats(options.formats))
         if (ranks.size() > 1 && is_recording(format))
             throw UsageError(fmt::format(
-                "--format {}: found {} processes, expected one, because all scans are written to one file",
+                "--format {}: found {} MPI processes; expected one, because this format stores all scans "
+                "in one file",
                 format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
-        throw UsageError("--merge: found a single sensor, expected a rig as --sensor");
+        throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
     const TrajectoryChoice& t = options.trajectory;
     if (t.file.empty() && (t.rate_hz || !t.times.empty()))
-        throw UsageError(
-            "--rate and --times: found no --trajectory, expected one, because they select times on it");
+        throw UsageError("--rate and --times need --trajectory, because they select times on a trajectory");
     if (!t.file.empty() && options.frames)
         throw UsageError(
-            "--frames: found --trajectory too, expected one of them; use --times to select times on a "
+            "--frames and --trajectory cannot be used together; use --times to select times on a "
             "trajectory");
-    if (t.rate_hz && !t.times.empty()) throw UsageError("--rate: found --times too, expected one of them");
+    if (t.rate_hz && !t.times.empty()) throw UsageError("--rate and --times cannot be used together");
 }
 
 /// A scan to render. It has a number for its file name, and the time at which the sensor
@@ -186,8 +188,8 @@ std::vector<Sweep> sweeps_of_log(const Run& run, const RenderOptions& options, i
         if (frame.lidar == lidar) sweeps.push_back({frame.index, frame.time_s});
     }
     if (sweeps.empty())
-        throw UsageError(fmt::format("--lidar {}: has none of the selected frames of {}", options.lidar,
-                                     run.folder.string()));
+        throw UsageError(fmt::format("--lidar {}: this LiDAR has none of the selected frames of {}",
+                                     options.lidar, run.folder.string()));
     return sweeps;
 }
 
@@ -323,13 +325,13 @@ public:
     std::string summary(std::size_t n_sweeps, std::size_t n_all, int n_processes) const {
         const double n = double(n_sweeps);
         return fmt::format(
-            "{} scans of {:.0f} rays in {} ({}): {:.1f} % return{}; tracing {:.1f} ms a scan, {:.3f} "
-            "Mrays/s{}\n",
+            "wrote {} scans of {:.0f} rays in {} ({}): {:.1f} % of the rays return{}; tracing took "
+            "{:.1f} ms per scan, {:.3f} Mrays/s{}\n",
             n_all, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
-            knows_seen_
-                ? fmt::format(", {:.1f} % cross space that the log has not seen", 100.0 * n_unseen_ / n_rays_)
-                : "",
+            knows_seen_ ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
+                                      100.0 * n_unseen_ / n_rays_)
+                        : "",
             trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
             n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
@@ -515,11 +517,11 @@ void add_render(CLI::App& app, Call& call) {
                      "draw random scans with this seed: drops by their probability, ranges and intensities "
                      "with the noise of the log (default: the most likely scan, without noise)")
         ->check([](const std::string& text) {
-            return text.starts_with('-') ? fmt::format("found {}, expected a whole number from 0", text)
+            return text.starts_with('-') ? fmt::format("found {}, expected an integer of at least 0", text)
                                          : std::string();
         })
         ->type_name("SEED");
-    add_weather_option(*command, options->weather, "all scans; the seed is that of --sample, else 0");
+    add_weather_option(*command, options->weather, "all scans; the seed is --sample, or 0 without it");
     add_file_options(*command, *options);
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);

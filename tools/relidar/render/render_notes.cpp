@@ -16,16 +16,16 @@ void note_compensated(const Run& run, const SensorChoice& sensor) {
         has_rolling_shutter(sensor, run.config))
         return;
     note(
-        fmt::format("scans of {} are motion-compensated like the log: all rays are fired at the scan's time; "
-                    "--set sensor.rolling_shutter=true fires each ray at its own time",
+        fmt::format("scans of {} are motion-compensated like the log, which means that all rays are fired at "
+                    "the scan's time; use --set sensor.rolling_shutter=true to fire each ray at its own time",
                     sensor.name));
 }
 
 void note_unrefined(const Run& run, const ScanRenderer& renderer, const SensorChoice& sensor) {
     if (!run.config.refine.enabled || run.drop_network.empty() || renderer.refines(sensor)) return;
     note(
-        fmt::format("{}: its ray-drop network reads {} images of at least {} x {}; scans of {} use the "
-                    "ray-drop of the surfels",
+        fmt::format("the ray-drop network of {} needs {} images of at least {} x {} pixels; scans of {} "
+                    "therefore use the ray-drop of the surfels",
                     run.folder.string(), run.drop_network.image, run.drop_network.smallest_side(),
                     run.drop_network.smallest_side(), sensor.name));
 }
@@ -40,8 +40,8 @@ void note_unscattered(const Run& run, int lidar) {
 void note_weather(const Weather& weather) {
     if (weather.clear()) return;
     note(
-        fmt::format("weather {}: the sensors' wavelength is unknown, assuming 905 nm; beams of unknown "
-                    "divergence are assumed to have 3 mrad",
+        fmt::format("weather {}: the sensors' wavelength is unknown and assumed to be 905 nm; an unknown "
+                    "beam divergence is assumed to be 3 mrad",
                     to_text(weather)));
 }
 
@@ -79,10 +79,11 @@ void note_unseen(const std::vector<std::string>& entries, const std::string& fol
         if (unseen > worst) worst = unseen, worst_number = scan["frame_number"];
     }
     if (n_unseen == 0) return;
-    note(fmt::format(
-        "{}: in {} of {} scans more than {:.0f} % of the rays cross space that the log has not seen, in "
-        "number {} {:.1f} %: surfaces there are extrapolated (scans.json: unseen; --channels seen: per ray)",
-        folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
+    note(
+        fmt::format("{}: in {} of {} scans, more than {:.0f} % of the rays cross space that the log has not "
+                    "observed (scan {} has the most, {:.1f} %); surfaces there are extrapolated; see "
+                    "\"unseen\" in scans.json, or use --channels seen for a value per ray",
+                    folder, n_unseen, n_known, 100.0 * kMuchUnseen, worst_number, 100.0 * worst));
 }
 
 }  // namespace relidar::cli

@@ -51,8 +51,7 @@ std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
     if (!offered && !options.api.empty())
         throw UsageError(fmt::format("--api: found '{}', expected sensorsim", options.api));
     if (!offered && !options.pose_order.empty())
-        throw UsageError(
-            "--sensorsim-poses: found it without --api sensorsim, expected both options or neither");
+        throw UsageError("--sensorsim-poses can only be used together with --api sensorsim");
     if (!offered) return {};
     if (options.pose_order.empty() || options.pose_order == "rotation-first")
         return serve::PoseOrder::rotation_first;
@@ -63,11 +62,12 @@ std::optional<serve::PoseOrder> sensorsim_poses(const ServeOptions& options) {
 
 serve::ServerOptions server_options(const ServeOptions& options) {
     if (options.queue < 1 || options.queue > kLongestQueue)
-        throw UsageError(fmt::format("--queue: found {}, expected 1 to {}", options.queue, kLongestQueue));
+        throw UsageError(
+            fmt::format("--queue: found {}; expected a number from 1 to {}", options.queue, kLongestQueue));
     if (options.memory_mib < 0)
         throw UsageError(fmt::format("--memory-mib: found {}, expected 0 or more", options.memory_mib));
     if (options.server.tls_cert.empty() != options.server.tls_key.empty())
-        throw UsageError("--tls-cert and --tls-key: found only one of them, expected both or neither");
+        throw UsageError("--tls-cert and --tls-key must be used together; found only one of them");
     serve::ServerOptions server = options.server;
     server.waiting = std::size_t(options.queue);
     server.memory_mib = std::uint64_t(options.memory_mib);
@@ -165,8 +165,10 @@ void add_serve(CLI::App& app, Call& call) {
                      "the default) or translation-first (R (p + t))")
         ->type_name("ORDER");
     add_channels_option(*command, options->server.channels);
-    add_weather_option(*command, options->weather,
-                       "scans whose request sets no weather; the seed is the request's sample_seed, else 0");
+    add_weather_option(
+        *command, options->weather,
+        "scans whose request sets no weather; the seed is the request's sample_seed, or 0 if it "
+        "has none");
     command
         ->add_option(
             "--queue", options->queue,

@@ -16,8 +16,8 @@ void add_serve(CLI::App& app, Call& call) {
     command->callback([&call] {
         call.run = [] {
             throw UsageError(
-                "serve: this program was built without gRPC, expected a build with gRPC; run "
-                "`tools/dev/setup --serve` and build again");
+                "serve is not available, because relidar was built without gRPC; run `tools/dev/setup "
+                "--serve` and build relidar again");
         };
     });
 }

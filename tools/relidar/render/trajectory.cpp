@@ -28,8 +28,8 @@ struct Steps {
 Steps parse_times(const std::string& text) {
     const std::vector<std::string> words = split(text, ':');
     if (words.size() != 3)
-        throw UsageError(
-            fmt::format("--times: found \"{}\", expected first:last:step in seconds, as 2:4:0.05", text));
+        throw UsageError(fmt::format(
+            "--times: found \"{}\"; expected FIRST:LAST:STEP in seconds, for example 2:4:0.05", text));
     const auto number = [&](std::size_t i) { return parse_list("--times", words[i]).at(0); };
     return {number(0), number(1), number(2)};
 }
@@ -46,22 +46,23 @@ std::vector<double> scan_times(const TrajectoryChoice& choice, const PoseTrack& 
     const double begin = track.time_s.front(), end = track.time_s.back();
     if (choice.rate_hz && !(*choice.rate_hz > 0.0 && std::isfinite(*choice.rate_hz)))
         throw UsageError(
-            fmt::format("--rate: found {}, expected scans per second, above 0", *choice.rate_hz));
+            fmt::format("--rate: found {}; expected a number of scans per second above 0", *choice.rate_hz));
     const Steps steps = choice.times.empty() ? Steps{begin, end, 1.0 / choice.rate_hz.value_or(log_rate_hz)}
                                              : parse_times(choice.times);
     if (!(steps.step > 0.0) || !(steps.last >= steps.first))
         throw UsageError(
-            fmt::format("--times: found \"{}\", expected first < last and a step above 0", choice.times));
+            fmt::format("--times: found \"{}\"; expected FIRST < LAST and a STEP above 0", choice.times));
     if (steps.first < begin || steps.last > end) {
-        throw UsageError(
-            fmt::format("--times: found {} to {} s, expected times of the trajectory, {} to {} s",
-                        steps.first, steps.last, begin, end));
+        throw UsageError(fmt::format(
+            "--times: found {} to {} s; expected times within those of the trajectory, {} to {} s",
+            steps.first, steps.last, begin, end));
     }
     const double n = std::floor((steps.last - steps.first) / steps.step + kSlack) + 1.0;
     if (n > kMostScans)
-        throw UsageError(
-            fmt::format("--trajectory: found {:.3g} scans from {} to {} s, expected at most {:.0e}", n,
-                        steps.first, steps.last, kMostScans));
+        throw UsageError(fmt::format(
+            "--trajectory: the options select {:.3g} scans from {} to {} s; expected at most {:.0e} "
+            "scans",
+            n, steps.first, steps.last, kMostScans));
     std::vector<double> times;
     for (int i = 0; i < static_cast<int>(n); ++i) times.push_back(steps.first + i * steps.step);
     return times;
@@ -75,8 +76,8 @@ void note_beyond_log(const Run& run, const PoseTrack& track, const std::vector<d
                             nearest_m(log.world_from_vehicle, track.at(t).translation - log.world_offset_m));
     if (farthest > kFar_m) {
         note(fmt::format(
-            "the trajectory is up to {:.0f} m away from the path of the log's sensor; its frame is the "
-            "dataset's world, as in the file that `relidar export {} --out FILE.csv` writes",
+            "the trajectory is up to {:.0f} m away from the path of the log's sensor; expected poses "
+            "in the dataset's world, like the path that `relidar export {} --out FILE.csv` writes",
             farthest, run.folder.string()));
     }
     const double begin = log.frames.front().time_s, end = log.frames.back().time_s;

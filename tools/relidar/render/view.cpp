@@ -62,8 +62,9 @@ view::OtherRuns other_runs(const std::vector<std::string>& folders) {
 
 view::ServerOptions server_options(const ViewOptions& options) {
     if (options.port < 0 || options.port > kLastPort)
-        throw UsageError(fmt::format("--port: found {}, expected 0 to {}; 0 selects a free port",
-                                     options.port, kLastPort));
+        throw UsageError(
+            fmt::format("--port: found {}; expected a number from 0 to {}, where 0 selects a free port",
+                        options.port, kLastPort));
     view::ServerOptions server;
     server.address = options.address;
     server.port = options.port;
@@ -103,7 +104,7 @@ void run_view(const ViewOptions& options) {
     print(server.url() + "\n");
     std::fflush(stdout);
     const char* who = server_settings.token.empty() ? "open this address in a browser"
-                                                    : "only clients with this address have access";
+                                                    : "only clients that know this address have access";
     if (!options.quiet) note(fmt::format("{}; Ctrl-C ends it", who));
     if (options.open) open_in_browser(server.url());
     while (!interrupted()) session.work(kViewPatience);

@@ -13,7 +13,7 @@ void add_view(CLI::App& app, Call& call) {
     command->callback([&call] {
         call.run = [] {
             throw UsageError(
-                "view: this program was built without the viewer, expected a build with Boost.Beast; install "
+                "view is not available, because relidar was built without Boost.Beast; install "
                 "libboost-dev (Debian) and run cmake with -DRELIDAR_VIEW=ON");
         };
     });

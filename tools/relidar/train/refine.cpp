@@ -36,16 +36,17 @@ std::optional<Checkpoint> find_start(const RefineOptions& options) {
     const std::filesystem::path folder = network_checkpoint_folder(options.run);
     if (!options.resume) {
         if (!list_checkpoints(folder).empty())
-            note(
-                fmt::format("{} holds the checkpoint of an unfinished network, which is discarded; use "
-                            "--resume to continue it",
-                            options.run));
+            note(fmt::format(
+                "{} contains a checkpoint of an unfinished network training, which is discarded; use "
+                "--resume to continue such a training",
+                options.run));
         return std::nullopt;
     }
     std::optional<Checkpoint> start = load_newest_checkpoint(folder, note);
     if (!start)
-        note(fmt::format("{} has no checkpoint of its network: training starts from the beginning",
-                         options.run));
+        note(fmt::format(
+            "{} has no checkpoint of its network training, which therefore starts from the beginning",
+            options.run));
     return start;
 }
 
@@ -90,7 +91,8 @@ void score_both(Device& device, const Run& run, const RefineOptions& options) {
     write_text(run.folder / "metrics.json", metrics_json(after, run.config,
                                                          {absolute_path(run.folder.string()),
                                                           device.info().name, device.peak_bytes(), 0.0}));
-    if (!options.quiet) print(metric_table(after, &before) + "\n\"baseline\" is without the network\n");
+    if (!options.quiet)
+        print(metric_table(after, &before) + "\nThe column \"baseline\" is without the network.\n");
 }
 
 void run_refine(const RefineOptions& options) {
@@ -141,7 +143,8 @@ void add_refine(CLI::App& app, Call& call) {
                       "continue an interrupted training, with its settings, from its newest checkpoint");
     add_set_option(*command, options->sets);
     add_device_options(*command, options->device);
-    command->add_flag("--no-eval", options->no_eval, "do not score the held-out frames with and without it");
+    command->add_flag("--no-eval", options->no_eval,
+                      "do not score the held-out frames with and without the network");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kRefineHelp);
     command->callback([&call, options] { call.run = [options] { run_refine(*options); }; });

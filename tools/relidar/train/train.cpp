@@ -66,9 +66,10 @@ TrainOptions sorted_out(TrainOptions options) {
         throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
     const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
     if (options.dataset.empty() && !knows_log)
-        throw UsageError(fmt::format(
-            "DATASET is required: {} has no config.toml that names the log (see `relidar train --help`)",
-            options.out));
+        throw UsageError(
+            fmt::format("DATASET is required, because {} has no config.toml that names the log (see `relidar "
+                        "train --help`)",
+                        options.out));
     return options;
 }
 
@@ -125,8 +126,9 @@ void check_unchanged(const fs::path& folder, const Config& config) {
         if (key.empty() && !same_group(trained, config, group)) key = std::string(group) + "*";
     if (!key.empty())
         throw UsageError(fmt::format(
-            "resuming {}: its training is finished with a different setting {}, expected the same; --force "
-            "trains again from the start, and `relidar refine` trains only the ray-drop network",
+            "cannot resume {}: its finished training used another value of the setting {}; expected "
+            "the same value; --force trains again from the start, and `relidar refine` trains only "
+            "the ray-drop network",
             folder.string(), key));
 }
 
@@ -150,10 +152,10 @@ std::optional<Checkpoint> find_start(const TrainOptions& options) {
     if (start) return start;
     if (is_file(folder / "report.html"))
         throw UsageError(
-            fmt::format("resuming {}: its training has ended and left no checkpoint, expected a checkpoint "
-                        "to resume from; --force trains again from the start",
+            fmt::format("cannot resume {}: its training has ended without a checkpoint; --force trains again "
+                        "from the start",
                         folder.string()));
-    note(fmt::format("{} has no checkpoint: training starts from the beginning", folder.string()));
+    note(fmt::format("{} has no checkpoint, so training starts from the beginning", folder.string()));
     return std::nullopt;
 }
 
@@ -196,7 +198,7 @@ TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& op
 /// saved.
 Error interrupted_while(const char* what, const Run& run, const TrainOptions& options) {
     return Error(ExitCode::interrupted,
-                 fmt::format("interrupted while {}; {} holds the scene; continue with: {}", what,
+                 fmt::format("interrupted while {}; the scene is saved in {}; continue with: {}", what,
                              run.folder.string(), resume_command(options)));
 }
 
@@ -204,7 +206,8 @@ Error interrupted_while(const char* what, const Run& run, const TrainOptions& op
 /// network.
 void complete_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     if (!complete_scene_shown(device, run, options.quiet, stages))
-        throw interrupted_while("held-out scans were placed and scatter was learnt", run, options);
+        throw interrupted_while("held-out scans were aligned and intensity scatter was learned", run,
+                                options);
 }
 
 /// Scores the held-out frames and writes metrics.json.
@@ -239,9 +242,11 @@ void finish(Device& device, const Run& run, const TrainResult& result, const Tra
         write_report(run.folder / "report.html", report);
         throw Error(
             ExitCode::interrupted,
-            fmt::format("interrupted after iteration {} of {}; {} holds the scene so far; continue with: {}",
-                        result.iterations, run.config.train.iterations, run.folder.string(),
-                        resume_command(options)));
+            fmt::format(
+                "interrupted after iteration {} of {}; the current scene is saved in {}; continue with: "
+                "{}",
+                result.iterations, run.config.train.iterations, run.folder.string(),
+                resume_command(options)));
     }
     stages.begin("evaluate");
     const Evaluation evaluation = score(device, run, options);
@@ -271,7 +276,7 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
         if (start) check_refine_resumable(*start, run);
         return start;
     } catch (const Error& error) {
-        note(fmt::format("{}; the network is trained from the beginning", error.what()));
+        note(fmt::format("{}; the network is therefore trained from the beginning", error.what()));
         return std::nullopt;
     }
 }
@@ -357,7 +362,8 @@ void clear_folder(const fs::path& folder, const Config& config, bool keeps_block
 void check_ranks(const Ranks& ranks, bool in_blocks) {
     if (ranks.size() > 1 && !in_blocks)
         throw UsageError(fmt::format(
-            "training with {} processes: expected --blocks, because processes share the blocks of a log",
+            "training with {} MPI processes needs --blocks, because the processes share the blocks "
+            "of a log",
             ranks.size()));
 }
 
@@ -370,9 +376,10 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (options.resume && !options.force && is_finished(options.out, config)) {
         check_unchanged(options.out, config);
         if (!options.quiet)
-            print(fmt::format(
-                "{} has all of its {} iterations: nothing to do; increase train.iterations to continue\n",
-                options.out, config.train.iterations));
+            print(
+                fmt::format("{} has already finished all {} iterations, so nothing is trained; increase "
+                            "train.iterations to continue\n",
+                            options.out, config.train.iterations));
         return;
     }
     const bool resume = options.resume && !options.force;
@@ -422,8 +429,8 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
 void add_resume_option(CLI::App& command, const std::shared_ptr<TrainOptions>& options) {
     command
         .add_option("--resume", options->resume_folder,
-                    "resume the run in --out, or in RUN, from its newest checkpoint; log and settings are "
-                    "those of the run unless given")
+                    "resume the run in --out, or in RUN, from its newest checkpoint, with the log and the "
+                    "settings of the run unless the command line replaces them")
         ->type_name("[RUN]")
         ->expected(0, 1);
 }
@@ -446,7 +453,7 @@ Examples:
 void add_train(CLI::App& app, Call& call) {
     CLI::App* command = app.add_subcommand("train", "train a scene on a log");
     const auto options = std::make_shared<TrainOptions>();
-    command->add_option("DATASET", options->dataset, "log: a path (format recognised), or kind:path");
+    command->add_option("DATASET", options->dataset, "log: a path, whose format is recognised, or KIND:PATH");
     command->add_option("--out", options->out, "run folder to create")->type_name("RUN");
     add_log_part_options(*command, options->part);
     add_settings_options(*command, options->settings);

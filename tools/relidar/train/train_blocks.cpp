@@ -42,10 +42,10 @@ void check_settings(const fs::path& block, const Config& trained, const Config& 
     const std::vector<ConfigKey> was = config_keys(trained), is = config_keys(config);
     for (std::size_t i = 0; i < is.size(); ++i)
         if (!is_free(is[i].key) && was[i].value != is[i].value)
-            throw DataError(
-                fmt::format("resuming: {} was trained with {} = {}, found {}, expected the same (--force "
-                            "trains all blocks again)",
-                            block.string(), is[i].key, was[i].value, is[i].value));
+            throw DataError(fmt::format(
+                "cannot resume: {} was trained with {} = {}, but now the value is {}; use the same "
+                "value, or --force to train all blocks again",
+                block.string(), is[i].key, was[i].value, is[i].value));
 }
 
 /// Compares the frames of a trained block with the current frames.
@@ -57,11 +57,11 @@ void check_frames(const Run& trained, const BlockLog& log) {
     const std::vector<Frame>&was = trained.sequence.frames, &is = log.sequence.frames;
     if (trained.split.train != log.split.train ||
         !std::equal(was.begin(), was.end(), is.begin(), is.end(), is_same))
-        throw DataError(
-            fmt::format("resuming: {} was trained on {} frames from {} to {}, found {} from {} to {}, "
-                        "expected the same (--force trains all blocks again)",
-                        trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
-                        is.front().index, is.back().index));
+        throw DataError(fmt::format(
+            "cannot resume: {} was trained on {} frames from {} to {}, but now it has {} frames from "
+            "{} to {}; use the same frames, or --force to train all blocks again",
+            trained.folder.string(), was.size(), was.front().index, was.back().index, is.size(),
+            is.front().index, is.back().index));
 }
 
 /// Sums and averages the results of the blocks.
@@ -116,9 +116,12 @@ public:
     TrainResult train() {
         if (!how_.quiet)
             print(fmt::format(
-                "blocks  {} of {:.1f} m, with sweeps up to {:g} m outside them{}\n", blocks_.size(),
-                blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
-                how_.ranks.size() > 1 ? fmt::format("; shared among {} processes", how_.ranks.size()) : ""));
+                "blocks  {} blocks of {:.1f} m each; each block also uses the sweeps up to {:g} m "
+                "outside it{}\n",
+                blocks_.size(), blocks_.front().end_m - blocks_.front().begin_m, run_.config.blocks.halo_m,
+                how_.ranks.size() > 1
+                    ? fmt::format("; the blocks are shared among {} MPI processes", how_.ranks.size())
+                    : ""));
         std::vector<fs::path> folders;
         std::vector<std::size_t> others;  // Numbers of the blocks that other processes are training.
         for (std::size_t k = 0; k < blocks_.size(); ++k) {
@@ -191,7 +194,7 @@ private:
 
     /// Appends to an error message how the user can resume the training.
     std::string kept(const std::string& what) const {
-        return fmt::format("{}; trained blocks are kept, continue with: {}", what, how_.resume);
+        return fmt::format("{}; the trained blocks are kept; continue with: {}", what, how_.resume);
     }
 
     std::string name_of(std::size_t k) const { return fmt::format("block {} of {}", k + 1, blocks_.size()); }

@@ -51,8 +51,10 @@ public:
     void add(const TrainProgress& p) {
         if (lost_ || (file_ << log_line(p)).flush()) return;
         lost_ = true;
-        note(fmt::format("cannot write {}: the disk is full or the folder was removed; training continues",
-                         path_.string()));
+        note(fmt::format(
+            "cannot write {}, because the disk is full or the folder was removed; training continues "
+            "without it",
+            path_.string()));
     }
     void finish(const std::vector<TrainProgress>& all) {
         if (!lost_) return;
@@ -76,9 +78,10 @@ void place_shown(Device& device, Run& run, bool quiet) {
     const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
-    print(fmt::format(
-        "{} of {} held-out scans aligned to the scene: moved by {:.1f} mm (median), at most {:.1f} mm\n",
-        placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
+    print(
+        fmt::format("aligned {} of {} held-out scans to the scene; they moved by {:.1f} mm (median), at most "
+                    "{:.1f} mm\n",
+                    placed.placed, placed.scans, 1e3 * placed.median_m, 1e3 * placed.largest_m));
     std::fflush(stdout);
 }
 
@@ -103,7 +106,7 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
                 session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
     session.progress = [show = shown_by(progress)](std::string_view what, double done) {
-        if (interrupted()) throw Error(ExitCode::interrupted, "interrupted while training was prepared");
+        if (interrupted()) throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
         show(what, done);
     };
     session.stop = interrupted;
@@ -187,7 +190,7 @@ void log_stages(const fs::path& folder, const StageTimes& times) {
     for (const StageTimes::Stage& stage : times.stages()) seconds[stage.name] = stage.seconds;
     std::ofstream file(folder / "log.jsonl", std::ios::binary | std::ios::app);
     if (!(file << nlohmann::ordered_json{{"stages_s", seconds}}.dump() << "\n"))
-        note(fmt::format("cannot write {}: the times of the stages are missing in it",
+        note(fmt::format("cannot write the times of the training stages to {}",
                          (folder / "log.jsonl").string()));
 }
 

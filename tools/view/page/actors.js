@@ -42,7 +42,7 @@ export class Actors {
     this.save.addEventListener('click', () => {
       this.saving = without(this.edits);
       if (send({ do: 'save', name: this.name.value, edits: this.edits })) this.say('saving …', false);
-      else this.say('The program cannot be reached; nothing is saved.', true);
+      else this.say('The server cannot be reached. Nothing was saved.', true);
     });
     const place = document.getElementById('insert-place');
     place.addEventListener('click', () => this.place(this.placing ? null : JSON.parse(this.insert.value)));
@@ -104,7 +104,7 @@ export class Actors {
   }
 
   change() {
-    this.say(this.isEdited ? 'The traffic is edited; saving leaves hidden actors in.' : '', false);
+    this.say(this.isEdited ? 'The actors are edited. Hidden actors are saved, too.' : '', false);
     this.checkSave();
     this.onChange();
   }
@@ -112,8 +112,8 @@ export class Actors {
   /** Shows the actors of the displayed scan: [{track, category, size, present, pose}]. */
   update(actors, instances) {
     this.known = actors;
-    document.getElementById('n-actors').textContent = `${actors.filter((a) => a.present).length} of ${actors.length} here`;
-    if (actors.length === 0) this.list.textContent = 'This run has none.';
+    document.getElementById('n-actors').textContent = `${actors.filter((a) => a.present).length} of ${actors.length} present`;
+    if (actors.length === 0) this.list.textContent = 'This run has no actors.';
     if (actors.some((a) => !this.rows.has(a.track)) || actors.length !== this.rows.size) this.rebuild(actors, instances);
     for (const { track, present } of actors) {
       const row = this.rows.get(track);
@@ -136,7 +136,7 @@ export class Actors {
     summary.append(swatch, `${track} · ${category}`);
     const buttons = Object.assign(document.createElement('div'), { className: 'row' });
     const place = button('Place …', () => this.place(this.placing?.of === track ? null : { of: track, from: '' }));
-    place.title = 'Put a copy on the ground, where the next click is';
+    place.title = 'Place a copy on the ground at the position of the next click';
     place.hidden = !this.own.has(track);
     const hide = this.toggle('Hide', 'hidden', track);
     const remove = this.toggle('Remove', 'removed', track);
@@ -165,7 +165,7 @@ export class Actors {
       input.addEventListener('input', () => {
         const far = inputs.findIndex((field, k) => Math.abs(Number(field.value)) > MOVES[k][2]);
         if (far >= 0) {
-          this.say(`${MOVES[far][0]}: ${inputs[far].value} is out of reach, expected -${MOVES[far][2]} to ${MOVES[far][2]}.`, true);
+          this.say(`${MOVES[far][0]}: ${inputs[far].value} is out of range, expected -${MOVES[far][2]} to ${MOVES[far][2]}.`, true);
           inputs[far].value = String(this.moves[track]?.[far] ?? 0);
           return;
         }
@@ -195,7 +195,7 @@ export class Actors {
    */
   place(actor) {
     this.placing = actor;
-    this.say(actor ? `Click on the ground where ${actor.of} is to stand; Esc ends it.` : '', false);
+    this.say(actor ? `Click on the ground to place ${actor.of}. Press Esc to cancel.` : '', false);
     this.onPlacing(actor);
   }
 

@@ -17,7 +17,7 @@ const areNumbers = (list, n) => Array.isArray(list) && list.length === n && list
 function numbers(n, limit) {
   return (given) => {
     const list = given.split(',').map((v) => (v.trim() === '' ? NaN : Number(v)));
-    return areNumbers(list, n) && list.every((v) => Math.abs(v) <= limit) ? list : fail(`${n} number${n > 1 ? 's' : ''} within ${limit}`);
+    return areNumbers(list, n) && list.every((v) => Math.abs(v) <= limit) ? list : fail(`${n} number${n > 1 ? 's' : ''} from -${limit} to ${limit}`);
   };
 }
 
@@ -28,7 +28,7 @@ function camera(given) {
 }
 
 function edits(given) {
-  const expected = 'edits as this page writes them';
+  const expected = 'edits in the form that this page writes';
   let all;
   try {
     all = JSON.parse(given);
@@ -68,7 +68,7 @@ export function readAddress(hash) {
   const wrong = [];
   for (const [name, given] of new URLSearchParams(hash.replace(/^#/, ''))) {
     try {
-      parts[name] = (Object.hasOwn(READERS, name) ? READERS[name] : () => fail('no such part'))(given);
+      parts[name] = (Object.hasOwn(READERS, name) ? READERS[name] : () => fail('a known part'))(given);
     } catch (error) {
       wrong.push(`${name.slice(0, 20)}=${given.slice(0, 40)} (expected ${error.message})`);
     }

@@ -11,7 +11,7 @@ const TYPES = { f32: Float32Array, i32: Int32Array, u8: Uint8Array, u16: Uint16A
 export function decodeFrame(buffer) {
   const view = new DataView(buffer);
   const magic = String.fromCharCode(...new Uint8Array(buffer, 0, 4));
-  if (magic !== 'RLV1') throw new Error(`a scan begins with ${magic}, expected RLV1`);
+  if (magic !== 'RLV1') throw new Error(`cannot read a scan from the server: it begins with ${magic}, expected RLV1`);
   const start = 8 + view.getUint32(4, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 8, start - 8)));
   const arrays = {};

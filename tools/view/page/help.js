@@ -2,19 +2,19 @@
 // Shows the help page for keys and mouse.
 
 const KEYS = [
-  [['W', 'A', 'S', 'D'], 'drive the sensor ahead, left, back, right while the key is down: 5 m/s, with Shift 20 m/s'],
-  [['R', 'F'], 'sensor up, down: 2.5 m/s, with Shift 10 m/s'],
-  [['Q', 'E'], 'turn the sensor left, right: 45 degrees/s, with Shift 180'],
-  [['0'], 'sensor back to the place of the log'],
+  [['W', 'A', 'S', 'D'], 'move the sensor forward, left, backward, right at 5 m/s, with Shift at 20 m/s'],
+  [['R', 'F'], 'move the sensor up, down at 2.5 m/s, with Shift at 10 m/s'],
+  [['Q', 'E'], 'turn the sensor left, right at 45 degrees/s, with Shift at 180 degrees/s'],
+  [['0'], 'move the sensor back to its position in the log'],
   [['Space'], 'play, pause'],
-  [[',', '.'], 'frame before, next frame'],
-  [['1', '2', '3'], 'simulated, real, both'],
+  [[',', '.'], 'previous frame, next frame'],
+  [['1', '2', '3'], 'show the simulated scan, the real scan, both'],
   [['C'], 'next camera: follow, orbit, fly'],
   [['←', '→', '↑', '↓'], 'move the camera'],
-  [['drag'], 'turn the camera; right button or Ctrl: move it; wheel: nearer, farther'],
+  [['drag'], 'rotate the camera; with the right button or Ctrl: move the camera; wheel: zoom'],
   [['Shift', 'drag'], 'move the sensor over the ground'],
-  [['Enter'], 'in a list or a number: the keys drive again'],
-  [['Esc'], 'place nothing after all'],
+  [['Enter'], 'leave a list or a number field, so that the keys move the sensor again'],
+  [['Esc'], 'cancel the placement of an actor'],
   [['?'], 'this help'],
 ];
 

@@ -83,13 +83,13 @@ function heard(message) {
   else if (message.kind === 'ground') actors.placed(message);
   else if (message.about === 'sensor') sensor.say(message.text, true);
   else if (message.about === 'save' || message.about === 'ground') actors.say(message.text, true);
-  else if (actors.takeBack()) panel.tell(`The last change of the traffic is taken back: ${message.text}`);
+  else if (actors.takeBack()) panel.tell(`The last edit of the actors was undone: ${message.text}`);
   else panel.say(message.text, true);
 }
 
 function lost(pause, isLocked) {
-  panel.say(isLocked ? 'The program was started again and asks for a token that this page has not got: open the address that it has printed.'
-    : `The program has ended or cannot be reached; nothing moves. Trying again in ${pause} s.`, true);
+  panel.say(isLocked ? 'The server was restarted and needs a new access token. Open the address that it has printed.'
+    : `The server has ended or cannot be reached. Trying again in ${pause} s.`, true);
 }
 
 /**
@@ -124,8 +124,8 @@ function resume(before) {
   if (sensor.wish.sensor === 'file') send(sensor.file);
   if (!isSame) startAnew();
   timeline.load(hello.frames, isSame ? timeline.time : undefined);
-  if (!isSame) panel.tell(`The program shows another run now, ${hello.run} instead of ${before.run}: place, time and edits of that one are left out.`);
-  else if (lostSensor) panel.tell("The program has not got the sensor any more: the log's own is shown.");
+  if (!isSame) panel.tell(`The server now shows the run ${hello.run} instead of ${before.run}. Position, time and edits of the previous run are discarded.`);
+  else if (lostSensor) panel.tell("The server no longer has this sensor. The sensor of the log is shown instead.");
 }
 
 function startAnew() {
@@ -137,12 +137,12 @@ function startAnew() {
 function restore(hash = location.hash) {
   const { parts, wrong } = readAddress(hash);
   const isSame = parts.run === undefined || parts.run === hello.identity;
-  const notes = wrong.length ? [`The address has parts that are left out: ${wrong.join('; ')}.`] : [];
-  if (!isSame) notes.push('The address is of another run: its place, time and edits are left out.');
+  const notes = wrong.length ? [`Some parts of the address are invalid and are ignored: ${wrong.join('; ')}.`] : [];
+  if (!isSame) notes.push('The address belongs to another run. Its position, time and edits are ignored.');
   sensor.load(hello);
-  if (parts.sensor === 'file' && !sensor.file) notes.push("The sensor's file has to be chosen again; the log's own sensor is shown.");
+  if (parts.sensor === 'file' && !sensor.file) notes.push("Choose the sensor file again. Until then, the sensor of the log is shown.");
   if (!sensor.choose(parts.sensor ?? 'native', parts.lidar ?? 0) && parts.sensor !== 'file')
-    notes.push("The address has a sensor that is not there: the log's own is shown.");
+    notes.push("The address names an unknown sensor. The sensor of the log is shown instead.");
   sensor.weather.value = parts.weather ?? '';
   panel.look = { colour: parts.colour, size: parts.size, layers: parts.layers };
   if (parts.camera) camera.restore(isSame ? parts.camera : { ...parts.camera, mode: 'follow' });
@@ -171,7 +171,7 @@ function writeHash() {
     run: hello.identity, sensor: name, lidar, weather, time: timeline.time, place, show: panel.wanted ?? panel.mode, ...panel.look, camera,
     edits: actors.edits, saved: !actors.isUnsaved,
   });
-  if (!holdsEdits) panel.tell('The edits are too many for the address: save them as a run, a reload loses them.');
+  if (!holdsEdits) panel.tell('There are too many edits to store them in the address. Save them as a run, because reloading the page discards them.');
   if (hash !== location.hash) history.replaceState(null, '', hash);
 }
 
@@ -260,7 +260,7 @@ function showLegend() {
   element('legend-high').textContent = limits ? `${shortNumber(limits[1])} ${unit}` : '';
   element('legend-bar').hidden = !limits;
   element('legend-bar').style.background = limits ? cssGradient(map) : '';
-  element('legend-name').textContent = panel.colouring === 'error' && !frame.header.matched ? `${label}: only at a frame, from its own place` : label;
+  element('legend-name').textContent = panel.colouring === 'error' && !frame.header.matched ? `${label}: only at the time and position of a real frame` : label;
   element('legend-real').hidden = panel.mode !== 'both';
 }
 
@@ -288,8 +288,8 @@ function clicked(xy) {
   if (!frame || !actors.placing) return;
   const scan = frame.simulated ?? frame.real;
   const at = pickGround(camera, view.aspect, xy, scan, shownOf(scan), frame.header.pose[14] - SENSOR_HEIGHT_M);
-  if (!at) actors.say('There is no ground: the click looks into the sky.', true);
-  else if (!send({ do: 'ground', ...actors.placing, at })) actors.say('The program cannot be reached.', true);
+  if (!at) actors.say('There is no ground at this position, because the click points at the sky.', true);
+  else if (!send({ do: 'ground', ...actors.placing, at })) actors.say('The server cannot be reached.', true);
 }
 
 const CAMERAS = ['follow', 'orbit', 'fly'];

@@ -87,7 +87,7 @@ export class Panel {
   /** Reports whether the scans of the log are available. */
   setLog({ state, why }) {
     this.hasLog = state === 'ready';
-    document.getElementById('log-state').textContent = this.hasLog ? '' : `The log's own scans cannot be shown: ${why}`;
+    document.getElementById('log-state').textContent = this.hasLog ? '' : `Cannot show the real scans of the log: ${why}`;
     if (!this.hasLog) this.setMode('simulated');
     else if (this.wanted) this.setMode(this.wanted);
     else this.markMode();
@@ -97,7 +97,7 @@ export class Panel {
   waitForLog() {
     const wanted = this.wanted ?? this.mode;
     this.hasLog = false;
-    document.getElementById('log-state').textContent = 'Reading the log for its own scans …';
+    document.getElementById('log-state').textContent = 'Reading the real scans from the log …';
     this.setMode('simulated');
     this.setMode(wanted);
   }

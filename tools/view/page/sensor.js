@@ -24,7 +24,7 @@ export class SensorPanel {
       const [file] = target.files;
       if (!file) return;
       this.file = { do: 'sensor', file: file.name, text: await file.text() };
-      if (!send(this.file)) this.say('The program cannot be reached; the file is not read.', true);
+      if (!send(this.file)) this.say('The server cannot be reached. The file was not read.', true);
     });
   }
 
@@ -34,7 +34,7 @@ export class SensorPanel {
       if (input.value === '') return;   // Ignores "-" and "1e", which are incomplete numbers.
       const typed = Number(input.value);
       if (Math.abs(typed) > LIMITS[i]) {
-        this.say(`${label}: ${typed} is out of reach, expected -${LIMITS[i]} to ${LIMITS[i]}; it stays at ${this.place[i]}.`, true);
+        this.say(`${label}: ${typed} is out of range, expected -${LIMITS[i]} to ${LIMITS[i]}. The value stays at ${this.place[i]}.`, true);
         this.showPlace(i);
         return;
       }

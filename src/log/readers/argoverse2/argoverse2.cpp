@@ -50,14 +50,16 @@ std::vector<SweepFile> list_sweeps(const fs::path& folder) {
         const auto [end, failed] = std::from_chars(stem.data(), stem.data() + stem.size(), time_ns);
         if (failed != std::errc() || end != stem.data() + stem.size() || time_ns < 0)
             throw DataError(
-                fmt::format("{}: the name of a sweep, expected its time in nanoseconds", path.string()));
+                fmt::format("cannot use {} as a sweep: expected a file name that is its time in nanoseconds",
+                            path.string()));
         sweeps.push_back({0, time_ns, path});
     }
     std::sort(sweeps.begin(), sweeps.end(),
               [](const SweepFile& a, const SweepFile& b) { return a.time_ns < b.time_ns; });
     for (std::size_t i = 0; i < sweeps.size(); ++i) sweeps[i].number = int(i);
     if (sweeps.empty())
-        throw DataError(fmt::format("{}: no sweeps, expected NANOSECONDS.feather", folder.string()));
+        throw DataError(
+            fmt::format("{} contains no sweeps, expected files NANOSECONDS.feather", folder.string()));
     return sweeps;
 }
 
@@ -65,7 +67,7 @@ std::vector<SweepFile> in_range(const std::vector<SweepFile>& sweeps, const Fram
     const int n = int(sweeps.size()), begin = std::min(range.begin, n),
               end = range.end < 0 ? n : std::min(range.end, n);
     if (begin >= end)
-        throw UsageError(fmt::format("frames {}:{}: no sweep of this log, expected numbers in [0, {}]",
+        throw UsageError(fmt::format("frames {}:{} select no sweep of this log, expected numbers in [0, {}]",
                                      range.begin, range.end, n - 1));
     return {sweeps.begin() + begin, sweeps.begin() + end};
 }
@@ -98,7 +100,8 @@ std::vector<Lidar> read_lidars(const fs::path& file) {
     for (const char* name : kLidarNames) {
         const auto row = std::find(names.begin(), names.end(), name);
         if (row == names.end())
-            throw DataError(fmt::format("{}, column 'sensor_name': no {}, expected one", table.name(), name));
+            throw DataError(
+                fmt::format("{}, column 'sensor_name': the sensor {} is missing", table.name(), name));
         const Pose& mounted = poses[std::size_t(row - names.begin())];
         // Both LiDARs rotate clockwise seen from above. The lower LiDAR is mounted upside
         // down, so it rotates counterclockwise in its own frame.
@@ -119,7 +122,7 @@ PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, s
     for (std::size_t i = 0; i < times_ns.size(); ++i) {
         if (i > 0 && times_ns[i] <= times_ns[i - 1])
             throw DataError(
-                fmt::format("{}, column 'timestamp_ns': row {} is {} after {}, expected times that rise",
+                fmt::format("{}, column 'timestamp_ns': row {} is {} after {}, expected increasing times",
                             table.name(), i, times_ns[i], times_ns[i - 1]));
         way.time_s.push_back(seconds(times_ns[i], origin_ns));
     }
@@ -127,8 +130,9 @@ PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, s
     for (const SweepFile& sweep : sweeps) {
         const double time_s = seconds(sweep.time_ns, origin_ns);
         if (!way.covers(time_s))
-            throw DataError(fmt::format("{}, column 'timestamp_ns': no pose at {}, the time of a sweep",
-                                        table.name(), sweep.time_ns));
+            throw DataError(
+                fmt::format("{}, column 'timestamp_ns': no pose at {}, which is the time of a sweep",
+                            table.name(), sweep.time_ns));
         at_sweeps.time_s.push_back(time_s);
         at_sweeps.pose.push_back(way.at(time_s));
     }
@@ -137,7 +141,7 @@ PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, s
 
 RawSweep read_sweep(const fs::path& file) {
     const Feather table(file);
-    if (table.rows() == 0) throw DataError(table.name() + ": no points, expected a sweep");
+    if (table.rows() == 0) throw DataError(table.name() + ": the file has no points, expected a sweep");
     RawSweep sweep;
     const std::vector<double> x = table.numbers("x"), y = table.numbers("y"), z = table.numbers("z");
     sweep.intensity = table.numbers("intensity");
@@ -146,14 +150,15 @@ RawSweep read_sweep(const fs::path& file) {
     for (std::size_t i = 0; i < x.size(); ++i) {
         sweep.point_m.emplace_back(x[i], y[i], z[i]);
         if (!(glm::length(sweep.point_m[i]) < kFarthestHit_m))
-            throw DataError(fmt::format("{}: point {} at ({}, {}, {}), expected metres within {}",
-                                        table.name(), i, x[i], y[i], z[i], kFarthestHit_m));
+            throw DataError(
+                fmt::format("{}: point {} is ({}, {}, {}), expected coordinates in metres of at most {}",
+                            table.name(), i, x[i], y[i], z[i], kFarthestHit_m));
         if (sweep.laser[i] < 0 || sweep.laser[i] >= 2 * kLasers)
             throw DataError(fmt::format("{}, column 'laser_number': row {} is {}, expected 0 to {}",
                                         table.name(), i, sweep.laser[i], 2 * kLasers - 1));
         if (std::abs(sweep.offset_ns[i]) > kLongestOffset_ns)
             throw DataError(
-                fmt::format("{}, column 'offset_ns': row {} is {}, expected nanoseconds within {}",
+                fmt::format("{}, column 'offset_ns': row {} is {}, expected at most {} nanoseconds",
                             table.name(), i, sweep.offset_ns[i], kLongestOffset_ns));
     }
     return sweep;
@@ -203,19 +208,18 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
     }
     for (Lidar& lidar : sequence.lidars) {
         if (lidar.sensor.columns == 0)
-            throw DataError(fmt::format("{}: no point of {}, expected some", sequence.source, lidar.name));
+            throw DataError(
+                fmt::format("{} has no points of {}, expected at least one", sequence.source, lidar.name));
         lidar.sensor.first_azimuth_rad = kPi - kPi / lidar.sensor.columns;
     }
     if (missing > 0)
-        sequence.notes.push_back(
-            fmt::format("{} times a sweep has no point of one LiDAR: its frame is left out", missing));
-    for_each_told(
-        of_frame.size(), progress, "putting points on the rays that were fired", [&](std::size_t i) {
-            Frame& frame = sequence.frames[i];
-            frame.scan =
-                spinning_scan(of_frame[i]->points, sequence.lidar_of(frame).sensor, of_frame[i]->sweep);
-            *of_frame[i] = {};
-        });
+        sequence.notes.push_back(fmt::format(
+            "{} frames are skipped, because their sweep has no points of one of the LiDARs", missing));
+    for_each_told(of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t i) {
+        Frame& frame = sequence.frames[i];
+        frame.scan = spinning_scan(of_frame[i]->points, sequence.lidar_of(frame).sensor, of_frame[i]->sweep);
+        *of_frame[i] = {};
+    });
 }
 
 /// Reads the box labels at the times of the loaded sweeps. The file stores each box in
@@ -260,15 +264,14 @@ Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& optio
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
-        "vehicle x forward, y left, z up, origin at the rear axle; metres; time = name of the sweep, seconds "
-        "after the log's first; world: "
-        "the "
-        "city's frame; motion compensation undone; boxes all around";
+        "vehicle x forward, y left, z up, origin at the rear axle; metres; time = file name of "
+        "the sweep, in seconds after the first sweep; world: the city's frame; motion "
+        "compensation is removed; boxes in all directions";
     sequence.lidars = read_lidars(folder / "calibration" / "egovehicle_SE3_sensor.feather");
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     if (path_exists(folder / "annotations.feather"))
         sequence.boxes = read_boxes(folder / "annotations.feather", sweeps, vehicle_track);
-    else sequence.notes.push_back("no annotations.feather: nothing in this log is labelled");
+    else sequence.notes.push_back("annotations.feather is missing, so this log has no labels");
     BrokenScans broken(options.skip_broken);
     SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
     add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);

@@ -51,8 +51,9 @@ Forward read_forward(const fs::path& file) {
     if (!path_exists(file)) return {};
     const auto m = parse_numbers(read_text(file));
     if (!m || m->size() != 16)
-        throw DataError(fmt::format("{}: {}, expected 4 lines of 4 numbers", file.string(),
-                                    m ? fmt::format("{} numbers", m->size()) : "a word is no number"));
+        throw DataError(
+            fmt::format("{}: found {}, expected 4 lines of 4 numbers", file.string(),
+                        m ? fmt::format("{} numbers", m->size()) : "a word that is not a number"));
     const auto& at = *m;
     const glm::dmat3 rotation(at[0], at[4], at[8], at[1], at[5], at[9], at[2], at[6], at[10]);
     const Pose applanix_from_lidar = rigid_pose(rotation, {at[3], at[7], at[11]}, file.string());
@@ -116,9 +117,8 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
     }
     if (taken != &kAngleOrders[0])
         notes.push_back(
-            fmt::format("angles of poses are taken as {}, not as Boreas describes them: so the vehicle "
-                        "drives forward and "
-                        "along the road",
+            fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
+                        "because only then the vehicle drives forward along the road",
                         taken->name));
     if (of_best.n_steps > 0) stamped::tell_unless_forward(notes, forwardness(of_best, forward));
     return best;
@@ -139,7 +139,7 @@ Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) 
     const std::string name = folder.filename().string();
     sequence.name = name.starts_with("boreas") ? name : "Boreas " + name;
     sequence.source = log_folder.string();
-    sequence.notes = {"nothing in this log is labelled"};
+    sequence.notes = {"this log has no labels"};
     stamped::StampedLog log{kMicrosecond,
                             stamped::list_scans(folder / "lidar"),
                             {},
@@ -154,12 +154,12 @@ Sequence load_boreas(const fs::path& log_folder, const DatasetOptions& options) 
     }
     if (!forward.is_known)
         sequence.notes.push_back(
-            "nothing says where the vehicle looks: the LiDAR's own x is taken for forward");
+            "the forward direction of the vehicle is unknown; the x axis of the LiDAR is used");
     turn_to_front(log.world_from_vehicle, forward.azimuth_rad());
     sequence.conventions = fmt::format(
-        "LiDAR x forward, y left, z up (Boreas: turned about z by {:.2f} degrees); metres; seconds after "
-        "the log's first scan; time = middle of the turn; points as they were measured; world: "
-        "East-North-Up",
+        "LiDAR x forward, y left, z up (Boreas: rotated about z by {:.2f} degrees); metres; "
+        "seconds after the first scan of the log; time = middle of the sweep; points as "
+        "measured; world: East-North-Up",
         -forward.azimuth_rad() * 180.0 / kPi);
     sequence.lidars[0].sensor.name = "VLS-128 fitted to " + sequence.name;
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;

@@ -69,8 +69,8 @@ double spread_of_beams(const folder::PointTable& table, MulranOrder order) {
 
 void check_points(const folder::PointTable& table, const std::string& where) {
     if (table.n != kBeams * kColumns)
-        throw DataError(fmt::format("{}: {} points, expected {} x {}, zeros where nothing came back", where,
-                                    table.n, kBeams, kColumns));
+        throw DataError(fmt::format("{} has {} points, expected {} x {}, with zeros for rays without return",
+                                    where, table.n, kBeams, kColumns));
 }
 
 /// Detects the order of the points with the first scan that can be read.
@@ -87,8 +87,8 @@ MulranOrder find_order(const std::vector<fs::path>& files) {
                      by_beam = spread_of_beams(table, MulranOrder::by_beam);
         if (!(std::min(by_column, by_beam) <= kMostSpread_rad))
             throw DataError(fmt::format(
-                "{}: points of a beam are {:.1f} degrees of elevation apart, expected less than {:.0f}: all "
-                "beams of a column after each other, or all columns of a beam",
+                "{}: the points of a beam differ in elevation by {:.1f} degrees, expected less than "
+                "{:.0f}; the points must be sorted by column or by beam",
                 file.string(), std::min(by_column, by_beam) * 180.0 / kPi, kMostSpread_rad * 180.0 / kPi));
         return by_column <= by_beam ? MulranOrder::by_column : MulranOrder::by_beam;
     }
@@ -120,11 +120,10 @@ PoseTrack read_mulran_poses(const fs::path& file, const stamped::StampedLog& log
     }
     const glm::dvec3 driven = stamped::find_driving(track).mean;
     if (driven != glm::dvec3(0.0) && driven.x < kForward)
-        notes.push_back(
-            fmt::format("poses: the vehicle drives along ({:.2f}, {:.2f}, {:.2f}) of its own frame on "
-                        "average, expected nearly "
-                        "(1, 0, 0); dataset.poses=none finds poses from the scans",
-                        driven.x, driven.y, driven.z));
+        notes.push_back(fmt::format(
+            "poses: the vehicle drives along ({:.2f}, {:.2f}, {:.2f}) of its own frame on average, "
+            "expected nearly (1, 0, 0); use dataset.poses=none to estimate the poses from the scans",
+            driven.x, driven.y, driven.z));
     return track;
 }
 
@@ -140,9 +139,10 @@ Pose mounting() {
 fs::path scans_folder(const fs::path& folder) {
     for (const char* scans : {"Ouster", "sensor_data/Ouster"})
         if (path_exists(folder / scans)) return folder / scans;
-    throw DataError(fmt::format(
-        "{}: neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in one of them",
-        folder.string()));
+    throw DataError(
+        fmt::format("{} contains neither Ouster/ nor sensor_data/Ouster/, expected the scans of the LiDAR in "
+                    "one of them",
+                    folder.string()));
 }
 
 stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::path>& files) {
@@ -154,8 +154,8 @@ stamped::PointFormat format_of_points(Sequence& sequence, const std::vector<fs::
     format.turned_rad = kPi;
     const MulranOrder order = find_order(files);
     sequence.notes.push_back(
-        "points have no times: they are taken by their place in the file, the middle of the turn at the "
-        "stamp");
+        "the points have no times; they are computed from the position in the file, with the "
+        "middle of the sweep at the stamp");
     format.complete = [order](folder::PointTable& table, const std::string& where) {
         add_beams_and_times(table, order, where);
     };
@@ -170,11 +170,11 @@ Sequence load_mulran(const fs::path& log_folder, const DatasetOptions& options) 
     Sequence sequence;
     sequence.name = "MulRan " + folder.filename().string();
     sequence.source = log_folder.string();
-    sequence.notes = {"nothing in this log is labelled"};
+    sequence.notes = {"this log has no labels"};
     sequence.conventions =
-        "vehicle x forward, y left, z up; LiDAR likewise (MulRan: x backward); metres; seconds after the "
-        "log's first "
-        "scan; time = middle of the turn; points as they were measured; world: that of global_pose.csv";
+        "vehicle and LiDAR x forward, y left, z up (MulRan: LiDAR x backward); metres; seconds "
+        "after the first scan of the log; time = middle of the sweep; points as measured; world: "
+        "that of global_pose.csv";
     stamped::StampedLog log{kNanosecond, stamped::list_scans(scans_folder(folder)),
                             {},          folder / "global_pose.csv",
                             kMostGap_s,  0.5 * kTurn_s};

@@ -58,7 +58,7 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
     if (bytes.empty() || bytes.size() % (kBeams * kPointBytes) != 0 ||
         bytes.size() / (kBeams * kPointBytes) > kMostColumnsOfSweep)
         throw DataError(
-            fmt::format("{}: {} bytes, expected columns of {} points of {} bytes, 1 to {} of them",
+            fmt::format("{} has {} bytes, expected columns of {} points with {} bytes each, 1 to {} columns",
                         file.string(), bytes.size(), kBeams, kPointBytes, kMostColumnsOfSweep));
     const std::size_t n = bytes.size() / kPointBytes, columns = n / kBeams;
     ReadSweep read;
@@ -68,12 +68,13 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
         std::memcpy(v, bytes.data() + i * kPointBytes, kPointBytes);
         const double range_m = std::hypot(double(v[0]), double(v[1]), double(v[2]));
         if (!(range_m < kFarthestOfSweep_m) || !std::isfinite(v[3]))
-            throw DataError(
-                fmt::format("{}: point {} at ({}, {}, {}), intensity {}, expected metres within {}",
-                            file.string(), i, v[0], v[1], v[2], v[3], kFarthestOfSweep_m));
+            throw DataError(fmt::format(
+                "{}: point {} is ({}, {}, {}) with intensity {}, expected coordinates in metres of at "
+                "most {}",
+                file.string(), i, v[0], v[1], v[2], v[3], kFarthestOfSweep_m));
         if (!(v[4] >= 0.0f && v[4] < float(kBeams)) || v[4] != std::floor(v[4]))
-            throw DataError(
-                fmt::format("{}: point {} of ring {}, expected 0 to {}", file.string(), i, v[4], kBeams - 1));
+            throw DataError(fmt::format("{}: point {} has ring {}, expected 0 to {}", file.string(), i, v[4],
+                                        kBeams - 1));
         if (range_m == 0.0) continue;
         const std::size_t column = i / kBeams;
         read.points.position_m.emplace_back(v[1], -v[0], v[2]);
@@ -85,7 +86,8 @@ ReadSweep read_sweep(const fs::path& file, const SpinningSensor& sensor, const P
     undo_compensation(read.points, world_from_sensor, time_s);
     leave_out_unmeasured(read.points, numbers);
     if (read.points.size() == 0)
-        throw DataError(fmt::format("{}: no point beyond {} m, expected some", file.string(), kNoReturn_m));
+        throw DataError(
+            fmt::format("{} has no points beyond {} m, expected at least one", file.string(), kNoReturn_m));
     read.sweep = arrange_firings(read.points, numbers, sensor, -2.0 * kPi / double(columns));
     return read;
 }
@@ -121,13 +123,12 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, 
         sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
         sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     }
-    for_each_told(
-        sweeps.size(), options.progress, "putting points on the rays that were fired", [&](std::size_t at) {
-            if (broken.has(at)) return;
-            Frame& frame = sequence.frames[at];
-            frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
-            sweeps[at] = {};
-        });
+    for_each_told(sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
+        if (broken.has(at)) return;
+        Frame& frame = sequence.frames[at];
+        frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
+        sweeps[at] = {};
+    });
     broken.leave_out(sequence);
 }
 

@@ -22,7 +22,7 @@ public:
     explicit RecordSplitter(const std::filesystem::path& file)
         : name_(file.string()), in_(file, std::ios::binary) {
         if (!path_exists(file)) throw DataError(name_ + ": no such file");
-        if (!in_) throw DataError(name_ + ": cannot be read");
+        if (!in_) throw DataError(name_ + ": the file cannot be read");
     }
 
     /// Reads the next object of the table into `record`.
@@ -40,7 +40,7 @@ public:
             }
             record += c;
             if (record.size() > kLongestRecord)
-                throw DataError(fmt::format("{}: an object of more than {} bytes", name_, kLongestRecord));
+                throw DataError(fmt::format("{}: an object has more than {} bytes", name_, kLongestRecord));
             if (quoted) {
                 if (!escaped && c == '"') quoted = false;
                 escaped = !escaped && c == '\\';
@@ -49,7 +49,7 @@ public:
             else if ((c == '}' || c == ']') && --depth == 0) return true;
         }
         if (depth > 0 || !closed_)
-            throw DataError(fmt::format("{}: cut short, expected an array of objects", name_));
+            throw DataError(fmt::format("{} is truncated, expected an array of objects", name_));
         return false;
     }
 
@@ -79,7 +79,7 @@ private:
         if (c == '[' && !opened_) opened_ = true;
         else if (c == ']' && opened_ && !closed_) closed_ = true;
         else if (!blank && !(c == ',' && opened_ && !closed_))
-            throw DataError(fmt::format("{}: '{}' between objects, expected an array of objects", name_,
+            throw DataError(fmt::format("{}: found '{}' between objects, expected an array of objects", name_,
                                         excerpt({&c, 1})));
         return false;
     }

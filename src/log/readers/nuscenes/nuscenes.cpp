@@ -49,16 +49,17 @@ struct Format {
 };
 constexpr Format kFormats[] = {
     {".pcd.bin", "nuScenes",
-     "LiDAR x forward, y left, z up (nuScenes: x right, y forward); time = end of the turn; world: the map's "
-     "frame; motion compensation "
-     "undone",
+     "LiDAR x forward, y left, z up (nuScenes: x right, y forward); time = end of the sweep; "
+     "world: the map's frame; motion compensation is removed",
      true, false},
     {".pcd", "TruckScenes",
-     "LiDARs' own frames; points as they were measured; time = stamp of the first LiDAR; world: UTM 32U",
+     "each LiDAR in its own frame; points as measured; time = stamp of the first LiDAR; "
+     "world: UTM 32U",
      false, true},
     {".bin", "Lyft Level 5",
-     "LiDARs' own frames; points as they are; time = stamp of the first LiDAR; world: the map's frame", false,
-     false},
+     "each LiDAR in its own frame; points as stored; time = stamp of the first LiDAR; world: "
+     "the map's frame",
+     false, false},
 };
 
 /// Name of a scene, and the folder that contains its tables.
@@ -73,7 +74,8 @@ std::vector<SceneName> list_scenes_of(const fs::path& folder) {
         for (const std::string& name : list_scenes(tables)) scenes.push_back({name, tables});
     }
     if (scenes.empty())
-        throw DataError(fmt::format("{}: no scene, expected some in */scene.json", folder.string()));
+        throw DataError(
+            fmt::format("{} contains no scene, expected at least one in */scene.json", folder.string()));
     return scenes;
 }
 
@@ -92,10 +94,10 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
         if (names.size() < 400) names += (names.empty() ? "" : ", ") + excerpt(scene.name);
     }
     if (begin_so.size() == 1) return *begin_so[0];
-    throw UsageError(
-        fmt::format("dataset.sequence '{}': {}, expected one of {}: {}", excerpt(scene_name),
-                    begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin so", begin_so.size()),
-                    scenes.size(), names));
+    throw UsageError(fmt::format(
+        "dataset.sequence '{}': {}, expected one of {} scenes: {}", excerpt(scene_name),
+        begin_so.empty() ? "no such scene" : fmt::format("{} scenes begin with this name", begin_so.size()),
+        scenes.size(), names));
 }
 
 /// Interpolates the boxes between the labelled keyframes and returns them at the times of
@@ -147,7 +149,7 @@ public:
         choose_lidars();
         find_frames();
         const PoseTrack vehicle_track = add_frames();
-        if (scene_.labels.empty()) note("no annotations of this scene: nothing in it is labelled");
+        if (scene_.labels.empty()) note("this scene has no annotations, so it has no labels");
         sequence_.boxes = boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
         kitti::take_given_poses(sequence_, options_.poses_file);
         recentre(sequence_);
@@ -179,9 +181,10 @@ private:
             if (file.ends_with(format.ending)) return format;
             endings.emplace_back(format.ending);
         }
-        throw DataError(
-            fmt::format("sample_data.json, key 'filename': a LiDAR's file '{}', expected one that ends in {}",
-                        excerpt(file), fmt::join(endings, ", ")));
+        throw DataError(fmt::format(
+            "sample_data.json, key 'filename': found the LiDAR file '{}', expected a name that ends "
+            "in {}",
+            excerpt(file), fmt::join(endings, ", ")));
     }
 
     void note(std::string text) { sequence_.notes.push_back(std::move(text)); }
@@ -201,7 +204,7 @@ private:
         for (const SceneLidar& lidar : scene_.lidars) channels.push_back(lidar.channel);
         for (const std::string& name : options_.lidars)
             if (std::ranges::find(channels, name) == channels.end())
-                throw UsageError(fmt::format("dataset.lidars: no '{}' in {}, expected some of {}",
+                throw UsageError(fmt::format("dataset.lidars: {1} has no LiDAR '{0}', expected some of {2}",
                                              excerpt(name), scene_.name, fmt::join(channels, ", ")));
         sequence_.lidars.clear();
         for (std::size_t l = 0; l < channels.size(); ++l) {
@@ -222,9 +225,10 @@ private:
         }
         if (format_.is_compensated && lidars_.size() > 1)
             throw DataError(fmt::format(
-                "{}: {} LiDARs with files {}, expected one of this format; dataset.lidars names it",
+                "{} has {} LiDARs with {} files, but only one LiDAR of this format can be read; select "
+                "it with dataset.lidars",
                 scene_.name, lidars_.size(), format_.ending));
-        if (!left_out.empty()) note(fmt::format("LiDARs left out: {}", fmt::join(left_out, ", ")));
+        if (!left_out.empty()) note(fmt::format("LiDARs that are not read: {}", fmt::join(left_out, ", ")));
     }
 
     /// Assigns frame numbers to the sweeps of the selected LiDARs. Returns the sweeps
@@ -245,12 +249,12 @@ private:
                 --n_left;
             }
             if (!format_.has_times && apart_s > kStampsApart_s)
-                note(
-                    fmt::format("{}: points have no times, so its sweeps, up to {:.3f} s from those of {}, "
-                                "are taken at their times",
-                                scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
+                note(fmt::format(
+                    "{0}: its points have no times, so its sweeps use the times of the sweeps of {2}, which "
+                    "differ by up to {1:.3f} s",
+                    scene_.lidars[l].channel, apart_s, scene_.lidars[0].channel));
             if (n_left > 0)
-                note(fmt::format("{}: {} sweeps are left out: {} has none beside them",
+                note(fmt::format("{}: {} sweeps are skipped, because {} has no sweeps at similar times",
                                  scene_.lidars[l].channel, n_left, scene_.lidars[0].channel));
         }
         std::ranges::stable_sort(sweeps, {}, &NumberedSweep::number);
@@ -274,11 +278,11 @@ private:
                 !(keyframes_alone && is_between(sweep)))
                 frames_.push_back(sweep);
         if (frames_.empty())
-            throw UsageError(fmt::format("frames {}:{}: no {} of {}, expected numbers in [0, {}]",
+            throw UsageError(fmt::format("frames {}:{} select no {} of {}, expected numbers in [0, {}]",
                                          range.begin, range.end, keyframes_alone ? "keyframe" : "sweep",
                                          scene_.name, main_s_.size() - 1));
         if (keyframes_alone)
-            note("no file between keyframes is there: the scene is read with its keyframes alone");
+            note("the files between keyframes are missing, so only the keyframes of the scene are read");
     }
 
     /// Adds the selected frames to the log. LiDARs that sweep together get the time of

@@ -60,7 +60,8 @@ ByToken<Mounted> calibrations(const fs::path& tables) {
         if (channel.starts_with(kLidar)) channels[record.text("token")] = channel;
     });
     if (channels.empty())
-        throw DataError(fmt::format("{}, key 'channel': no {}*", (tables / "sensor.json").string(), kLidar));
+        throw DataError(fmt::format("{}, key 'channel': no channel begins with {}",
+                                    (tables / "sensor.json").string(), kLidar));
     ByToken<Mounted> mounted;
     for_each_record(tables / "calibrated_sensor.json", [&](const JsonRecord& record) {
         const auto channel = channels.find(record.text("sensor_token"));
@@ -103,11 +104,12 @@ std::vector<SweepRecord> in_order(const fs::path& tables, const ByToken<SweepRec
         const auto file = files.find(token);
         if (file == files.end() || sweeps.size() == files.size())
             throw DataError(fmt::format(
-                "{}, key 'next': '{}' after {} files, expected the next file of the scene or an empty text",
+                "{}, key 'next': found '{}' after {} files, expected the token of the next file of the "
+                "scene or an empty text",
                 where, excerpt(token), sweeps.size()));
         if (!sweeps.empty() && file->second.time_us <= sweeps.back().time_us)
-            throw DataError(fmt::format("{}, key 'timestamp': {} after {}, expected times that rise", where,
-                                        file->second.time_us, sweeps.back().time_us));
+            throw DataError(fmt::format("{}, key 'timestamp': found {} after {}, expected increasing times",
+                                        where, file->second.time_us, sweeps.back().time_us));
         sweeps.push_back(file->second);
     }
     return sweeps;
@@ -123,14 +125,15 @@ std::vector<SceneLidar> lidars_of(const fs::path& tables, const ByToken<std::int
         lidar.ego_from_lidar = mounted.at(lidar.sweeps[0].calibration).ego_from_lidar;
         for (const SweepRecord& sweep : lidar.sweeps)
             if (sweep.calibration != lidar.sweeps[0].calibration)
-                throw DataError(fmt::format(
-                    "{}, key 'calibrated_sensor_token': {} of {} is mounted twice in a scene, expected once",
-                    (tables / "sample_data.json").string(), channel, excerpt(sweep.file)));
+                throw DataError(
+                    fmt::format("{}, key 'calibrated_sensor_token': {} of {} has two mountings in one scene, "
+                                "expected one",
+                                (tables / "sample_data.json").string(), channel, excerpt(sweep.file)));
         lidars.push_back(std::move(lidar));
     }
     if (lidars.empty())
         throw DataError(
-            fmt::format("{}: no keyframe of a LiDAR in the scene", (tables / "sample_data.json").string()));
+            fmt::format("{}: the scene has no keyframe of a LiDAR", (tables / "sample_data.json").string()));
     std::stable_partition(lidars.begin(), lidars.end(),
                           [](const SceneLidar& lidar) { return lidar.channel == kFirstChannel; });
     return lidars;
@@ -156,13 +159,13 @@ std::vector<Pose> read_poses(const fs::path& tables, const std::vector<SweepReco
     std::map<std::int64_t, Pose> by_time;
     for (const SweepRecord& sweep : sweeps) {
         if (missing.contains(sweep.ego_pose))
-            throw DataError(fmt::format("{}, key 'token': no '{}', the pose of {}", file.string(),
-                                        excerpt(sweep.ego_pose), excerpt(sweep.file)));
+            throw DataError(fmt::format("{}, key 'token': '{}' is missing, which is the pose of {}",
+                                        file.string(), excerpt(sweep.ego_pose), excerpt(sweep.file)));
         const TimedPose& pose = poses[sweep.ego_pose];
         if (const double apart_s = double(pose.time_us - sweep.time_us) * 1e-6;
             !(std::abs(apart_s) <= kFarthestPose_s))
             throw DataError(fmt::format(
-                "{}, key 'timestamp': '{}' is {} s from {}, whose pose it is, expected at most {} s",
+                "{}, key 'timestamp': the pose '{}' is {} s away from its file {}, expected at most {} s",
                 file.string(), excerpt(sweep.ego_pose), apart_s, excerpt(sweep.file), kFarthestPose_s));
         by_time[pose.time_us] = pose.pose;
     }
@@ -200,8 +203,8 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
         if (sample == samples.end()) return;
         const glm::dvec3 size = record.vector("size");  // width, length, height
         if (!(std::min({size.x, size.y, size.z}) > 0.0))
-            throw DataError(fmt::format("{}, key 'size': {} x {} x {}, expected all above 0", file.string(),
-                                        size.x, size.y, size.z));
+            throw DataError(fmt::format("{}, key 'size': found {} x {} x {}, expected all above 0",
+                                        file.string(), size.x, size.y, size.z));
         labels.push_back({record.text("instance_token"),
                           "",
                           {size.y, size.x, size.z},
@@ -215,7 +218,7 @@ std::vector<BoxLabel> read_labels(const fs::path& tables, const SceneTables& sce
         const auto category = category_of.find(label.id);
         const auto name = category == category_of.end() ? names.end() : names.find(category->second);
         if (name == names.end())
-            throw DataError(fmt::format("{}: no category of instance '{}'",
+            throw DataError(fmt::format("{}: the instance '{}' has no category",
                                         (tables / "instance.json").string(), excerpt(label.id)));
         label.category = name->second;
     }

@@ -51,11 +51,11 @@ OncePose read_once_pose(const JsonField& field, std::int64_t stamp) {
     const auto& n = pose.numbers;
     const double length = std::sqrt(n[0] * n[0] + n[1] * n[1] + n[2] * n[2] + n[3] * n[3]);
     if (!(std::abs(length - 1.0) <= kUnitLength))
-        field.fail(fmt::format("a quaternion of length {:.4g}", length), "expected 1");
+        field.fail(fmt::format("found a quaternion of length {:.4g}", length), "expected 1");
     for (std::size_t i = 4; i < 7; ++i)
         if (!(std::abs(n[i]) <= kLargestCoordinate_m))
             field.fail(fmt::format("{}", n[i]),
-                       fmt::format("expected metres within {:g}", kLargestCoordinate_m));
+                       fmt::format("expected coordinates in metres of at most {:g}", kLargestCoordinate_m));
     return pose;
 }
 
@@ -76,8 +76,8 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
         const auto stamp = stamped::parse_stamp(name);
         if (!stamp) id.fail(fmt::format("'{}'", excerpt(name)), "expected a time in milliseconds");
         if (!content.scans.empty() && *stamp <= content.scans.back().stamp)
-            id.fail(fmt::format("{} after {}", *stamp, content.scans.back().stamp),
-                    "expected times that rise");
+            id.fail(fmt::format("found {} after {}", *stamp, content.scans.back().stamp),
+                    "expected increasing times");
         content.scans.push_back({int(i), *stamp, lidar / (name + ".bin")});
         if (needs_poses || frame.has("pose"))
             content.poses.push_back(read_once_pose(frame.at("pose"), *stamp));
@@ -86,8 +86,9 @@ OnceFile read_once_file(const fs::path& file, const fs::path& lidar, bool needs_
     content.n_missing = std::erase_if(
         content.scans, [](const stamped::StampedScan& scan) { return !path_exists(scan.file); });
     if (content.scans.empty())
-        throw DataError(fmt::format("{}: no scan of its {} frames is in {}, expected MILLISECONDS.bin", where,
-                                    frames.size(), lidar.string()));
+        throw DataError(fmt::format(
+            "{} lists {} frames, but none of their scans is in {}, expected files MILLISECONDS.bin", where,
+            frames.size(), lidar.string()));
     return content;
 }
 
@@ -115,8 +116,8 @@ PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& 
     if (best != 0.0) stamped::tell_unless_forward(notes, best);
     if (is_w_first)
         notes.push_back(
-            "quaternions of poses have w first, unlike those of ONCE's own code: so the vehicle drives "
-            "forward");
+            "the quaternions of poses are read with w first, unlike in the code of ONCE, because "
+            "only then the vehicle drives forward");
     return moved_track(is_w_first ? w_first : w_last, {rotation_of(-kTurned_rad, 0.0, 0.0), {}});
 }
 
@@ -130,19 +131,18 @@ Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
     sequence.name = "ONCE " + folder.filename().string();
     sequence.source = log_folder.string();
     sequence.conventions =
-        "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the log's first scan; "
-        "points as "
-        "they are; world: the LiDAR of the first frame, x left, y back";
+        "LiDAR x forward, y left, z up (ONCE: x left, y back); metres; seconds after the first "
+        "scan of the log; points as stored; world: the LiDAR of the first frame, x left, y back";
     sequence.notes = {
         content.n_boxes == 0
-            ? std::string("nothing in this log is labelled")
-            : fmt::format("{} boxes of {} labelled frames are left out: nothing says which are of one thing",
+            ? std::string("this log has no labels")
+            : fmt::format("{} boxes in {} labelled frames are ignored, because they have no track ids",
                           content.n_boxes, content.n_labelled)};
     if (content.n_missing > 0 && !options.allow_missing_scans)
-        throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one each",
+        throw DataError(fmt::format("{}: {} frames have no scan in lidar_roof, expected one scan per frame",
                                     json.string(), content.n_missing));
     if (content.n_missing > 0)
-        sequence.notes.push_back(fmt::format("{} frames have no scan and are left out", content.n_missing));
+        sequence.notes.push_back(fmt::format("{} frames have no scan and are skipped", content.n_missing));
     stamped::StampedLog log{kMillisecond, content.scans, {}, json, 0.0};
     if (options.poses_file.empty()) log.world_from_vehicle = world_from_turned(content, log, sequence.notes);
     sequence.lidars[0].sensor.name = fmt::format("{} fitted to {}", kSensor, sequence.name);

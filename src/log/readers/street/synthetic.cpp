@@ -34,7 +34,7 @@ void check(const SyntheticOptions& options) {
     const auto in_range = [](const char* name, double value, double low, double high) {
         if (value >= low && value <= high) return;
         throw UsageError(
-            fmt::format("synthetic street: {} is {}, expected {} ... {}", name, value, low, high));
+            fmt::format("synthetic street: {} is {}, expected {} to {}", name, value, low, high));
     };
     in_range("n_frames", options.n_frames, 1, 10000);
     in_range("rows", options.rows, 2, 256);
@@ -42,7 +42,7 @@ void check(const SyntheticOptions& options) {
     in_range("range_noise_m", options.range_noise_m, 0.0, 1.0);
     in_range("speed_mps", options.speed_mps, 0.0, 40.0);
     if (options.gait && !options.people)
-        throw UsageError("synthetic street: gait is true without people, expected people = true beside it");
+        throw UsageError("synthetic street: gait = true needs people = true");
 }
 
 SpinningSensor make_sensor(const SyntheticOptions& options) {
@@ -127,7 +127,8 @@ Scan cast_beams(const street::Street& street, const glm::dvec3& offset_m, const 
                 const PoseTrack& track, double time_s) {
     if (!(rays.largest_divergence() > 0.0))
         throw UsageError(
-            "synthetic street: found beams without a divergence, expected one: an ideal ray has one return");
+            "synthetic street: several returns need beams with a divergence, because an ideal ray "
+            "has only one return");
     return street::receive(rays, cast_exactly(street, offset_m, street::cone_rays(rays), track, time_s));
 }
 
@@ -195,8 +196,9 @@ std::vector<MountedSensor> sensors_of(const SyntheticOptions& options) {
     }
     std::optional<std::vector<MountedSensor>> rig = find_rig(options.rig);
     if (!rig)
-        throw UsageError(fmt::format(
-            "synthetic street: rig: found no rig in {}, expected JSON with \"sensors\"", options.rig));
+        throw UsageError(
+            fmt::format("synthetic street: rig: {} contains no rig, expected JSON with the key \"sensors\"",
+                        options.rig));
     return std::move(*rig);
 }
 
@@ -219,18 +221,17 @@ Sequence make_synthetic_frames(const SyntheticOptions& options, int begin, int e
     for (const MountedSensor& mounted : rig)
         n_rays += double(rays.emplace_back(make_rays(mounted.sensor)).size());
     if (double(end - begin) * n_rays > kMostRays)
-        throw UsageError(
-            fmt::format("synthetic street: {} frames of {} rays are {:.3g} rays, expected at most {:.3g}; "
-                        "take fewer frames",
-                        end - begin, n_rays, double(end - begin) * n_rays, kMostRays));
+        throw UsageError(fmt::format(
+            "synthetic street: {} frames with {} rays have {:.3g} rays in total, expected at most "
+            "{:.3g}; use fewer frames",
+            end - begin, n_rays, double(end - begin) * n_rays, kMostRays));
     const street::Street street = street::make_street(options);
     Sequence sequence;
     sequence.name = fmt::format("synthetic street {}", options.seed);
     sequence.source = "synthetic";
     sequence.conventions =
-        "sensor x forward, y left, z up; metres; time = head faces forward, seconds after frame 0; exact "
-        "poses; "
-        "each ray cast at its own time";
+        "sensor x forward, y left, z up; metres; time = head faces forward, in seconds after "
+        "frame 0; exact poses; each ray is cast at its own time";
     sequence.lidars.clear();
     for (const MountedSensor& mounted : rig) sequence.lidars.push_back(lidar_of(mounted));
     for (int frame = begin; frame < end; ++frame)
@@ -263,10 +264,10 @@ void replace_cars(street::Street& street, const std::vector<StreetCar>& cars, co
     street.cars.clear();
     for (const StreetCar& car : cars) {
         if (car.shapes_of >= own.size())
-            throw DataError(
-                fmt::format("casting the edited street: track {} has the shapes of car {}, expected one of "
-                            "the street's {}",
-                            car.track.id, car.shapes_of, own.size()));
+            throw DataError(fmt::format(
+                "cannot cast rays into the edited street: track {} has the shape of car {}, expected the "
+                "index of one of its {} cars",
+                car.track.id, car.shapes_of, own.size()));
         if (!car.track.present(time_s)) continue;
         street::MovingCar& moved = street.cars.emplace_back(own[car.shapes_of]);
         moved.track = car.track.world_from_box;

@@ -56,8 +56,8 @@ void take_poses(Sequence& sequence, const fs::path& poses_file) {
     }
     set_vehicle_poses(sequence, std::move(track));
     sequence.conventions += poses_file == kNoPoses
-                                ? "; but no poses: the sensor is at the origin in every frame"
-                                : "; but poses from " + poses_file.string();
+                                ? "; without poses, so the sensor is at the origin in every frame"
+                                : "; with poses from " + poses_file.string();
 }
 
 SyntheticOptions read_options(const fs::path& path) {
@@ -103,7 +103,7 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
     const SyntheticOptions street = read_synthetic(folder);
     const int end = options.frames.end < 0 ? street.n_frames : std::min(options.frames.end, street.n_frames);
     if (street.n_frames > 0 && options.frames.begin >= end) {
-        throw UsageError(fmt::format("frames {}:{}: no frame of {} lies in it, expected numbers in [0, {}]",
+        throw UsageError(fmt::format("frames {}:{} select no frame of {}, expected numbers in [0, {}]",
                                      options.frames.begin,
                                      options.frames.end < 0 ? "" : std::to_string(options.frames.end),
                                      folder.string(), street.n_frames - 1));
@@ -133,7 +133,7 @@ void save_synthetic(const SyntheticOptions& options, const fs::path& folder) {
         number_text(options.range_noise_m), number_text(options.speed_mps), options.moving_cars,
         options.people, options.gait);
     if (!options.rig.empty()) out << "rig = " << toml::value(fs::absolute(options.rig).string()) << "\n";
-    if (!out.flush()) throw DataError(fmt::format("{}: cannot be written", file.string()));
+    if (!out.flush()) throw DataError(fmt::format("cannot write {}", file.string()));
 }
 
 }  // namespace relidar

@@ -53,7 +53,7 @@ std::vector<fs::path> list_segments(const fs::path& path) {
     for (const fs::path& file : list_folder(path))
         if (file.extension() == ".tfrecord") files.push_back(file);
     if (files.empty())
-        throw DataError(fmt::format("{}: no segment, expected files *.tfrecord", path.string()));
+        throw DataError(fmt::format("{} contains no segment, expected files *.tfrecord", path.string()));
     return files;
 }
 
@@ -63,8 +63,8 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
     if (part.drive.empty()) {
         Segment segment{files.front(), part.frames};
         if (files.size() > 1)
-            segment.notes = {
-                fmt::format("the first of {} segments; dataset.sequence names another", files.size())};
+            segment.notes = {fmt::format(
+                "the first of {} segments is read; select another one with dataset.sequence", files.size())};
         return segment;
     }
     for (const fs::path& file : files) {
@@ -73,8 +73,8 @@ Segment choose_segment(const fs::path& path, const DatasetOptions& options) {
             return {file, part.frames, part.is_benchmark, part.test_frames};
     }
     throw UsageError(
-        fmt::format("dataset.sequence: found '{}', expected how one of the {} segments of {} begins, or ws1 "
-                    "to ws4 or wd1 to wd4",
+        fmt::format("dataset.sequence: found '{}', expected the beginning of the name of one of the {} "
+                    "segments in {}, or ws1 to ws4, or wd1 to wd4",
                     excerpt(options.sequence), files.size(), path.string()));
 }
 
@@ -83,7 +83,7 @@ std::pair<int, int> record_range(const TfRecords& records, const FrameRange& fra
     const int n = static_cast<int>(std::min<std::size_t>(records.size(), 1 << 30));
     const int end = frames.end < 0 ? n : std::min(frames.end, n);
     if (frames.begin >= end)
-        throw UsageError(fmt::format("frames {}:{}: no record of {} lies in it, expected numbers in [0, {}]",
+        throw UsageError(fmt::format("frames {}:{} select no record of {}, expected numbers in [0, {}]",
                                      frames.begin, frames.end < 0 ? "" : std::to_string(frames.end),
                                      records.file().string(), n - 1));
     return {frames.begin, end};
@@ -98,7 +98,7 @@ std::string where_of(const TfRecords& records, int record) {
 Pose pixel_pose(const Image& poses, std::size_t pixel, const std::string& where) {
     const float* v = poses.pixel(pixel);
     if (!std::all_of(v, v + 6, [](float x) { return std::abs(x) <= 1e8f; }))
-        throw DataError(fmt::format("{}: pose of pixel {} is ({}), expected finite numbers", where, pixel,
+        throw DataError(fmt::format("{}: the pose of pixel {} is ({}), expected finite numbers", where, pixel,
                                     fmt::join(v, v + 6, ", ")));
     return {rotation_of(double(v[2]), double(v[1]), double(v[0])), {v[3], v[4], v[5]}};
 }
@@ -114,15 +114,16 @@ std::optional<Image> read_pixel_poses(const LaserImages& laser, const Image& ima
     if (laser.pixel_pose.empty()) return std::nullopt;
     Image poses = inflate_image(laser.pixel_pose, kPoseChannels, where + ", pixel poses");
     if (poses.rows != image.rows || poses.columns != image.columns)
-        throw DataError(fmt::format("{}: pixel poses of {} x {} for an image of {} x {}", where, poses.rows,
-                                    poses.columns, image.rows, image.columns));
+        throw DataError(fmt::format(
+            "{}: found {} x {} pixel poses for an image of {} x {} pixels, expected the same size", where,
+            poses.rows, poses.columns, image.rows, image.columns));
     return poses;
 }
 
 const LaserImages& images_of(const FrameRecord& frame, int laser, const std::string& where) {
     for (const LaserImages& images : frame.images)
         if (images.laser == laser && !images.first.empty()) return images;
-    throw DataError(fmt::format("{}: no range image of {}, expected one as in the first frame", where,
+    throw DataError(fmt::format("{}: the range image of {} is missing, but the first frame has one", where,
                                 kLaserNames[laser]));
 }
 
@@ -166,21 +167,22 @@ double median_period(const std::vector<FrameHead>& heads, const std::string& whe
     std::nth_element(steps_s.begin(), steps_s.begin() + std::ptrdiff_t(steps_s.size() / 2), steps_s.end());
     const double period_s = steps_s[steps_s.size() / 2];
     if (!(period_s > 0.01 && period_s < 1.0))
-        throw DataError(fmt::format("{}: timestamp_micros rise by {:.6g} s a record, expected 0.01 ... 1 s",
-                                    where, period_s));
+        throw DataError(fmt::format(
+            "{}: timestamp_micros increase by {:.6g} s per record, expected 0.01 to 1 s", where, period_s));
     return period_s;
 }
 
 Lidar make_lidar(const FrameRecord& frame, const LaserImages& images, double period_s,
                  const std::string& where) {
     if (images.laser < 1 || images.laser >= int(std::size(kLaserNames)))
-        throw DataError(
-            fmt::format("{}: laser {}, expected 1 to {}", where, images.laser, std::size(kLaserNames) - 1));
+        throw DataError(fmt::format("{}: found laser {}, expected 1 to {}", where, images.laser,
+                                    std::size(kLaserNames) - 1));
     const auto calibration = std::find_if(frame.lasers.begin(), frame.lasers.end(),
                                           [&](const auto& c) { return c.laser == images.laser; });
     if (calibration == frame.lasers.end())
-        throw DataError(fmt::format("{}: no laser_calibrations of {}, whose image is there", where,
-                                    kLaserNames[images.laser]));
+        throw DataError(
+            fmt::format("{}: laser_calibrations has no entry for {}, although its range image exists", where,
+                        kLaserNames[images.laser]));
     const Image image =
         inflate_image(images.first, kImageChannels, fmt::format("{}: {}", where, kLaserNames[images.laser]));
     Lidar lidar{kLaserNames[images.laser], {}, {}};
@@ -243,8 +245,9 @@ private:
     Image inflated(std::string_view packed) const {
         Image image = inflate_image(packed, kImageChannels, where_);
         if (image.rows == scan.rays.rows && image.columns == scan.rays.columns) return image;
-        throw DataError(fmt::format("{}: a range image of {} x {}, expected {} x {} as in the first frame",
-                                    where_, image.rows, image.columns, scan.rays.rows, scan.rays.columns));
+        throw DataError(
+            fmt::format("{}: the range image has {} x {} pixels, expected {} x {} like in the first frame",
+                        where_, image.rows, image.columns, scan.rays.rows, scan.rays.columns));
     }
 
     /// Converts the stored intensity of a return to the range 0 to 1.
@@ -258,7 +261,7 @@ private:
             const float range = image.pixel(ray)[0], brightness = image.pixel(ray)[1];
             if (!(range <= kFarthest_m) || !std::isfinite(brightness))
                 throw DataError(fmt::format(
-                    "{}: pixel {} has range {} m and intensity {}, expected finite values within {} m",
+                    "{}: pixel {} has range {} m and intensity {}, expected finite values and at most {} m",
                     where_, ray, range, brightness, kFarthest_m));
             range_m[ray] = std::max(range, 0.0f);
             intensity[ray] = range > 0.0f ? intensity_of(brightness) : 0.0f;
@@ -287,8 +290,8 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
         if (!images.first.empty() && (!top_alone || images.laser == kTop))
             sequence.lidars.push_back(make_lidar(frame, images, period_s, where));
     if (sequence.lidars.empty())
-        throw DataError(
-            fmt::format("{}: no range image{}, expected lasers", where, top_alone ? " of TOP" : ""));
+        throw DataError(fmt::format("{}: found no range image{}, expected at least one", where,
+                                    top_alone ? " of TOP" : ""));
     const std::int64_t start_us = parse_frame(records.read(0), where_of(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
@@ -352,11 +355,11 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
     sequence.conventions =
-        "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, seconds after the "
-        "segment's first firing; "
-        "intensity is " +
-        std::string(options.waymo.clamp_intensity ? "Waymo's cut at 1" : "the tanh of Waymo's") +
-        "; rays of TOP in time, the other LiDARs at one moment";
+        "vehicle x forward, y left, z up; metres; time = head of TOP faces forward, in seconds "
+        "after the first firing of the segment; intensity is " +
+        std::string(options.waymo.clamp_intensity ? "Waymo's value clamped at 1"
+                                                  : "the tanh of Waymo's value") +
+        "; rays of TOP have individual firing times, all rays of another LiDAR have the same time";
     sequence.notes = segment.notes;
     sequence.test_frames = segment.test_frames;
     add_frames(sequence, records, heads, begin, segment.top_alone);

@@ -45,8 +45,8 @@ std::string_view view_of(pbf_reader& from) {
 
 double checked(double value, const char* field, const std::string& where) {
     if (!(std::abs(value) <= kLargestOfFrame))
-        throw DataError(
-            fmt::format("{}: {} is {}, expected one within {:.0e}", where, field, value, kLargestOfFrame));
+        throw DataError(fmt::format("{}: {} is {}, expected a finite number of at most {:.0e}", where, field,
+                                    value, kLargestOfFrame));
     return value;
 }
 
@@ -70,7 +70,7 @@ Pose parse_transform(pbf_reader from, const std::string& where) {
         }
     }
     if (m.size() != 16)
-        throw DataError(fmt::format("{}: a transform of {} numbers, expected 16", where, m.size()));
+        throw DataError(fmt::format("{}: found a transform of {} numbers, expected 16", where, m.size()));
     for (const double value : m) checked(value, "a number of the transform", where);
     return rigid_pose({m[0], m[4], m[8], m[1], m[5], m[9], m[2], m[6], m[10]}, {m[3], m[7], m[11]}, where);
 }
@@ -198,9 +198,10 @@ void parse_label(pbf_reader from, FrameRecord& frame, const std::string& where) 
     if (!category) return;
     label.category = category;
     if (label.id.empty() || !(std::min({label.size_m.x, label.size_m.y, label.size_m.z}) > 0.0))
-        throw DataError(
-            fmt::format("{}: a {} with id '{}' and a size of {} x {} x {} m, expected an id and all above 0",
-                        where, category, excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
+        throw DataError(fmt::format(
+            "{}: found a {} with id '{}' and size {} x {} x {} m, expected an id and three lengths "
+            "above 0",
+            where, category, excerpt(label.id), label.size_m.x, label.size_m.y, label.size_m.z));
     frame.labels.push_back(std::move(label));
 }
 
@@ -247,10 +248,10 @@ std::string inflate(std::string_view packed, const std::string& where) {
     }
     inflateEnd(&stream);
     if (bytes.size() > kMostInflated)
-        throw DataError(fmt::format("{}: a zlib stream of more than {} bytes, expected a range image", where,
-                                    kMostInflated));
+        throw DataError(fmt::format("{}: a zlib stream unpacks to more than {} bytes, expected a range image",
+                                    where, kMostInflated));
     if (status != Z_STREAM_END)
-        throw DataError(fmt::format("{}: a damaged zlib stream after {} bytes", where, bytes.size()));
+        throw DataError(fmt::format("{}: a zlib stream of {} bytes is damaged", where, bytes.size()));
     return bytes;
 }
 
@@ -293,7 +294,8 @@ FrameRecord parse_frame(std::string_view record, const std::string& where) {
             }
         }
     });
-    if (!has_pose) throw DataError(fmt::format("{}: no pose, expected a Frame of Waymo Open", where));
+    if (!has_pose)
+        throw DataError(fmt::format("{}: the pose is missing, expected a Frame of Waymo Open", where));
     const auto by_laser = [](const auto& a, const auto& b) { return a.laser < b.laser; };
     std::stable_sort(frame.lasers.begin(), frame.lasers.end(), by_laser);
     std::stable_sort(frame.images.begin(), frame.images.end(), by_laser);
@@ -312,7 +314,7 @@ Image inflate_image(std::string_view packed, int channels, const std::string& wh
         image.values.size() == std::size_t(dims[0]) * std::size_t(dims[1]) * std::size_t(channels);
     if (!fits)
         throw DataError(fmt::format(
-            "{}: {} values in {} dimensions{}, expected rows x columns x {} with a value each", where,
+            "{}: found {} values in {} dimensions{}, expected rows x columns x {} values", where,
             image.values.size(), dims.size(),
             dims.size() == 3 ? fmt::format(" {} x {} x {}", dims[0], dims[1], dims[2]) : "", channels));
     image.rows = dims[0];
@@ -327,12 +329,13 @@ std::vector<double> row_elevations(const Calibration& calibration, int rows, con
     if (elevations.empty())
         for (int k = 0; k < rows; ++k) elevations.push_back(low + (k + 0.5) / rows * (high - low));
     if (elevations.size() != std::size_t(rows))
-        throw DataError(fmt::format("{}: {} beam_inclinations of laser {} with {} rows, expected one a row",
-                                    where, elevations.size(), calibration.laser, rows));
+        throw DataError(
+            fmt::format("{}: found {} beam_inclinations for laser {} with {} rows, expected one per row",
+                        where, elevations.size(), calibration.laser, rows));
     for (const double elevation : elevations)
         if (!(std::abs(elevation) <= kPi / 2))
             throw DataError(fmt::format(
-                "{}: a beam inclination of {} of laser {}, expected radians within a quarter turn", where,
+                "{}: a beam inclination is {} for laser {}, expected radians between -pi/2 and pi/2", where,
                 elevation, calibration.laser));
     std::reverse(elevations.begin(), elevations.end());
     return elevations;

@@ -16,7 +16,7 @@ RayTable make_rays(const ScanningWindow& w) {
     pattern_detail::check_finite(
         w.name, w.left_rad + w.right_rad + w.top_rad + w.bottom_rad + w.divergence_rad, w.period_s);
     if (w.rows > 65535)
-        throw UsageError(fmt::format("sensor '{}': has {} rows, expected at most 65535", w.name, w.rows));
+        throw UsageError(fmt::format("sensor '{}' has {} rows, expected at most 65535", w.name, w.rows));
     RayTable rays;
     rays.rows = w.rows;
     rays.columns = w.columns;

@@ -49,8 +49,8 @@ TEST(Boreas, EveryReturnIsWhereItWasMeasured) {
     EXPECT_EQ(recognise_dataset(data.folder), "boreas");
     const Sequence sequence = load_sequence(data.folder.string(), {});
     EXPECT_EQ(sequence.name, "boreas-2020-11-26-13-58");
-    EXPECT_THAT(sequence.conventions, testing::HasSubstr("turned about z by -42.60 degrees"));
-    EXPECT_THAT(sequence.notes, testing::ElementsAre("nothing in this log is labelled",
+    EXPECT_THAT(sequence.conventions, testing::HasSubstr("rotated about z by -42.60 degrees"));
+    EXPECT_THAT(sequence.notes, testing::ElementsAre("this log has no labels",
                                                      "128 beams x 360 columns are fitted to its points"));
     ASSERT_EQ(sequence.frames.size(), std::size_t(BoreasFolder::kScans));
     const SpinningSensor& sensor = sequence.lidars[0].sensor;
@@ -76,7 +76,7 @@ TEST(Boreas, AnglesThatOthersWouldWrite) {
             if (!calibrated) fs::remove(data.calibration());
             const Sequence sequence = load_sequence(data.folder.string(), {});
             EXPECT_THAT(sequence.notes, testing::Contains(testing::HasSubstr(
-                                            std::string("angles of poses are taken as ") + names[angles])));
+                                            std::string("angles of poses are read as ") + names[angles])));
             expect_boreas_truth(data, sequence);
         }
     }

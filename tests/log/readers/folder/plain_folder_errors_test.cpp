@@ -95,7 +95,7 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", "", "sequence.json: not valid JSON");
     expect("sequence.json", head.substr(0, 40), "sequence.json: not valid JSON");
     expect("sequence.json", "[]", "expected an object");
-    expect("sequence.json", "{}", "format: missing");
+    expect("sequence.json", "{}", "format is missing");
     expect("sequence.json", replaced(head, "relidar log", "relidar"),
            "format: found another one, expected \"relidar log\"");
     expect("sequence.json", replaced(head, "1,", "2,"), "version: found 2");
@@ -113,7 +113,7 @@ TEST_F(FolderDamage, OfTheHead) {
     expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [], \"columns\": 8}}]"),
            "beams: found 0 beams");
     expect("sequence.json", with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}]}}]"),
-           "columns: missing");
+           "columns is missing");
     expect("sequence.json",
            with("\"lidars\": [{\"sensor\": {\"beams\": [{\"elevation_deg\": 1}, {\"elevation_deg\": 2}], "
                 "\"columns\": 8}}]"),
@@ -140,7 +140,7 @@ TEST_F(FolderDamage, OfListedFrames) {
     };
     const std::string a = R"({"number": 0, "time_s": 0, "scan": "scans/a.pcd"})";
     expect("sequence.json", frames(""), "frames: found no frame");
-    expect("sequence.json", frames(R"({"number": 0, "scan": "scans/a.pcd"})"), "frames[0].time_s: missing");
+    expect("sequence.json", frames(R"({"number": 0, "scan": "scans/a.pcd"})"), "frames[0].time_s is missing");
     expect("sequence.json", frames(R"({"number": -1, "time_s": 0, "scan": "scans/a.pcd"})"),
            "frames[0].number: found -1");
     expect("sequence.json", frames(a + R"(, {"number": 1, "time_s": 0, "scan": "scans/a.pcd"})"),
@@ -169,7 +169,7 @@ TEST_F(FolderDamage, OfPosesAndBoxes) {
     expect("poses.txt", "0 0 0 0 0.5 0 0 0\n", "a quaternion of length 0.5");
     expect("poses.txt", "5 0 0 0 1 0 0 0\n6 0 0 0 1 0 0 0\n", "poses from 5 to 6 s, but frame 0 is at 0 s");
     expect("poses.txt", "# time_s x y z qw qx qy yaw\n0 0 0 0 1 0 0 0\n",
-           "poses.txt line 1: column 'yaw' is not known");
+           "poses.txt line 1: column 'yaw' is unknown");
     expect("poses.txt", "time_s x y z qw qx qy\n", "poses.txt line 1: found no column 'qz'");
     const std::string good = test::read_text(folder / "boxes.json");
     expect("boxes.json", good.substr(0, 30), "boxes.json: not valid JSON");

@@ -277,9 +277,8 @@ TEST(KittiRaw, SeesAsFarAsItsFarthestReturn) {
     EXPECT_GE(limit_m, double(farthest_m) - offset_m);
     EXPECT_LE(limit_m, std::ceil(double(farthest_m) + offset_m));
     EXPECT_EQ(limit_m, std::floor(limit_m)) << "whole metres";
-    EXPECT_THAT(
-        log.notes,
-        testing::Contains(testing::HasSubstr("the farthest return; the sensor's own limit is not known")));
+    EXPECT_THAT(log.notes, testing::Contains(testing::HasSubstr(
+                               "the farthest return, because the limit of the sensor is unknown")));
 }
 
 TEST(KittiRaw, RealDrive) {

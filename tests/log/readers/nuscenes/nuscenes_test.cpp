@@ -107,9 +107,9 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
         load(data, "scene-0104");
         FAIL();
     } catch (const UsageError& error) {
-        EXPECT_STREQ(
-            error.what(),
-            "dataset.sequence 'scene-0104': no such scene, expected one of 2: scene-0061, scene-0103");
+        EXPECT_STREQ(error.what(),
+                     "dataset.sequence 'scene-0104': no such scene, expected one of 2 scenes: scene-0061, "
+                     "scene-0103");
     }
     DatasetOptions options;
     options.frames = {3, 5};
@@ -128,8 +128,7 @@ TEST(Nuscenes, ScenesFramesAndPoses) {
     EXPECT_LT(glm::distance(unposed.boxes[0].world_from_box.pose[4].translation, seen), 1e-8)
         << "as the vehicle saw it";
     test::write_text(data.table("sample_annotation"), "[]");
-    EXPECT_THAT(load(data).notes,
-                testing::Contains("no annotations of this scene: nothing in it is labelled"));
+    EXPECT_THAT(load(data).notes, testing::Contains("this scene has no annotations, so it has no labels"));
 }
 
 TEST(Nuscenes, KeyframesAlone) {
@@ -147,7 +146,7 @@ TEST(Nuscenes, KeyframesAlone) {
     EXPECT_EQ(load(data, "103", options).frames.size(), std::size_t(NuscenesFolder::kSweeps - 1));
     fs::remove_all(data.folder / "sweeps");
     const Sequence actual = load(data);
-    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr("its keyframes alone")));
+    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr("only the keyframes")));
     ASSERT_EQ(actual.frames.size(), 2u);
     EXPECT_EQ(actual.frames[1].index, 10);
     EXPECT_NEAR(actual.frames[1].time_s, 0.5, 1e-9);
@@ -199,32 +198,30 @@ TEST(Nuscenes, SaysWhichRecordIsWrong) {
            "key 'timestamp': expected a number");
     expect("sample_data", "\"is_key_frame\": true", "\"is_key_frame\": 1",
            "key 'is_key_frame': expected true or false");
-    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next': 'd99' after 5 files");
-    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d3\"", "expected times that rise");
-    expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next': 'gone' after 11 files");
-    expect("sensor", "LIDAR_TOP", "RADAR", "key 'channel': no LIDAR_*");
+    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d99\"", "key 'next': found 'd99' after 5 files");
+    expect("sample_data", "\"next\": \"d5\"", "\"next\": \"d3\"", "expected increasing times");
+    expect("sample_data", "\"next\": \"\"", "\"next\": \"gone\"", "key 'next': found 'gone' after 11 files");
+    expect("sensor", "LIDAR_TOP", "RADAR", "key 'channel': no channel begins with LIDAR_");
     expect("sample_data", "turn_0.pcd.bin", "turn_0.las",
-           "a LiDAR's file 'samples/LIDAR_TOP/turn_0.las', expected one that ends in");
-    expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733",
-           "whose pose it is, expected at most 0.1 s");
+           "'samples/LIDAR_TOP/turn_0.las', expected a name that ends in");
+    expect("ego_pose", "\"timestamp\": 1533", "\"timestamp\": 1733", "expected at most 0.1 s");
     expect("calibrated_sensor", "\"rotation\": [", "\"rotation\": [3, ",
            "key 'rotation': expected 4 numbers");
     expect("calibrated_sensor", "\"rotation\": [0.7", "\"rotation\": [9.7",
            "key 'rotation': expected a quaternion of length 1");
     expect("ego_pose", "\"token\": \"e5\"", "\"token\": \"e55\"",
-           "no 'e5', the pose of sweeps/LIDAR_TOP/turn_5.pcd.bin");
+           "'e5' is missing, which is the pose of sweeps/LIDAR_TOP/turn_5.pcd.bin");
     expect("ego_pose", "\"translation\": [", "\"translation\": [\"x\", ",
            "key 'translation': expected 3 numbers");
-    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]",
-           "key 'size': 1.9 x -4.5 x 1.6, expected all above 0");
+    expect("sample_annotation", "[1.9, 4.5, 1.6]", "[1.9, -4.5, 1.6]", "key 'size': found 1.9 x -4.5 x 1.6");
     expect("instance", "\"category_token\": \"vehicle\"", "\"category_token\": \"?\"",
-           "no category of instance 'car'");
+           "the instance 'car' has no category");
     expect("sample", "[\n", "x", "'x' between objects, expected an array of objects");
-    expect("sample", "}\n]", "", "cut short, expected an array of objects");
-    expect("sample", "\n]", "", "cut short, expected an array of objects");
+    expect("sample", "}\n]", "", "truncated, expected an array of objects");
+    expect("sample", "\n]", "", "truncated, expected an array of objects");
     expect("sample", "\"token\": \"k1\",", "\"token\" \"k1\",", "record 0: ");
     expect("category", "\"animal\"", "\"" + std::string(1 << 20, 'a') + "\"",
-           "an object of more than 1048576 bytes");
+           "an object has more than 1048576 bytes");
     fs::remove(data.table("ego_pose"));
     EXPECT_THROW(load(data), DataError);
 }
@@ -246,14 +243,14 @@ TEST(Nuscenes, SaysWhichFileIsWrong) {
         std::memcpy(bytes.data() + 20 * point + 4 * field, &value, 4);
         return bytes;
     };
-    expect("", "0 bytes, expected columns of 32 points of 20 bytes");
+    expect("", "0 bytes, expected columns of 32 points with 20 bytes");
     expect(good.substr(0, good.size() - 20), "25580 bytes, expected columns of 32 points");
-    expect(with(7, 1, NAN), "point 7 at (");
-    expect(with(7, 2, 2e4f), "point 7 at (");
-    expect(with(7, 3, INFINITY), "point 7 at (");
-    expect(with(7, 4, 32.0f), "point 7 of ring 32, expected 0 to 31");
-    expect(with(7, 4, 0.5f), "point 7 of ring 0.5, expected 0 to 31");
-    expect(std::string(640, '\0'), "no point beyond 1 m, expected some");
+    expect(with(7, 1, NAN), "point 7 is (");
+    expect(with(7, 2, 2e4f), "point 7 is (");
+    expect(with(7, 3, INFINITY), "point 7 is (");
+    expect(with(7, 4, 32.0f), "point 7 has ring 32, expected 0 to 31");
+    expect(with(7, 4, 0.5f), "point 7 has ring 0.5, expected 0 to 31");
+    expect(std::string(640, '\0'), "no points beyond 1 m");
     fs::remove(data.sweep(4));
     EXPECT_THROW(load(data), DataError);
     fs::remove(data.table("scene"));

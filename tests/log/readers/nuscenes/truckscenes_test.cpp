@@ -129,16 +129,13 @@ TEST(TruckScenes, LidarsFramesAndKeyframes) {
     EXPECT_EQ(top.frames[0].index, 3);
     EXPECT_EQ(top.frames[1].index, 5) << "numbers are those of LIDAR_LEFT";
     for (const Frame& frame : top.frames) expect_truth(top, frame, data.lidars[1]);
-    EXPECT_THAT(top.notes, testing::Contains("LiDARs left out: LIDAR_LEFT"));
+    EXPECT_THAT(top.notes, testing::Contains("LiDARs that are not read: LIDAR_LEFT"));
     options.lidars = {"LIDAR_REAR"};
     try {
         load(data, options);
         ADD_FAILURE();
     } catch (const UsageError& error) {
-        EXPECT_STREQ(
-            error.what(),
-            "dataset.lidars: no 'LIDAR_REAR' in scene-0044384af3d8494e913fb8b14915239e-3, expected some of "
-            "LIDAR_LEFT, LIDAR_TOP_FRONT");
+        EXPECT_STREQ(error.what(), "has no LiDAR 'LIDAR_REAR', expected some of LIDAR_LEFT, LIDAR_TOP_FRONT");
     }
     options = {};
     options.sequence = "0044";
@@ -227,9 +224,9 @@ TEST(Lyft, ReturnsOfBothLidars) {
     ASSERT_EQ(actual.frames.size(), std::size_t(2 * TruckScenesFolder::kSweeps - 2))
         << "LIDAR_LEFT has a sweep that LIDAR_TOP lacks";
     EXPECT_THAT(actual.notes,
-                testing::Contains("LIDAR_LEFT: 1 sweeps are left out: LIDAR_TOP has none beside them"));
-    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr(
-                                  "LIDAR_LEFT: points have no times, so its sweeps, up to 0.007 s from")));
+                testing::Contains(
+                    "LIDAR_LEFT: 1 sweeps are skipped, because LIDAR_TOP has no sweeps at similar times"));
+    EXPECT_THAT(actual.notes, testing::Contains(testing::HasSubstr("LIDAR_LEFT: its points have no times")));
     for (const Lidar& lidar : actual.lidars) {
         EXPECT_NEAR(lidar.period_s(), 0.1, 1e-9);
         EXPECT_EQ(lidar.sensor.columns, TruckScenesFolder::kColumns);

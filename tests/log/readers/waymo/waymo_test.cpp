@@ -44,7 +44,7 @@ TEST(Waymo, IntensitiesAreCutOrSquashed) {
         EXPECT_NEAR(squashed.frames[at].scan.intensity[i], std::tanh(pixel.intensity), 1e-6f) << i;
     }
     EXPECT_GT(above_1, 10);
-    EXPECT_THAT(cut.conventions, HasSubstr("Waymo's cut at 1"));
+    EXPECT_THAT(cut.conventions, HasSubstr("Waymo's value clamped at 1"));
     EXPECT_THAT(squashed.conventions, HasSubstr("the tanh of Waymo's"));
 }
 
@@ -235,20 +235,21 @@ TEST(Waymo, DamagedFilesAreRefused) {
         bytes[at] = char(bytes[at] ^ 0x10);
         return bytes;
     };
-    EXPECT_THAT(refusal(segment, ""), HasSubstr(".tfrecord: empty, expected records"));
+    EXPECT_THAT(refusal(segment, ""), HasSubstr(".tfrecord is empty"));
     EXPECT_THAT(refusal(segment, original.substr(0, first_size + 5)),
-                HasSubstr("record 1: truncated: 5 bytes of its header, expected 12"));
+                HasSubstr("record 1 is truncated: its header has 5 bytes"));
     EXPECT_THAT(refusal(segment, original.substr(0, original.size() - 1)),
-                HasSubstr("record 2: truncated: a length of "));
+                HasSubstr("record 2 is truncated: its length is "));
     EXPECT_THAT(refusal(segment, flipped(first_size + 100)),
-                HasSubstr("record 1: the CRC of its data is wrong"));
-    EXPECT_THAT(refusal(segment, flipped(first_size)), HasSubstr("record 1: the CRC of its length is wrong"));
+                HasSubstr("record 1: the checksum (CRC) of its data"));
+    EXPECT_THAT(refusal(segment, flipped(first_size)),
+                HasSubstr("record 1: the checksum (CRC) of its length"));
     const std::string absurd("\xff\xff\xff\xff\xff\xff\xff\x7f", 8);
     const std::string header = absurd + test::tfrecord(absurd).substr(20, 4);  // the CRC of these 8 bytes
     EXPECT_THAT(refusal(segment, header + original),
-                HasSubstr("record 0: truncated: a length of 9223372036854775807 bytes with"));
+                HasSubstr("record 0 is truncated: its length is 9223372036854775807 bytes"));
     EXPECT_THAT(refusal(segment, test::tfrecord("not a message")), HasSubstr("record 0: "));
-    EXPECT_THAT(refusal(segment, test::tfrecord("")), HasSubstr("record 0: no pose, expected a Frame"));
+    EXPECT_THAT(refusal(segment, test::tfrecord("")), HasSubstr("record 0: the pose is missing"));
 }
 
 TEST(Waymo, DamagedFramesAreRefused) {
@@ -270,36 +271,38 @@ TEST(Waymo, DamagedFramesAreRefused) {
         return test::waymo_matrix(std::vector<float>(std::size_t(rows * columns * channels), value),
                                   {rows, columns, channels});
     };
-    expect("record 1: TOP: a zlib stream of more than 33554432 bytes",
+    expect("record 1: TOP: a zlib stream unpacks to more than 33554432 bytes",
            [&](auto& frame) { with_top(frame, test::deflated(std::string(std::size_t(100) << 20, '\0'))); });
-    expect("record 1: TOP: a damaged zlib stream",
+    expect("record 1: TOP: a zlib stream",
            [&](auto& frame) { with_top(frame, image(h, w, 4, 5.0f).substr(0, 40)); });
     expect("record 1: TOP: malformed protobuf",
            [&](auto& frame) { with_top(frame, test::deflated("\x0a\x7f")); });
-    expect("record 1: TOP: 4 values in 3 dimensions 1000000 x 1000000 x 4", [&](auto& frame) {
+    expect("record 1: TOP: found 4 values in 3 dimensions 1000000 x 1000000 x 4", [&](auto& frame) {
         with_top(frame, test::waymo_matrix({1, 2, 3, 4}, {1000000, 1000000, 4}));
     });
-    expect("record 1: TOP: 32000 values in 3 dimensions 16 x 400 x 5, expected rows x columns x 4",
-           [&](auto& frame) { with_top(frame, image(h, w, 5, 1.0f)); });
-    expect("a range image of 16 x 399, expected 16 x 400",
+    expect(
+        "record 1: TOP: found 32000 values in 3 dimensions 16 x 400 x 5, expected rows x columns "
+        "x 4",
+        [&](auto& frame) { with_top(frame, image(h, w, 5, 1.0f)); });
+    expect("the range image has 16 x 399 pixels, expected 16 x 400",
            [&](auto& frame) { with_top(frame, image(h, w - 1, 4, 1.0f)); });
     expect("pixel 0 has range nan m", [&](auto& frame) { with_top(frame, image(h, w, 4, NAN)); });
     expect("pixel 0 has range inf m", [&](auto& frame) { with_top(frame, image(h, w, 4, INFINITY)); });
-    expect("pixel poses of 2 x 2 for an image of 16 x 400",
+    expect("2 x 2 pixel poses for an image of 16 x 400",
            [&](auto& frame) { with_top(frame, image(h, w, 4, 1.0f), image(2, 2, 6, 0.0f)); });
     expect("pose of pixel 200 is (nan",
            [&](auto& frame) { with_top(frame, image(h, w, 4, 1.0f), image(h, w, 6, NAN)); });
-    expect("record 1: no range image of SIDE_LEFT",
+    expect("record 1: the range image of SIDE_LEFT is missing",
            [](auto& frame) { frame.lasers.erase(frame.lasers.begin()); });
-    expect("record 1: no pose", [](auto& frame) { frame.pose.clear(); });
-    expect("record 1: pose: a transform of 0 numbers, expected 16",
+    expect("record 1: the pose is missing", [](auto& frame) { frame.pose.clear(); });
+    expect("record 1: pose: found a transform of 0 numbers, expected 16",
            [](auto& frame) { frame.pose = std::string("\x10\x01", 2); });
     expect("record 1: pose: the 3x3 block is no rotation",
            [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(2.0)); });
     expect("record 1: pose: a number of the transform is nan",
            [](auto& frame) { frame.pose = test::waymo_transform(glm::dmat4(NAN)); });
-    expect("timestamp_micros rise by", [](auto& frame) { frame.timestamp_us += 5000000; });
-    expect("laser_labels: a vehicle with id 'v' and a size of 0 x 1 x 1 m", [](auto& frame) {
+    expect("timestamp_micros increase by", [](auto& frame) { frame.timestamp_us += 5000000; });
+    expect("laser_labels: found a vehicle with id 'v' and size 0 x 1 x 1 m", [](auto& frame) {
         frame.labels = {test::waymo_label("v", 1, {}, {0, 1, 1}, 0)};
     });
     expect("laser_labels: a number of the box is inf", [](auto& frame) {
@@ -315,10 +318,10 @@ TEST(Waymo, DamagedCalibrationsAreRefused) {
         EXPECT_THAT(refusal(segment, test::read_text(segment.file)), HasSubstr(part));
     };
     const std::string side = test::waymo_calibration(3, {}, -1.5, 0.5, glm::dmat4(1.0));
-    expect("record 0: no laser_calibrations of TOP", {side});
-    expect("record 0: 2 beam_inclinations of laser 1 with 16 rows",
+    expect("record 0: laser_calibrations has no entry for TOP", {side});
+    expect("record 0: found 2 beam_inclinations for laser 1 with 16 rows",
            {side, test::waymo_calibration(1, {0.0, 0.1}, 0, 0, glm::dmat4(1.0))});
-    expect("record 0: a beam inclination of nan of laser 1",
+    expect("record 0: a beam inclination is nan for laser 1",
            {side, test::waymo_calibration(1, {}, NAN, 0, glm::dmat4(1.0))});
     expect("record 0: laser_calibrations, extrinsic: the 3x3 block is no rotation",
            {side, test::waymo_calibration(1, {}, 0, 0.1, glm::dmat4(0.5))});
