@@ -20,6 +20,7 @@
 #include "base/files.hpp"
 #include "log/readers/bag/bag_file.hpp"
 #include "log/readers/bag/packets/decoder.hpp"
+#include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
 #include "log/readers/bag/part_file.hpp"
@@ -146,7 +147,8 @@ public:
             if (stream->product) append_to(stream->run, *datagram);
             if (!stream->product && stream->n_of_bytes.size() < kMostPending)
                 ++stream->n_of_bytes[payload(*datagram).size()];
-            if (stream->n == (stream->product ? kRun : 1)) flush(*stream, pass);
+            if (!stream->product || is_full(*stream, stream->n, datagram->stamp_ns - stream->log_ns))
+                flush(*stream, pass);
         }
         for (auto& [key, stream] : streams_)
             if (stream.n > 0) flush(stream, pass);
@@ -164,14 +166,14 @@ public:
         seek(place.at);
         Fragments fragments;
         std::string run;
-        for (std::size_t n = 0; n < kRun;) {
-            const auto datagram = next(fragments, nullptr);
-            if (!datagram) break;
+        std::int64_t first_ns = 0;
+        for (std::size_t n = 0; const auto datagram = next(fragments, nullptr);) {
             if (key_of(*datagram) != stream->first) continue;
+            if (n++ == 0) first_ns = datagram->stamp_ns;
             append_to(run, *datagram);
-            ++n;
+            if (is_full(stream->second, n, datagram->stamp_ns - first_ns)) break;
         }
-        return share_bytes(std::move(run));
+        return share_bytes(message_of(stream->second, std::move(run)));
     }
 
 private:
@@ -189,6 +191,7 @@ private:
         /// number of datagrams for each size in bytes; only for unknown products
         std::map<std::size_t, std::size_t> n_of_bytes;
         std::shared_ptr<const packets::OusterFormat> ouster;  ///< metadata of the sensor
+        std::string livox_frame;  ///< frame of the clouds of a Livox; empty for other products
     };
     packets::OusterFormats ousters_;  ///< metadata in files next to the capture
     const std::filesystem::path path_;
@@ -286,13 +289,30 @@ private:
         stream.number = streams_.size();
         stream.product = key.second;
         if (stream.product) stream.ouster = ouster_of(datagram);
-        stream.topic = topics.number_of(
-            {datagram.source, stream.product ? packets::kDatagrams : "other UDP", packets::kDatagrams});
+        if (packets::is_livox(payload(datagram))) stream.livox_frame = datagram.source;
+        stream.topic =
+            topics.number_of(stream.livox_frame.empty()
+                                 ? Topic{datagram.source, stream.product ? packets::kDatagrams : "other UDP",
+                                         packets::kDatagrams}
+                                 : Topic{datagram.source, packets::kLivoxType, packets::kLivoxEncoding});
         return &streams_.emplace(std::move(key), std::move(stream)).first->second;
     }
 
+    /// Returns true if a message of a stream is complete.
+    /// @param n  number of datagrams in the message
+    /// @param passed_ns  time from its first datagram to its last datagram
+    static bool is_full(const Stream& stream, std::size_t n, std::int64_t passed_ns) {
+        return stream.livox_frame.empty()
+                   ? n == kRun
+                   : passed_ns >= packets::kLivoxCloud_ns || n == packets::kMostLivoxPackets;
+    }
+    /// Converts datagrams to a message of the stream's topic.
+    static std::string message_of(const Stream& stream, std::string run) {
+        return stream.livox_frame.empty() ? run : packets::livox_cloud(run, stream.livox_frame);
+    }
+
     void flush(Stream& stream, const Pass& pass) const {
-        pass.take({stream.topic, stream.log_ns, stream.run, {stream.at, stream.number}});
+        pass.take({stream.topic, stream.log_ns, message_of(stream, stream.run), {stream.at, stream.number}});
         stream.run.clear();
         stream.n = 0;
     }

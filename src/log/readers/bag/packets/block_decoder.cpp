@@ -11,11 +11,12 @@
 //   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128
 //     (user manuals, "Point cloud data packet" and the appendix on absolute time): the
 //     packet's time, in microseconds of its second, follows the firings. The last block
-//     begins at a fixed time from it (PandarQT: the first block). Azimuth 0 is the y axis.
+//     begins at a fixed time from it (PandarQT: the first block). Azimuth 0 is the y
+//     axis.
 //
-// The head turns while the lasers of a block fire one after another. The azimuth of a laser
-// is therefore the azimuth of its block, plus the laser's angle, plus the rotation until it
-// fires (manuals, "Analyze the horizontal angle of a data point").
+// The head turns while the lasers of a block fire one after another. The azimuth of a
+// laser is therefore the azimuth of its block, plus the laser's angle, plus the rotation
+// until it fires (manuals, "Analyze the horizontal angle of a data point").
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -124,8 +125,8 @@ private:
     std::vector<BlockBeam> beams_;                              ///< [rings]
     std::vector<std::vector<int>> ring_of_;  ///< [parts, lasers] ring of each laser, or kNoRing
 
-    /// Uses the angle correction that has the number of lasers of this sensor. Uses none if
-    /// several corrections do.
+    /// Uses the angle correction that has the number of lasers of this sensor. Uses none
+    /// if several corrections do.
     void choose_angles(const std::vector<Correction>& corrections) {
         const std::size_t n = layout_.lasers();
         std::string files;

@@ -6,6 +6,7 @@
 #include <fmt/format.h>
 
 #include "log/readers/bag/packets/decoder.hpp"
+#include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 
 namespace relidar::packets {
@@ -79,6 +80,7 @@ constexpr Product kProducts[] = {
          return p.size() > 500 && (p.starts_with("\x55\xaa\x05") || p.starts_with("\x55\xaa\x5a"));
      },
      nullptr, "rslidar_sdk"},
+    {"Livox", is_livox, nullptr, "livox_ros_driver2"},
 };
 
 /// Packets without an identifying header.
