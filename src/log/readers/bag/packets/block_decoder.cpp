@@ -8,6 +8,9 @@
 //     strongest (or second strongest) one.
 //   Velodyne VLS-128 (63-9483): as above, but four blocks, marked FF EE, FF DD, FF CC and FF BB,
 //     contain the 128 lasers of a firing.
+//   RoboSense RS-LiDAR-16 (user manual, "MSOP"): a header of 42 bytes, then 12 blocks like
+//     those of a VLP-16, with the highest byte of a number first. Only packets of one
+//     return are read. With two returns, a block has one firing.
 //   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128
 //     (user manuals, "Point cloud data packet" and the appendix on absolute time): the
 //     packet's time, in microseconds of its second, follows the firings. The last block
@@ -87,9 +90,8 @@ public:
 
     Packet decode(std::string_view bytes) const override {
         Packet packet;
-        packet.clock_ns =
-            std::int64_t(1000) * bag::ByteReader(bytes.substr(layout_.time_at)).number<std::uint32_t>();
-        const auto mode = std::uint8_t(bytes[layout_.mode_at]);
+        packet.clock_ns = read_clock(bytes);
+        const auto mode = layout_.mode_at > 0 ? std::uint8_t(bytes[layout_.mode_at]) : std::uint8_t(0);
         if (mode == kTriple) throw DataError("a packet of three returns, expected one or two");
         const std::size_t n_returns = mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
         const double unit_m =
@@ -172,13 +174,26 @@ private:
         return n_returns == 1 ? int(number) : 1 - (reader.number<std::uint8_t>() & 1);
     }
 
+    std::uint16_t read_short(bag::ByteReader& reader) const {
+        const auto value = reader.number<std::uint16_t>();
+        return layout_.is_big_endian ? std::uint16_t(value << 8 | value >> 8) : value;
+    }
+
+    /// Returns the time of a packet in nanoseconds.
+    std::int64_t read_clock(std::string_view bytes) const {
+        bag::ByteReader reader(bytes.substr(layout_.time_at));
+        if (!layout_.is_big_endian) return std::int64_t(1000) * reader.number<std::uint32_t>();
+        const std::int64_t passed_ms = read_short(reader), passed_us = read_short(reader);
+        return 1'000'000 * passed_ms + 1000 * passed_us;
+    }
+
     double read_azimuth(bag::ByteReader& reader, std::size_t bank) const {
         const unsigned flag = 0xEEFF - 0x1100 * unsigned(bank);
         if (layout_.flagged && reader.number<std::uint16_t>() != flag)
             throw DataError(
                 fmt::format("a block of a packet that does not begin with FF {:X}, expected a {}'s",
                             flag >> 8, layout_.name));
-        const double azimuth_deg = 0.01 * reader.number<std::uint16_t>();
+        const double azimuth_deg = 0.01 * read_short(reader);
         if (azimuth_deg > 360.0)
             throw DataError(
                 fmt::format("an azimuth of {} degrees in a packet, expected less than 360", azimuth_deg));
@@ -192,7 +207,7 @@ private:
                      std::array<Echo, 2>* echoes) const {
         for (std::size_t laser = 0; laser < layout_.block_lasers; ++laser) {
             bag::ByteReader unit(reader.take(layout_.unit_bytes));
-            const auto range = unit.number<std::uint16_t>();
+            const auto range = read_short(unit);
             const auto reflectivity = unit.number<std::uint8_t>();
             if (rings[laser] == kNoRing || range <= layout_.last_marker) continue;
             echoes[rings[laser]][number] = {float(unit_m * double(range)), float(reflectivity) / 255.0f};

@@ -97,7 +97,11 @@ struct Layout {
     std::size_t firings = 1;  ///< firings per block
     /// unit of ranges; 0: the packet states the unit in millimetres in byte `unit_at`
     double range_unit_m = 0.0;
-    std::size_t unit_at = 9, time_at = 0, mode_at = 0;
+    std::size_t unit_at = 9, time_at = 0;
+    std::size_t mode_at = 0;  ///< position of the return mode; 0: the packets have one return
+    /// Numbers with the highest byte first. The time is then a number of milliseconds and a
+    /// number of microseconds.
+    bool is_big_endian = false;
     double wrap_us = 1e6, cycle_us = 50.0;
     /// true: the packet's time is the time of its last firing plus `shift_us`; false: it
     /// is the time of its first firing plus `shift_us`
@@ -170,6 +174,18 @@ inline constexpr Layout kLayouts[] = {
      .shift_us = -8.7,
      .forward_deg = 0.0,
      .first_channel = 0},
+    {.name = "RS-LiDAR-16",
+     .sensor = "RS-LiDAR-16",
+     .blocks_at = 42,
+     .flagged = true,
+     .block_lasers = 16,
+     .firings = 2,
+     .range_unit_m = 0.005,
+     .time_at = 26,
+     .is_big_endian = true,
+     .cycle_us = 55.5,
+     .at_end = false,
+     .forward_deg = 0.0},
     {.name = "Pandar40P",
      .sensor = "Pandar40P",
      .n_blocks = 10,

@@ -41,6 +41,10 @@ bool is_hesai_of(string_view packet) {
            has_byte(packet, kBlocksAt, blocks) &&
            (packet.size() == bytes || packet.size() == bytes + optional);
 }
+bool is_rs16(string_view packet) {
+    return packet.size() == 1248 && packet.starts_with("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0") &&
+           has_byte(packet, 30, 1);
+}
 // optional fields: number of the packet; digital signature
 constexpr std::size_t kNumberBytes = 4, kSignatureBytes = 32;
 constexpr std::size_t kOt128ModeAt = 816;  // 0: high resolution
@@ -75,6 +79,7 @@ constexpr Product kProducts[] = {
     {"AT128", is_hesai<4, 3>, nullptr, "nebula"},
     {"Hesai that relidar does not know",
      [](string_view p) { return p.size() > 500 && p.starts_with("\xee\xff"); }, nullptr, "hesai_ros_driver"},
+    {"RS-LiDAR-16", is_rs16, make_block_decoder},
     {"RoboSense",
      [](string_view p) {
          return p.size() > 500 && (p.starts_with("\x55\xaa\x05") || p.starts_with("\x55\xaa\x5a"));

@@ -242,5 +242,41 @@ TEST(BlockPackets, Ot128) {
     EXPECT_EQ(half.firings[1].part, 1);
 }
 
+/// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth is
+/// 90 degrees in the first block and rises by 0.4 degrees per block.
+std::string rs16_packet() {
+    std::string bytes("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0", 8);
+    bytes.resize(26);
+    bytes.append("\x01\x02\x00\x07\x01", 5);  // 258 ms and 7 us; model 1
+    bytes.resize(42);
+    for (int block = 0; block < 12; ++block) {
+        const int azimuth = 9000 + 40 * block;
+        bytes += "\xff\xee", bytes += char(azimuth >> 8), bytes += char(azimuth & 255);
+        for (int laser = 0; laser < 32; ++laser) bytes += '\x03', bytes += char(laser), bytes += char(51);
+    }
+    bytes.resize(1248);
+    return bytes;
+}
+
+TEST(BlockPackets, RsLidar16) {
+    const std::string bytes = rs16_packet();
+    const auto decoder = make_decoder(bytes, "RS-LiDAR-16");
+    ASSERT_TRUE(decoder);
+    const packets::Packet packet = decoder->decode(bytes);
+    ASSERT_EQ(packet.firings.size(), 24u);
+    EXPECT_EQ(packet.clock_ns, 258007000);
+    EXPECT_NEAR(packet.firings[0].azimuth_deg, 90.0, 1e-9);
+    EXPECT_NEAR(packet.firings[1].azimuth_deg, 90.2, 1e-9);
+    EXPECT_NEAR(packet.firings[23].azimuth_deg, 94.6, 1e-9);
+    EXPECT_NEAR(packet.firings[23].after_us, 23 * 55.5, 1e-9);
+    // ring 0 is laser 9 at +15 degrees, ring 15 is laser 1 at -15 degrees
+    const std::vector<Beam> beams = decoder->sensor(1800, kStill_hz).beams;
+    EXPECT_NEAR(beams[0].elevation_rad / kDegree, 15.0, 1e-9);
+    EXPECT_NEAR(decoder->timing().offset_us[0], 8 * 2.8, 1e-9);
+    EXPECT_NEAR(packet.echoes[0][0].range_m, 0.005 * (0x300 + 8), 1e-6);
+    EXPECT_NEAR(packet.echoes[16 + 15][0].range_m, 0.005 * (0x300 + 16), 1e-6);
+    EXPECT_NEAR(packet.echoes[15][0].intensity, 0.2, 1e-6);
+}
+
 }  // namespace
 }  // namespace relidar
