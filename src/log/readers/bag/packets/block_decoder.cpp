@@ -23,6 +23,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 
 #include <fmt/format.h>
 
@@ -58,6 +59,9 @@ public:
         timing_.wrap_us = layout.wrap_us;
         timing_.interpolates = layout.firings > 1;  // as in the VLP-16's manual
         timing_.parts = int(layout.parts());
+        for (const LaserTimes& times : layout.loops)
+            for (const std::int32_t time_ns : times)
+                if (time_ns >= 0) first_ns_ = std::min(first_ns_, time_ns);
         table_ = known_firings(layout.sensor);
         for (std::size_t line = 0; line < table_.size(); ++line) add_beams(line);
         if (!angles_.empty()) std::ranges::stable_sort(beams_, std::greater(), &BlockBeam::elevation_deg);
@@ -121,6 +125,7 @@ private:
     const Layout& layout_;
     Timing timing_;
     std::vector<BeamFiring> table_;
+    std::int32_t first_ns_ = std::numeric_limits<std::int32_t>::max();  ///< earliest time in the loops
     /// [lasers] calibrated angles of this sensor; empty if unknown
     std::vector<LaserAngles> angles_;
     std::string angles_about_ = "nominal angles of the beams";  ///< source of the angles, for notes
@@ -159,7 +164,7 @@ private:
         if (layout_.loops.empty()) beams_.push_back(beam);
         for (; beam.part < layout_.loops.size(); ++beam.part) {
             const std::int32_t time_ns = layout_.loops[beam.part][beam.laser];
-            beam.offset_us = 1e-3 * double(time_ns) + layout_.cycle_us * double(beam.part);
+            beam.offset_us = 1e-3 * double(time_ns - first_ns_) + layout_.cycle_us * double(beam.part);
             if (time_ns >= 0) beams_.push_back(beam);
         }
     }

@@ -99,8 +99,8 @@ struct Layout {
     double range_unit_m = 0.0;
     std::size_t unit_at = 9, time_at = 0;
     std::size_t mode_at = 0;  ///< position of the return mode; 0: the packets have one return
-    /// Numbers with the highest byte first. The time is then a number of milliseconds and a
-    /// number of microseconds.
+    /// Numbers have the highest byte first. The time is then a number of milliseconds and
+    /// a number of microseconds.
     bool is_big_endian = false;
     double wrap_us = 1e6, cycle_us = 50.0;
     /// true: the packet's time is the time of its last firing plus `shift_us`; false: it
@@ -111,8 +111,9 @@ struct Layout {
     int first_channel = 1;      ///< first channel in the beam table
     /// Highest range value that means "no return". A range of 0 always has this meaning.
     std::uint16_t last_marker = 0;
-    /// [parts] firing times of alternating firing sequences. Empty: the beam table of the
-    /// sensor has the firing times.
+    /// [parts] firing times of alternating firing sequences. The firing offsets are the
+    /// differences from the earliest of these times. Empty: the beam table of the sensor
+    /// has the firing offsets.
     std::span<const LaserTimes> loops = {};
     PartRule part_rule = PartRule::none;
     std::size_t part_at = 0;  ///< position of the bytes that show the firing sequence
@@ -121,10 +122,10 @@ struct Layout {
     std::size_t parts() const { return loops.empty() ? 1 : loops.size(); }
 };
 
-// Hesai's manuals give the time of each laser relative to the time of its block. The
-// first laser fires at -54.67 us (Pandar40P, Pandar64) or at 0.368 us (XT32). The beam
-// tables of these three sensors begin at 0 instead. A VLS-128 takes 55.3 us for a firing,
-// although its manual states 53.3 us.
+// Hesai's manuals give the time of each laser relative to the start of its block. The
+// firing offsets of relidar begin at 0 with the first laser, so `shift_us` is the sum of
+// the start of the block and the time of its first laser. A VLS-128 takes 55.3 us for a
+// firing, although its manual states 53.3 us.
 inline constexpr Layout kLayouts[] = {
     {.name = "VLP-16",
      .sensor = "VLP-16",
@@ -222,7 +223,7 @@ inline constexpr Layout kLayouts[] = {
      .unit_bytes = 4,
      .time_at = 559,
      .mode_at = 550,
-     .shift_us = 5.632},
+     .shift_us = 5.632 + 0.368},
     {.name = "XT32M",
      .sensor = "XT32M",
      .blocks_at = 12,
@@ -230,7 +231,7 @@ inline constexpr Layout kLayouts[] = {
      .unit_bytes = 4,
      .time_at = 811,
      .mode_at = 802,
-     .shift_us = 5.632},
+     .shift_us = 5.632 + 0.368},
     {.name = "QT64",
      .sensor = "QT64",
      .blocks_at = 12,
@@ -241,7 +242,7 @@ inline constexpr Layout kLayouts[] = {
      .mode_at = 1060,
      .cycle_us = 500.0 / 3.0,
      .at_end = false,
-     .shift_us = 25.71},
+     .shift_us = 25.71 + 12.31},
     {.name = "QT128",
      .sensor = "QT128",
      .blocks_at = 12,
@@ -251,7 +252,7 @@ inline constexpr Layout kLayouts[] = {
      .time_at = 1082,
      .mode_at = 1073,
      .cycle_us = 1000.0 / 9.0,
-     .shift_us = 9.0,
+     .shift_us = 9.0 + 0.6,
      .loops = kQt128Loops,
      .part_rule = PartRule::mode_flag,
      .part_at = 1066},
@@ -263,7 +264,7 @@ inline constexpr Layout kLayouts[] = {
      .time_at = 826,
      .mode_at = 817,
      .cycle_us = 500.0 / 9.0,
-     .shift_us = 43.346,
+     .shift_us = 43.346 + 2.378,
      .last_marker = 3,
      .loops = kOt128Standard},
     {.name = "OT128 in high resolution",

@@ -136,20 +136,20 @@ TEST(BlockPackets, GiveThePointsOfNebula) {
 struct FiringTime {
     const char *file, *product;
     double elevation_deg;  ///< elevation of the laser
-    double offset_us;      ///< time from the start of the block
+    double offset_us;      ///< time since the first laser of the firing
 };
 
 TEST(BlockPackets, TurnUntilTheLaserFires) {
     constexpr FiringTime kTimes[] = {
-        {"xt16", "XT16", 15.0, 0.368},
-        {"xt16", "XT16", -15.0, 45.728},
-        {"xt32m", "XT32M", 19.407, 0.368},
-        {"xt32m", "XT32M", -20.72, 43.688},
-        {"qt64", "QT64", -52.121, 12.31},
-        {"qt64", "QT64", 36.064, 129.6},
-        {"qt128", "QT128", -52.6268, 2.312 + 1000.0 / 9.0},
-        {"qt128", "QT128", 52.6268, 48.12},
-        {"vls128", "VLS-128", -25.0, 10.66},
+        {"xt16", "XT16", 15.0, 0.0},
+        {"xt16", "XT16", -15.0, 15 * 3.024},
+        {"xt32m", "XT32M", 19.407, 0.0},
+        {"xt32m", "XT32M", -20.72, 15 * 2.888},
+        {"qt64", "QT64", -52.121, 0.0},
+        {"qt64", "QT64", 36.064, 129.6 - 12.31},
+        {"qt128", "QT128", -52.6268, 2.312 - 0.6 + 1000.0 / 9.0},
+        {"qt128", "QT128", 52.6268, 48.12 - 0.6},
+        {"vls128", "VLS-128", -25.0, 4 * 2.665},
     };
     for (const FiringTime& time : kTimes) {
         SCOPED_TRACE(std::string(time.product) + " " + std::to_string(time.elevation_deg));
@@ -227,14 +227,14 @@ TEST(BlockPackets, Ot128) {
     EXPECT_EQ(packet.clock_ns, 1000000000);
     EXPECT_NEAR(packet.firings[0].azimuth_deg, 0.0, 1e-9);
     EXPECT_NEAR(packet.firings[1].azimuth_deg, 2.56, 1e-9);
-    EXPECT_NEAR(packet.firings[1].after_us, 43.346, 1e-9);
-    EXPECT_NEAR(packet.firings[0].after_us, 43.346 - 2 * 27.778, 1e-3);
+    EXPECT_NEAR(packet.firings[1].after_us, 43.346 + 2.378, 1e-9);
+    EXPECT_NEAR(packet.firings[0].after_us, 43.346 + 2.378 - 2 * 27.778, 1e-3);
     // laser 1 is the highest one; range values up to 3 are marks of the sensor
     EXPECT_EQ(packet.echoes[0][0].range_m, 0.0f);
     std::size_t n_returns = 0;
     for (std::size_t ring = 0; ring < 128; ++ring) n_returns += packet.echoes[ring][0].range_m > 0.0f;
     EXPECT_EQ(n_returns, 124u);
-    EXPECT_NEAR(all->timing().offset_us[0], 49.758, 1e-9);
+    EXPECT_NEAR(all->timing().offset_us[0], 49.758 - 2.378, 1e-9);
     // 29 lasers do not fire in state 0, 31 others do not fire in state 1
     EXPECT_EQ(states->timing().offset_us.size(), 256u - 29u - 31u);
     const packets::Packet half = states->decode(fine);
@@ -242,8 +242,8 @@ TEST(BlockPackets, Ot128) {
     EXPECT_EQ(half.firings[1].part, 1);
 }
 
-/// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth is
-/// 90 degrees in the first block and rises by 0.4 degrees per block.
+/// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth
+/// is 90 degrees in the first block and rises by 0.4 degrees per block.
 std::string rs16_packet() {
     std::string bytes("\x55\xaa\x05\x0a\x5a\xa5\x50\xa0", 8);
     bytes.resize(26);
