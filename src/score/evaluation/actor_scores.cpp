@@ -150,16 +150,19 @@ BoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& po
 ActorScores actor_scores(const RangeImage& rendered, const std::vector<float>& points_m,
                          const RangeImage& real, const Sequence& sequence, const SweepMoment& seen) {
     ActorScores scores;
-    const std::map<std::string, std::size_t> tails = points_in_tails(rendered, points_m, sequence, seen),
-                                             real_tails = points_in_tails(real, real.range_m, sequence, seen);
+    const TailCounts tails = count_tails(rendered, points_m, sequence, seen),
+                     real_tails = count_tails(real, real.range_m, sequence, seen);
+    if (tails.n_of_box.empty()) return scores;
+    scores.metrics["actors/tail_share"] = tails.share;
+    scores.metrics["actors/tail_share_real"] = real_tails.share;
     GroupErrors people, vehicles;
     for (const BoxTrack& box : sequence.boxes) {
-        if (!tails.contains(box.id)) continue;  // Boxes that do not move have no tail.
+        if (!tails.n_of_box.contains(box.id)) continue;  // Boxes that do not move have no tail.
         BoxPoints p;
         if (box.present(seen.time_s)) p = points_in_box(rendered, points_m, real, sequence, seen, box);
         scores.actors.push_back({box.id, box.category, scores_of_box(p)});
-        scores.actors.back().metrics["tail"] = double(tails.at(box.id));
-        scores.actors.back().metrics["tail_real"] = double(real_tails.at(box.id));
+        scores.actors.back().metrics["tail"] = double(tails.n_of_box.at(box.id));
+        scores.actors.back().metrics["tail_real"] = double(real_tails.n_of_box.at(box.id));
         if (p.real_m.size() < kFewest || box.category == kDiscoveredCategory) continue;
         (is_person(box) ? people : vehicles).add(p);
     }

@@ -16,7 +16,6 @@
 #include <relidar/run/stage_options.hpp>
 #include <relidar/score/metrics.hpp>
 #include "score/evaluation/actor_scores.hpp"
-#include "score/evaluation/tails.hpp"
 
 namespace relidar {
 namespace {
@@ -120,7 +119,6 @@ void add_actor_scores(std::vector<ScoredFrame>& frames, const Sequence& sequence
     for (ScoredFrame& frame : frames) {
         const SweepMoment sweep{frame.time_s, frame.lidar, frame.start};
         const RangeImage& rendered = frame.rendered.image;
-        frame.metrics.merge(tail_shares(rendered, frame.real, sequence, sweep));
         // The array is empty for a baseline, because a baseline has no point ranges.
         const std::vector<float>& points_m = point_ranges(frame.rendered, config);
         ActorScores scores = actor_scores(rendered, points_m.empty() ? rendered.range_m : points_m,

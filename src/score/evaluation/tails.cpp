@@ -64,8 +64,8 @@ struct Tail {
     }
 };
 
-Tail count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
-                 const std::vector<Swept>& swept, const SweepMoment& seen) {
+Tail sum_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
+               const std::vector<Swept>& swept, const SweepMoment& seen) {
     // Number of rays that one work item of the parallel loop processes.
     constexpr std::size_t kRays = 2048;
     const Pose& mounted = sequence.lidars[std::size_t(seen.lidar)].vehicle_from_sensor;
@@ -93,28 +93,18 @@ Tail count_tails(const RangeImage& image, const std::vector<float>& points_m, co
     });
 }
 
-double share(const Tail& tail) {
-    return tail.n_points > 0 ? double(tail.n_tail) / double(tail.n_points) : 0.0;
-}
-
 }  // namespace
 
-MetricRow tail_shares(const RangeImage& rendered, const RangeImage& real, const Sequence& sequence,
-                      const SweepMoment& seen) {
+TailCounts count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
+                       const SweepMoment& seen) {
     const std::vector<Swept> swept = swept_boxes(sequence);
     if (swept.empty()) return {};
-    return {{"actors/tail_share", share(count_tails(rendered, rendered.range_m, sequence, swept, seen))},
-            {"actors/tail_share_real", share(count_tails(real, real.range_m, sequence, swept, seen))}};
-}
-
-std::map<std::string, std::size_t> points_in_tails(const RangeImage& image,
-                                                   const std::vector<float>& points_m,
-                                                   const Sequence& sequence, const SweepMoment& seen) {
-    const std::vector<Swept> swept = swept_boxes(sequence);
-    const Tail tail = count_tails(image, points_m, sequence, swept, seen);
-    std::map<std::string, std::size_t> n_of_box;
-    for (std::size_t k = 0; k < tail.n_of_box.size(); ++k) n_of_box[swept[k].box->id] = tail.n_of_box[k];
-    return n_of_box;
+    const Tail tail = sum_tails(image, points_m, sequence, swept, seen);
+    TailCounts counts;
+    counts.share = double(tail.n_tail) / double(std::max<std::size_t>(tail.n_points, 1));
+    for (std::size_t k = 0; k < swept.size(); ++k)
+        counts.n_of_box[swept[k].box->id] = k < tail.n_of_box.size() ? tail.n_of_box[k] : 0;
+    return counts;
 }
 
 }  // namespace relidar

@@ -15,10 +15,10 @@ namespace {
 constexpr double kDegree = 0.017453292519943295;
 
 /// Adds typical errors of labels to all poses of a box: a drift of 10 cm along the track,
-/// jitter with a standard deviation of 2 cm, and a yaw that drifts by 2 degrees.
+/// jitter with a standard deviation of 5 cm, and a yaw that drifts by 2 degrees.
 BoxTrack with_label_errors(BoxTrack box, std::uint64_t seed) {
     std::mt19937_64 random(seed);
-    std::normal_distribution<double> jitter(0.0, 0.02);
+    std::normal_distribution<double> jitter(0.0, 0.05);
     PoseTrack& track = box.world_from_box;
     for (std::size_t k = 0; k < track.pose.size(); ++k) {
         const double phase = double(k) / double(track.pose.size());
