@@ -11,6 +11,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <cstdlib>
 
 #include <glm/glm.hpp>
 
@@ -51,6 +52,13 @@ glm::vec3 read_position(bag::ByteReader& reader, int kind) {
     return glm::vec3(range_m * glm::dvec3(std::sin(from_z_rad) * std::cos(azimuth_rad),
                                           std::sin(from_z_rad) * std::sin(azimuth_rad),
                                           std::cos(from_z_rad)));
+}
+
+/// Returns the time from the first to the second time, between -1 hour and 1 hour.
+std::int64_t time_between(std::int64_t first_ns, std::int64_t second_ns) {
+    constexpr std::int64_t kHour_ns = 3'600'000'000'000;
+    const auto passed_ns = std::int64_t(std::uint64_t(second_ns) - std::uint64_t(first_ns));
+    return std::clamp(passed_ns, -kHour_ns, kHour_ns);
 }
 
 /// Appends the points of a packet.
@@ -95,11 +103,10 @@ std::string livox_cloud(std::string_view packets, std::string_view frame) {
         const auto clock_ns = number_at<std::int64_t>(packet, kLivoxTimeAt);
         if (is_first) first_stamp_ns = stamp_ns, first_clock_ns = clock_ns;
         // uses the stamps of the capture if the clock of the sensor has jumped
-        std::int64_t after_ns = std::int64_t(std::uint64_t(clock_ns) - std::uint64_t(first_clock_ns));
-        const std::int64_t after_stamp_ns = stamp_ns - first_stamp_ns;
-        if (after_ns < after_stamp_ns - kLargestDrift_ns || after_ns > after_stamp_ns + kLargestDrift_ns)
-            after_ns = after_stamp_ns;
-        n_points += append_points(points, packet, after_ns);
+        const std::int64_t passed_ns = time_between(first_stamp_ns, stamp_ns);
+        const std::int64_t passed_clock_ns = time_between(first_clock_ns, clock_ns);
+        const bool has_jumped = std::abs(passed_clock_ns - passed_ns) > kLargestDrift_ns;
+        n_points += append_points(points, packet, has_jumped ? passed_ns : passed_clock_ns);
     }
     std::string message;
     append(message, std::uint32_t(0));

@@ -5,6 +5,7 @@
 // therefore compares with a head that does not turn, and checks the rotation with the
 // manuals.
 #include <cmath>
+#include <filesystem>
 #include <fstream>
 #include <optional>
 #include <sstream>
@@ -200,6 +201,31 @@ TEST(BlockPackets, AngleFilesHaveEachLaser) {
     EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,2,0\n3,1,0\n", "a.csv"), DataError);
     EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,95,0\n", "a.csv"), DataError);
     EXPECT_THROW(packets::read_correction("Channel,Elevation,Azimuth\n1,2,north\n", "a.csv"), DataError);
+}
+
+TEST(BlockPackets, AngleFilesNextToABag) {
+    namespace fs = std::filesystem;
+    const fs::path folder = fs::path(testing::TempDir()) / "angle_files";
+    fs::remove_all(folder);
+    fs::create_directories(folder / "drive");
+    const auto write = [&](const char* name, const char* text) { std::ofstream(folder / name) << text; };
+    const fs::path recording = folder / "drive" / "drive_0.db3";
+    write("drive/metadata.yaml", "");
+    write("poses.csv", "time,x,y\n1,2,3\n");
+    write("damaged.csv", "Laser id,Elevation,Azimuth\n1,2,north\n");
+    EXPECT_TRUE(packets::corrections_beside(recording).empty());
+    write("PandarXT.csv", "Channel,Elevation,Azimuth\n1,2,0\n2,1,0\n");
+    const auto any = packets::corrections_beside(recording);
+    ASSERT_EQ(any.size(), 1u);
+    EXPECT_EQ(any[0].where, "PandarXT.csv");
+    EXPECT_FALSE(any[0].is_named);
+    write("drive.csv", "Laser id,Elevation,Azimuth\n1,3,0\n");
+    const auto named = packets::corrections_beside(recording);
+    ASSERT_EQ(named.size(), 1u);
+    EXPECT_TRUE(named[0].is_named);
+    EXPECT_EQ(named[0].lasers.size(), 1u);
+    write("drive.csv", "Laser id,Elevation,Azimuth\n2,3,0\n");
+    EXPECT_THROW(packets::corrections_beside(recording), DataError);
 }
 
 /// Returns a packet of an OT128 with one return per laser. The range value of a laser is
