@@ -3,6 +3,7 @@
 // written here according to the specifications.
 #include "harness.hpp"
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <cstring>
@@ -17,6 +18,7 @@
 #include "base/bytes.hpp"
 #include "base/codecs/byte_reader.hpp"
 #include "log/readers/bag/messages.hpp"
+#include "log/readers/bag/packets/livox.hpp"
 #include "log/readers/bag/packets/ouster.hpp"
 #include "log/readers/bag/packets/packet_log.hpp"
 #include "log/readers/bag/packets/packet_messages.hpp"
@@ -337,7 +339,8 @@ void read_message(std::string_view input, const fs::path&) {
                                                                : "cdr"};
     const std::string_view bytes = input.substr(1);
     if (bag::use_of(topic) == bag::Use::cloud) {
-        bag::table_of(bag::read_cloud(topic, bytes));
+        const SharedBytes message = share_bytes(std::string(bytes));
+        bag::table_of(bag::read_cloud(topic, message.bytes), message);
     } else if (bag::use_of(topic) == bag::Use::packets) {
         bag::Header header;
         packets::PacketLog log;
@@ -406,14 +409,61 @@ void read_ousters(std::string_view input, const fs::path&) {
     read_turns(log, views);
 }
 
+/// First bytes and size of a packet of a product that consists of blocks.
+struct BlockPacket {
+    std::string_view head;
+    std::size_t bytes;
+};
+
+/// Returns inputs of eight packets of a product: the size of a packet (16 bits), then the
+/// packets.
+std::vector<std::string> block_seeds(const fs::path&) {
+    using namespace std::string_view_literals;
+    constexpr BlockPacket kPackets[] = {
+        {"\xee\xff\x06\x01\0\0\x10\x08\0\x04\x01\x01"sv, 568},   // XT16
+        {"\xee\xff\x06\x01\0\0\x20\x06\0\x05\x01\x01"sv, 820},   // XT32M
+        {"\xee\xff\x03\x01\0\0\x40\x04\0\x04\x01\x01"sv, 1072},  // QT64
+        {"\xee\xff\x03\x02\0\0\x80\x02\0\x04\x01\x05"sv, 1095},  // QT128
+        {"\xee\xff\x01\x04\0\0\x80\x02\0\x04\x01\x07"sv, 861},   // OT128
+        {"\x55\xaa\x05\x0a\x5a\xa5\x50\xa0\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1\1"sv,
+         1248},                                       // RS-LiDAR-16
+        {"\0\x64\0\x10\x27\x20\0\0\0\0\x01"sv, 484},  // Livox, 32 points
+    };
+    std::vector<std::string> seeds;
+    for (const BlockPacket& packet : kPackets) {
+        std::string seed;
+        append(seed, std::uint16_t(packet.bytes));
+        for (int k = 0; k < 8; ++k)
+            seed.append(packet.head).append(packet.bytes - packet.head.size(), char(k));
+        seeds.push_back(seed);
+    }
+    return seeds;
+}
+
+void read_blocks(std::string_view input, const fs::path&) {
+    constexpr std::size_t kMostPackets = 64;
+    bag::ByteReader reader(input);
+    const std::size_t bytes = std::max<std::size_t>(reader.number<std::uint16_t>(), 1);
+    std::vector<packets::PacketView> views;
+    std::string run;
+    while (reader.left() >= bytes && views.size() < kMostPackets) {
+        const std::int64_t stamp_ns = std::int64_t(views.size()) * 50000000;
+        views.push_back({stamp_ns, reader.take(bytes)});
+        append(run, stamp_ns);
+        run += sized(views.back().bytes);
+    }
+    packets::livox_cloud(run, "livox");
+    packets::PacketLog log;
+    log.add(views, 0, {}, {});
+    read_turns(log, views);
+}
+
 }  // namespace
 
 std::vector<Harness> bag_harnesses() {
-    return {{"mcap", mcap_seeds, read_mcap},
-            {"ros1", ros1_seeds, read_ros1},
-            {"db3", db3_seeds, read_db3},
-            {"message", message_seeds, read_message},
-            {"ouster", ouster_seeds, read_ousters}};
+    return {{"mcap", mcap_seeds, read_mcap},        {"ros1", ros1_seeds, read_ros1},
+            {"db3", db3_seeds, read_db3},           {"message", message_seeds, read_message},
+            {"ouster", ouster_seeds, read_ousters}, {"blocks", block_seeds, read_blocks, false}};
 }
 
 }  // namespace relidar::fuzz

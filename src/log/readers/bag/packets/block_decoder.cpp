@@ -51,6 +51,22 @@ struct BlockBeam {
     double offset_us = 0.0;      ///< time from the start of the first firing sequence
 };
 
+/// Adds a return of a ray. A third return replaces the darker one of the first two if it
+/// is brighter and has another range.
+/// @param number  number of the return in the packet, from 0
+void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo) {
+    if (number < 2) {
+        echoes[number] = echo;
+        return;
+    }
+    if (echo.range_m == echoes[0].range_m || echo.range_m == echoes[1].range_m) return;
+    Echo& other =
+        echoes[0].range_m == 0.0f || (echoes[1].range_m != 0.0f && echoes[0].intensity < echoes[1].intensity)
+            ? echoes[0]
+            : echoes[1];
+    if (other.range_m == 0.0f || other.intensity < echo.intensity) other = echo;
+}
+
 class BlockDecoder : public Decoder {
 public:
     BlockDecoder(const Layout& layout, const std::vector<Correction>& corrections) : layout_(layout) {
@@ -96,8 +112,7 @@ public:
         Packet packet;
         packet.clock_ns = read_clock(bytes);
         const auto mode = layout_.mode_at > 0 ? std::uint8_t(bytes[layout_.mode_at]) : std::uint8_t(0);
-        if (mode == kTriple) throw DataError("a packet of three returns, expected one or two");
-        const std::size_t n_returns = mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
+        const std::size_t n_returns = mode == kTriple ? 3 : mode >= kFirstDual && mode <= kLastDual ? 2 : 1;
         const double unit_m =
             layout_.range_unit_m > 0.0 ? layout_.range_unit_m : 1e-3 * std::uint8_t(bytes[layout_.unit_at]);
         const std::size_t n_joined = layout_.banks * n_returns;  // blocks of the same firing
@@ -215,7 +230,8 @@ private:
             const auto range = read_short(unit);
             const auto reflectivity = unit.number<std::uint8_t>();
             if (rings[laser] == kNoRing || range <= layout_.last_marker) continue;
-            echoes[rings[laser]][number] = {float(unit_m * double(range)), float(reflectivity) / 255.0f};
+            add_echo(echoes[rings[laser]], number,
+                     {float(unit_m * double(range)), float(reflectivity) / 255.0f});
         }
     }
 

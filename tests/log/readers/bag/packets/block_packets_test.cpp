@@ -268,6 +268,33 @@ TEST(BlockPackets, Ot128) {
     EXPECT_EQ(half.firings[1].part, 1);
 }
 
+TEST(BlockPackets, TheTwoBrightestOfThreeReturns) {
+    std::string bytes = read_recorded("xt32m").packets.at(0);
+    bytes[802] = '\x3d';  // three returns
+    constexpr std::size_t kBlock = 2 + 32 * 4;
+    const auto set = [&](int block, int laser, int range, int reflectivity) {
+        char* unit = &bytes[12 + std::size_t(block) * kBlock + 2 + std::size_t(laser) * 4];
+        unit[0] = char(range & 255), unit[1] = char(range >> 8), unit[2] = char(reflectivity);
+    };
+    const int returns[3][3][2] = {{{1000, 10}, {1200, 30}, {1400, 20}},  // the first is the darkest
+                                  {{1000, 30}, {1200, 20}, {1200, 25}},  // two are the same
+                                  {{0, 0}, {0, 0}, {1400, 20}}};         // the third alone
+    for (int laser = 0; laser < 3; ++laser)
+        for (int block = 0; block < 3; ++block)
+            set(block, laser, returns[laser][block][0], returns[laser][block][1]);
+    const auto decoder = make_decoder(bytes, "XT32M");
+    ASSERT_TRUE(decoder);
+    const packets::Packet packet = decoder->decode(bytes);
+    ASSERT_EQ(packet.firings.size(), 2u);
+    const double unit_m = 0.005;
+    EXPECT_NEAR(packet.echoes[0][0].range_m, unit_m * 1400, 1e-6);
+    EXPECT_NEAR(packet.echoes[0][1].range_m, unit_m * 1200, 1e-6);
+    EXPECT_NEAR(packet.echoes[1][0].range_m, unit_m * 1000, 1e-6);
+    EXPECT_NEAR(packet.echoes[1][1].range_m, unit_m * 1200, 1e-6);
+    EXPECT_NEAR(packet.echoes[2][0].range_m, unit_m * 1400, 1e-6);
+    EXPECT_EQ(packet.echoes[2][1].range_m, 0.0f);
+}
+
 /// Returns a packet of an RS-LiDAR-16, written byte by byte from the manual. The azimuth
 /// is 90 degrees in the first block and rises by 0.4 degrees per block.
 std::string rs16_packet() {
