@@ -8,18 +8,18 @@
 //     strongest (or second strongest) one.
 //   Velodyne VLS-128 (63-9483): as above, but four blocks, marked FF EE, FF DD, FF CC and FF BB,
 //     contain the 128 lasers of a firing.
-//   RoboSense RS-LiDAR-16 (user manual, "MSOP"): a header of 42 bytes, then 12 blocks like
-//     those of a VLP-16, with the highest byte of a number first. Only packets of one
-//     return are read. With two returns, a block has one firing.
+//   RoboSense RS-LiDAR-16 (user manual, "MSOP"): a header of 42 bytes, then the 12 blocks
+//     of a VLP-16, with the highest byte of each number first. Packets with two returns
+//     have another layout and are not supported.
 //   Hesai Pandar40P, Pandar64, PandarXT-16 and 32, XT32M2X, PandarQT, QT128C2X and OT128
 //     (user manuals, "Point cloud data packet" and the appendix on absolute time): the
 //     packet's time, in microseconds of its second, follows the firings. The last block
-//     begins at a fixed time from it (PandarQT: the first block). Azimuth 0 is the y
-//     axis.
+//     starts at a fixed time from the packet's time (PandarQT: the first block). Azimuth
+//     0 is the y axis.
 //
-// The head turns while the lasers of a block fire one after another. The azimuth of a
-// laser is therefore the azimuth of its block, plus the laser's angle, plus the rotation
-// until it fires (manuals, "Analyze the horizontal angle of a data point").
+// The head turns while the lasers of a block fire in sequence. The azimuth of a laser is
+// therefore the azimuth of its block, plus the laser's angle, plus the rotation until it
+// fires (manuals, "Analyze the horizontal angle of a data point").
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -47,12 +47,12 @@ struct BlockBeam {
     std::size_t laser = 0;       ///< index of the laser in a firing
     std::size_t part = 0;        ///< index of the firing sequence
     std::size_t line = 0;        ///< line of the laser in the sensor's beam table
-    double elevation_deg = 0.0;  ///< elevation from the file of the unit; 0 if there is no file
+    double elevation_deg = 0.0;  ///< elevation from the file of the unit; 0 without a file
     double offset_us = 0.0;      ///< time from the start of the first firing sequence
 };
 
 /// Adds a return of a ray. A third return replaces the darker one of the first two if it
-/// is brighter and has another range.
+/// is brighter and has a different range.
 /// @param number  number of the return in the packet, from 0
 void add_echo(std::array<Echo, 2>& echoes, std::size_t number, const Echo& echo) {
     if (number < 2) {

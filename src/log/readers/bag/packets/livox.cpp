@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// A packet has a header of 36 bytes, then points of one of these kinds (protocol of Livox
-// SDK2, "point cloud data"):
+// A packet has a header of 36 bytes, then points of a kind in this list (protocol of
+// Livox SDK2, "point cloud data"):
 //   1: x y z int32 in mm, reflectivity, tag
 //   2: x y z int16 in cm, reflectivity, tag
 //   3: range uint32 in mm, angle from the z axis and azimuth uint16 in 0.01 degrees,

@@ -11,12 +11,12 @@ namespace relidar::packets {
 
 /// Encoding and type of the clouds that livox_cloud() returns.
 inline constexpr const char *kLivoxEncoding = "ros1", *kLivoxType = "livox_ros_driver2/CustomMsg";
-/// A cloud is complete when its packets span this time. The next packet begins another
-/// cloud, about 0.1 s after this one.
+/// A cloud is complete when its packets span this time. The next cloud then starts about
+/// 0.1 s after this cloud.
 inline constexpr std::int64_t kLivoxCloud_ns = 99'000'000;
 inline constexpr std::size_t kMostLivoxPackets = 4096;  ///< maximum number of packets in a cloud
 
-/// Returns true if the bytes are a packet with points. Packets of the IMU have none.
+/// Returns true if the bytes are a packet with points. Packets of the IMU have no points.
 bool is_livox(std::string_view bytes);
 
 /// Returns the cloud of a list of packets, as a message of the driver in the encoding of
