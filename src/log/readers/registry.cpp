@@ -13,6 +13,7 @@
 #include <relidar/log/clouds.hpp>
 #include "base/files.hpp"
 #include "base/parallel.hpp"
+#include "log/clouds/far_marker.hpp"
 #include "log/clouds/log_files.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/readers/argoverse2/argoverse2.hpp"
@@ -358,6 +359,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     check_gaps(sequence);
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
     find_sweeps(sequence);
+    drop_far_marker(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
     note_missing_intensities(sequence);
     return sequence;
