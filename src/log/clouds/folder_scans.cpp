@@ -16,11 +16,13 @@
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
 #include "log/clouds/dropped_ray.hpp"
+#include "log/clouds/file_order.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/head_spins.hpp"
 #include "log/clouds/point_meaning.hpp"
 #include "log/clouds/scan_npz.hpp"
+#include "log/clouds/thinned_cloud.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -49,6 +51,8 @@ struct Plan {
     bool undo = false;                          ///< true: motion compensation is undone
     /// [rings] beam of each ring; kNoBeam: points of the ring are ignored
     std::vector<std::uint16_t> beam_of_ring;
+    /// order of the points in the files, if it shows the rings that points do not have
+    std::optional<FileOrder> order;
 };
 
 /// Reads the scans of a folder from their files.
@@ -125,7 +129,8 @@ public:
             frame.scan = unordered_scan(points);
             return;
         }
-        if (plan.has_rings) points = renumbered(points, plan, i);
+        if (plan.order) plan.order->set_rings(points);
+        if (plan.has_rings || plan.order) points = renumbered(points, plan, i);
         else recover_rings(points, sensor.beams);
         frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
         n_first_[i] = count_first_returns(points);
@@ -250,25 +255,24 @@ private:
     void fit_beams(std::size_t l, std::vector<Points>& samples) {
         Plan& plan = plans_[l];
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
-        if (!plan.has_rings) {
-            const std::vector<Beam> beams = find_beams(samples);
-            if (beams.empty()) {
-                note(l,
-                     "points have no rings, and their elevations show none: rays that were dropped are "
-                     "unknown, and so is the order of an "
-                     "image");
-                return;
-            }
-            for (Points& sample : samples) recover_rings(sample, beams);
+        if (!plan.has_rings && !find_rings(l, samples)) {
+            note(l,
+                 "points have no rings, and neither their order nor their elevations show them: rays that "
+                 "were dropped are unknown, and so is the order of an image" +
+                     way_out(l));
+            return;
         }
         const double step_s = sensor.period_s;
         std::optional<SpinningSensor> found = fitted(l, samples, step_s);
-        if (const std::string why = found ? why_no_head(samples, *found, step_s) : ""; !why.empty()) {
+        std::string why = found ? why_no_head(samples, *found, step_s) : "";
+        if (found && why.empty() && !plan.has_rings) why = why_thinned(samples, *found);
+        if (!why.empty()) {
             note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays "
-                                "that were dropped are unknown",
-                                why));
+                                "that were dropped are unknown{}",
+                                why, plan.has_rings ? "" : way_out(l)));
             found = std::nullopt;
         }
+        if (!found) plan.order.reset();
         if (!found) return;
         found->name = sensor.name;
         found->min_range_m = sensor.min_range_m;
@@ -277,7 +281,30 @@ private:
         sensor = *found;
         plan.ordered = true;
         note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found->beams.size(),
-                            found->columns, plan.has_rings ? "" : ", which have no rings"));
+                            found->columns,
+                            plan.order        ? ", which have no rings; their order in the file shows them"
+                            : !plan.has_rings ? ", which have no rings"
+                                              : ""));
+    }
+
+    /// Sets the rings of samples without rings. Returns false if their order and their
+    /// elevations show no rings.
+    bool find_rings(std::size_t l, std::vector<Points>& samples) {
+        if (const FileOrder order(samples); order.shows_rings()) {
+            for (Points& sample : samples) order.set_rings(sample);
+            plans_[l].order = order;
+            return true;
+        }
+        const std::vector<Beam> beams = find_beams(samples);
+        if (beams.empty()) return false;
+        for (Points& sample : samples) recover_rings(sample, beams);
+        return true;
+    }
+
+    /// Returns the hint that a user can state the sensor of a plain folder.
+    std::string way_out(std::size_t l) const {
+        return head_.lidars[l].is_guessed ? ""
+                                          : "; \"sensor\" of the LiDAR in sequence.json states its beams";
     }
 
     std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<Points>& samples, double period_s) {

@@ -62,11 +62,10 @@ void list_unread(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
     for (const PointTable& cloud : clouds)
         for (const std::string& name : cloud.unread) unread.insert(excerpt(name));
     if (unread.empty()) return;
-    meaning.notes.push_back(fmt::format("fields of the points that are not read: {} (intensities: {})",
-                                        fmt::join(unread, ", "),
-                                        meaning.intensity_field.empty()
-                                            ? "none, because no field has a name for them"
-                                            : "'" + excerpt(meaning.intensity_field) + "'"));
+    meaning.notes.push_back(
+        fmt::format("fields of the points that are not read: {} (intensities: {})", fmt::join(unread, ", "),
+                    meaning.intensity_field.empty() ? "none, because no field has a name for them"
+                                                    : "'" + excerpt(meaning.intensity_field) + "'"));
 }
 
 /// Returns the position that many points of a cloud share exactly.

@@ -15,9 +15,9 @@ namespace relidar::folder {
 
 /// Scale of intensities.
 struct IntensityScale {
-    double max = 1.0;      ///< intensity that becomes 1
-    bool is_sure = true;   ///< false: other scales explain the values equally well
-    std::string about;     ///< description for a note; empty if the scale is 0 to 1
+    double max = 1.0;     ///< intensity that becomes 1
+    bool is_sure = true;  ///< false: other scales explain the values equally well
+    std::string about;    ///< description for a note; empty if the scale is 0 to 1
 };
 /// Estimates the scale from some intensities. The scale is 1, or 255, or a value that
 /// only a few intensities exceed. The order of the values changes.

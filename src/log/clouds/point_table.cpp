@@ -14,6 +14,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/files.hpp"
+#include "log/clouds/other_formats.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -77,6 +78,10 @@ std::size_t find_name(std::string_view name) {
 std::size_t row_of_field(std::string_view field) {
     std::string name(trimmed(field));
     std::ranges::transform(name, name.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+    // VeloView and ParaView write coordinates as elements of a vector.
+    for (const char axis : {'0', '1', '2'})
+        if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
+            return std::size_t(axis - '0');
     std::string_view rest = name;
     rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
     for (const std::string_view prefix : kPrefixes)
@@ -119,10 +124,14 @@ PointTable read_bin(const fs::path& file, const std::vector<std::string>& column
         throw DataError(
             fmt::format("{}: {} bytes, expected a multiple of {}: {} float32 a point (\"columns\")",
                         file.string(), n_bytes, record, fields.size()));
-    return read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
+    PointTable table = read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
+    table.unread.clear();  // read_head() reports the columns that are not read
+    return table;
 }
 
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& columns) {
+    if (const SharedBytes bytes = share_bytes(read_file(file)); is_structured_npy(bytes.bytes))
+        return read_structured_npy(bytes, file.string());
     NamedArray array = read_npy(file);
     if (array.shape.size() != 2 || array.shape[1] != columns.size())
         throw DataError(fmt::format(
@@ -144,7 +153,6 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
         if (is_point_field(columns[c]))
             table.add(columns[c], {known->type, first + c * known->size, columns.size() * known->size},
                       file.string());
-        else table.unread.push_back(columns[c]);
     return table;
 }
 
@@ -248,7 +256,8 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
 
 bool is_point_file(const fs::path& file) {
     const std::string ending = file.extension().string();
-    return ending == ".pcd" || ending == ".ply" || ending == ".bin" || ending == ".npy";
+    return ending == ".pcd" || ending == ".ply" || ending == ".bin" || ending == ".npy" || ending == ".csv" ||
+           ending == ".xyz";
 }
 
 bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || file.extension() == ".exr"; }
@@ -281,8 +290,13 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     if (ending == ".npy") return read_npy_points(file, columns.empty() ? kKitti : columns);
     if (ending == ".pcd") return read_with_header(file, read_pcd);
     if (ending == ".ply") return read_with_header(file, read_ply);
-    throw DataError(fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin or .npy",
-                                file.string(), excerpt(ending)));
+    if (ending == ".csv" || ending == ".xyz")
+        return read_text_points(share_bytes(read_file(file)), columns, file.string());
+    if (const std::string other = describe_other_format(file); !other.empty())
+        throw DataError(fmt::format("{}: {}", file.string(), other));
+    throw DataError(
+        fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .csv or .xyz",
+                    file.string(), excerpt(ending)));
 }
 
 }  // namespace relidar::folder

@@ -165,4 +165,15 @@ PointTable read_point_file(const std::filesystem::path& file, const std::vector<
 PointTable read_pcd(const SharedBytes& file, const std::string& where);
 PointTable read_ply(const SharedBytes& file, const std::string& where);
 
+/// Reads lines of numbers that are separated by blanks, commas or semicolons. The first
+/// line may have the names of the fields.
+/// @param columns  names of the fields if the file has no header; empty: x y z, or x y z
+/// intensity
+PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
+                            const std::string& where);
+
+/// Returns true for the bytes of a .npy file whose elements have named fields.
+bool is_structured_npy(std::string_view bytes);
+PointTable read_structured_npy(const SharedBytes& file, const std::string& where);
+
 }  // namespace relidar::folder

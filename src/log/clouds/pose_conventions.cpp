@@ -13,13 +13,14 @@
 namespace relidar::folder {
 namespace {
 
-// A vehicle drives forward if the mean component of its steps along its x axis is at least
-// this large.
+// A vehicle drives forward if the mean component of its steps along its x axis is at
+// least this large.
 constexpr double kForward = 0.9;
-// Minimum advantage of another reading: of the mean forward component, and of the overlap.
+// Minimum advantage of another reading: of the mean forward component, and of the
+// overlap.
 constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
-constexpr std::size_t kFewestSteps = 3;  // minimum number of steps that show the motion
-constexpr double kCell_m = 0.5;          // edge length of the cells for the overlap
+constexpr std::size_t kFewestSteps = 3;          // minimum number of steps that show the motion
+constexpr double kCell_m = 0.5;                  // edge length of the cells for the overlap
 constexpr float kNear_m = 3.0f, kFar_m = 40.0f;  // range of the points that are compared
 
 bool is_compared(const glm::vec3& point_m) {
@@ -77,10 +78,11 @@ std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadP
         best_overlap = overlap;
     }
     if (best > 0)
-        notes.push_back(fmt::format(
-            "{}: poses are read as {}: the vehicle then drives forward by {:.2f} on average, and by {:.2f} if "
-            "they are read as {}",
-            where, readings[best].about, forward[best], forward[0], readings[0].about));
+        notes.push_back(
+            fmt::format("{}: poses are read as {}: the vehicle then drives forward by {:.2f} on average, and "
+                        "by {:.2f} if "
+                        "they are read as {}",
+                        where, readings[best].about, forward[best], forward[0], readings[0].about));
     return best;
 }
 

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Decides what the numbers of a pose file mean. Programs write the same poses with another
-// order of the quaternion, in degrees, or as the inverse transform. Under the right
-// reading, a vehicle drives along its x axis, and the scans agree.
+// Decides what the numbers of a pose file mean. Programs write the same poses with
+// another order of the quaternion, in degrees, or as the inverse transform. Under the
+// right reading, a vehicle drives along its x axis, and the scans agree.
 #pragma once
 
 #include <functional>
@@ -27,10 +27,11 @@ class ScanPairs {
 public:
     /// Adds two scans of the same LiDAR.
     /// @param points_m  positions in the vehicle frame
-    void add(double first_s, std::vector<glm::vec3> first_m, double second_s, std::vector<glm::vec3> second_m);
+    void add(double first_s, std::vector<glm::vec3> first_m, double second_s,
+             std::vector<glm::vec3> second_m);
     bool empty() const { return pairs_.empty(); }
-    /// Returns the share of points of each second scan that have a point of the first scan
-    /// in the same cell of the world.
+    /// Returns the share of points of each second scan that have a point of the first
+    /// scan in the same cell.
     double overlap(const PoseTrack& world_from_vehicle) const;
 
 private:
@@ -47,7 +48,7 @@ using ReadPairs = std::function<ScanPairs()>;
 /// Returns 0, the documented reading, unless another one is clearly better. Adds a note
 /// if it is not the documented reading.
 /// @param readings  at least one
-/// @param read_pairs  reads pairs of scans; only called if the motion does not support the
+/// @param read_pairs  reads pairs of scans; called if the motion does not support the
 /// documented reading. May be null.
 /// @param where  file for the note
 std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,

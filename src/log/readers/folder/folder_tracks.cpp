@@ -168,7 +168,8 @@ std::vector<PoseReading> readings_of(const PoseRows& rows) {
         const bool are_degrees = std::ranges::any_of(rows.rows, [](const Row& r) {
             return std::max({std::abs(r[4]), std::abs(r[5]), std::abs(r[6])}) > 2.0 * kPi;
         });
-        if (are_degrees) readings.erase(readings.begin());
+        if (are_degrees) std::swap(readings[0], readings[1]);
+        if (are_degrees) readings.pop_back();
     }
     return with_inverses(std::move(readings));
 }
