@@ -14,7 +14,7 @@ namespace {
 // end of a ring and the start of the next ring.
 constexpr double kBack_rad = 3.0 * kPi / 180.0;
 constexpr double kMostlyOneWay = 0.9;  // minimum share of the steps in the direction of the ring
-constexpr std::size_t kStride = 4;  // every fourth point is used to find the start of the rings
+constexpr std::size_t kStride = 4;     // every fourth point is used to find the start of the rings
 constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
 // minimum share of neighbouring rings whose elevations change in the usual direction
 constexpr double kSorted = 0.9;
@@ -69,7 +69,8 @@ std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, doubl
     std::vector<std::uint16_t> turns;
     turns.reserve(turned.size());
     double first_turn = INFINITY;
-    for (const double t : turned) first_turn = std::min(first_turn, std::floor((t - first_rad) / (2.0 * kPi)));
+    for (const double t : turned)
+        first_turn = std::min(first_turn, std::floor((t - first_rad) / (2.0 * kPi)));
     int last = 0;
     for (const double t : turned) {
         // A point that is rounded across the start of the next ring does not go back.
@@ -159,7 +160,8 @@ bool are_rings(const Points& points, const std::vector<std::uint16_t>& ring,
         n_up += step > 0.0, n_down += step < 0.0;
         if (std::isfinite(step)) steps.push_back(std::abs(step));
     }
-    if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(elevations.size() - 1)) return false;
+    if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(elevations.size() - 1))
+        return false;
     return spread_in_rings(points, ring, elevations) < kInRing * median_of(steps);
 }
 
@@ -195,7 +197,8 @@ void FileOrder::set_rings(Points& points) const {
     for (const double elevation : elevations) {
         std::size_t best = 0;
         for (std::size_t r = 0; r < n_rings(); ++r)
-            if (std::abs(elevation_rad_[r] - elevation) < std::abs(elevation_rad_[best] - elevation)) best = r;
+            if (std::abs(elevation_rad_[r] - elevation) < std::abs(elevation_rad_[best] - elevation))
+                best = r;
         nearest.push_back(std::uint16_t(best));
     }
     for (std::uint16_t& ring : points.ring) ring = nearest[ring];

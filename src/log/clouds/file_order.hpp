@@ -24,8 +24,8 @@ public:
     void set_rings(Points& points) const;
 
 private:
-    double first_azimuth_rad_ = 0.0;  ///< azimuth at which the rings begin
-    double turning_ = 1.0;            ///< 1: the azimuth increases along a ring; -1: it decreases
+    double first_azimuth_rad_ = 0.0;     ///< azimuth at which the rings begin
+    double turning_ = 1.0;               ///< 1: the azimuth increases along a ring; -1: it decreases
     std::vector<double> elevation_rad_;  ///< [rings] median elevation of the far points
 };
 

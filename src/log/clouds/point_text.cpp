@@ -43,9 +43,10 @@ std::vector<PointField> fields_without_header(std::size_t n, const std::vector<s
     if (columns.size() == n) return fields_named(columns);
     if (columns.empty() && n == 3) return fields_named({"x", "y", "z"});
     if (columns.empty() && n == 4) return fields_named({"x", "y", "z", "intensity"});
-    throw DataError(fmt::format("{}: {} numbers a line without a header, expected names in the first line, or "
-                                "\"columns\" in sequence.json",
-                                where, n));
+    throw DataError(
+        fmt::format("{}: {} numbers a line without a header, expected names in the first line, or "
+                    "\"columns\" in sequence.json",
+                    where, n));
 }
 
 /// Parses the list of fields in the header of a structured array: [('x', '<f4'), ...].
@@ -118,8 +119,8 @@ private:
         const auto size = parse_number(std::string_view(type).substr(std::min<std::size_t>(2, type.size())));
         if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
         if (type[0] == '>')
-            throw DataError(fmt::format("{}: field '{}' is big-endian, expected little-endian", where_,
-                                        excerpt(name)));
+            throw DataError(
+                fmt::format("{}: field '{}' is big-endian, expected little-endian", where_, excerpt(name)));
         if (type[1] == 'V' || name.empty()) return {std::string(kPadding), 'U', 1, std::size_t(*size)};
         const char kind = type[1] == 'f' ? 'F' : type[1] == 'i' ? 'I' : 'U';
         return {name, kind, std::size_t(*size)};
@@ -131,7 +132,8 @@ private:
 PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
                             const std::string& where) {
     std::string text(file.bytes);
-    std::ranges::replace_if(text, [](char c) { return c == ',' || c == ';' || c == '\r' || c == '\t'; }, ' ');
+    std::ranges::replace_if(
+        text, [](char c) { return c == ',' || c == ';' || c == '\r' || c == '\t'; }, ' ');
     std::string_view rest = trimmed(text);
     const auto first_line = [&] { return rest.substr(0, std::min(rest.find('\n'), rest.size())); };
     const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
@@ -155,7 +157,8 @@ PointTable read_text_points(const SharedBytes& file, const std::vector<std::stri
 bool is_structured_npy(std::string_view bytes) {
     const std::string_view header = bytes.substr(0, 256);
     const std::size_t at = header.find("'descr':");
-    return header.starts_with("\x93NUMPY") && at != header.npos && trimmed(header.substr(at + 8)).starts_with('[');
+    return header.starts_with("\x93NUMPY") && at != header.npos &&
+           trimmed(header.substr(at + 8)).starts_with('[');
 }
 
 PointTable read_structured_npy(const SharedBytes& file, const std::string& where) {

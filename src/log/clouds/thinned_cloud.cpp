@@ -9,7 +9,7 @@
 namespace relidar {
 namespace {
 
-constexpr double kFewFilled = 0.3;   // minimum share of rays with a return in a complete cloud
+constexpr double kFewFilled = 0.3;    // minimum share of rays with a return in a complete cloud
 constexpr double kFewRegular = 0.78;  // minimum share of regular steps in a complete cloud
 constexpr double kRegular = 1.5;      // maximum ratio of a regular step to the median step
 // limits of a step between neighbouring points
@@ -19,7 +19,8 @@ constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
 double regular_share(const Points& scan) {
     std::vector<std::pair<std::uint16_t, double>> places;  // ring and azimuth
     for (std::size_t i = 0; i < scan.size(); ++i)
-        places.emplace_back(scan.ring[i], std::atan2(double(scan.position_m[i].y), double(scan.position_m[i].x)));
+        places.emplace_back(scan.ring[i],
+                            std::atan2(double(scan.position_m[i].y), double(scan.position_m[i].x)));
     std::ranges::sort(places);
     std::vector<double> steps;
     for (std::size_t i = 1; i < places.size(); ++i) {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Writes a log of point files in a format that the test chooses, and compares what is read
+// Writes a log of point files in a format that the test chooses. Compares what is read
 // with the street that the points come from.
 #pragma once
 
@@ -49,7 +49,7 @@ struct PointLog {
         }
         write_text(folder / "poses.txt", poses);
         write_text(folder / "sequence.json",
-                         "{\"format\": \"relidar log\", \"version\": 1, \"rate_hz\": 10" + members + "}");
+                   "{\"format\": \"relidar log\", \"version\": 1, \"rate_hz\": 10" + members + "}");
     }
 
     static FilePoints points(const Frame& frame) {
