@@ -23,7 +23,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy"};
+constexpr const char* kEndings[] = {"pcd", "ply", "bin", "npy", "csv"};
 constexpr std::string_view kParting = "\n=====\n";
 
 /// Returns 16 beams x 40 columns on a cylinder.
@@ -46,12 +46,19 @@ std::vector<std::string> point_seeds(const fs::path&) {
     add(0, test::pcd_text(some)), add(0, test::pcd_binary(some)), add(0, test::pcd_compressed(some));
     add(1, test::ply_text(some)), add(1, test::ply_binary(some));
     add(2, test::bin(some)), add(3, test::npy(some));
+    std::string fields =
+        "{'descr': [('x', '<f4'), ('y', '<f4'), ('z', '<f4'), ('', '|V2'), ('ring', '<u2'), ('n', '<f4', "
+        "(3,))], "
+        "'fortran_order': False, 'shape': (2,), }";
+    fields.resize(166, ' ');
+    add(3, std::string("\x93NUMPY\x01\x00\xA6\x00", 10) + fields + std::string(2 * 28, '\1'));
+    add(4, "//X;Y;Z;scalar_intensity\n1;2;3;4\n5;6;7;8\n");
     return seeds;
 }
 
 void read_points(std::string_view input, const fs::path& folder) {
     if (input.empty()) return;
-    const char* ending = kEndings[static_cast<unsigned char>(input[0]) % 4];
+    const char* ending = kEndings[static_cast<unsigned char>(input[0]) % 5];
     const fs::path file = folder / fmt::format("scan.{}", ending);
     put(file, input.substr(1));
     std::vector<std::string> columns = {"x", "y", "z", "intensity", "ring"};

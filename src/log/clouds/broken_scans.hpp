@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Handles scans that cannot be read. By default, the first such scan is an error. With
-// dataset.skip_broken, such scans are skipped with a note.
+// dataset.skip_broken, such scans are skipped with a note. Scans that can be read but are
+// incomplete are always skipped with a note.
 #pragma once
 
 #include <cstddef>
@@ -34,6 +35,9 @@ public:
     }
 
     bool has(std::size_t i) const;
+    /// Marks scan i as broken, even if broken scans are an error. Used for scans that can
+    /// be read but are incomplete. Their missing points would become dropped rays.
+    void add(std::size_t i, const std::string& reason);
     std::size_t size() const { return reasons_.size(); }
 
     /// Adds a note to the log for each broken scan.
@@ -52,8 +56,6 @@ private:
     const bool skip_;
     mutable std::mutex lock_;
     std::map<std::size_t, std::string> reasons_;
-
-    void add(std::size_t i, const std::string& reason);
 };
 
 }  // namespace relidar

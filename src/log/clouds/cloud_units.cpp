@@ -84,33 +84,13 @@ void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, dou
                             span, step_s);
 }
 
-void find_intensity(CloudUnits& units, const std::vector<folder::PointTable>& clouds) {
-    std::vector<double> values;
-    for (const folder::PointTable& cloud : clouds)
-        if (const folder::FieldValues* intensity = cloud.find(folder::PointValue::intensity))
-            intensity->visit([&](const auto& intensity_at) {
-                for (std::size_t i = 0; i < cloud.n; ++i)
-                    if (const auto v = double(intensity_at(i)); std::isfinite(v)) values.push_back(v);
-            });
-    if (values.empty()) return;
-    const double brightest = std::ranges::max(values);
-    units.intensity_max = brightest <= 1.0 ? 1.0 : 255.0;
-    if (brightest <= 255.0) return;
-    const auto at = values.begin() + std::ptrdiff_t(0.995 * double(values.size() - 1));
-    std::nth_element(values.begin(), at, values.end());
-    units.intensity_max = std::max(*at, 1.0);
-    units.about +=
-        fmt::format("{}intensities up to {:.4g}: {:.4g}, above which 0.5 % of the points are, counts as 1",
-                    units.about.empty() ? "" : "; ", brightest, units.intensity_max);
-}
-
 }  // namespace
 
 CloudUnits find_units(const std::vector<folder::PointTable>& clouds, const std::vector<double>& stamps_s,
                       double step_s) {
     CloudUnits units;
     find_time_unit(units, ranges_of(clouds, stamps_s), step_s);
-    find_intensity(units, clouds);
+    units.meaning = folder::find_meaning(clouds);
     return units;
 }
 

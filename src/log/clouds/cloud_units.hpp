@@ -6,8 +6,7 @@
 #include <string>
 #include <vector>
 
-#include "log/clouds/folder_head.hpp"
-#include "log/readers/bag/survey.hpp"
+#include "log/clouds/point_meaning.hpp"
 
 namespace relidar::bag {
 
@@ -26,8 +25,8 @@ struct CloudUnits {
     double time_unit_s = 1.0;
     /// true: all points of a cloud have the same time, so the cloud is motion-compensated
     bool is_deskewed = false;
-    double intensity_max = 1.0;
-    std::string about;  ///< description of the units for the log's notes
+    folder::PointMeaning meaning;
+    std::string about;  ///< description of the times for the log's notes
 };
 
 /// Estimates the units of the point values.

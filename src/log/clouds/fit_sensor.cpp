@@ -26,6 +26,8 @@ constexpr double kTried = 0.03;
 // minimum of |S_r| divided by the number of points; below it, azimuths are not on a
 // regular grid
 constexpr double kCoherent = 0.5;
+// maximum ratio of the number of columns to its estimate, if a ring has more points
+constexpr double kMostColumns = 1.1;
 constexpr std::size_t kFewestSteps = 16;
 constexpr std::size_t kMostRings = 4096;
 
@@ -147,7 +149,14 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
     const std::vector<double> lengths =
         lengths_of(rings, first, std::size_t(lattice.columns + reach + 1 - first));
     const auto best = std::ranges::max_element(lengths);
-    if (*best <= kCoherent * double(scan.size())) return lattice;
+    if (*best <= kCoherent * double(scan.size())) {
+        // A ring has at most one first return per column.
+        std::size_t most = 0;
+        for (const Ring& ring : rings) most = std::max(most, ring.point.size());
+        lattice.columns = std::clamp(int(std::min<std::size_t>(most, kMaxRays)), lattice.columns,
+                                     int(kMostColumns * lattice.columns));
+        return lattice;
+    }
     lattice.columns = first + int(best - lengths.begin());
     const std::vector<std::complex<double>> sums = phases_of(rings, lattice.columns);
     const std::complex<double> common = std::accumulate(sums.begin(), sums.end(), std::complex<double>(0.0));

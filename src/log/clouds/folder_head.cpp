@@ -17,6 +17,7 @@
 
 #include "base/files.hpp"
 #include "base/json_field.hpp"
+#include "log/clouds/other_formats.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/sensor/pattern_kinds.hpp"
 
@@ -171,6 +172,12 @@ std::vector<HeadFrame> listed_frames(const JsonField& field, const std::vector<H
     return frames;
 }
 
+/// Returns true for CSV files in the folder of the log, because they may be tables of
+/// beams.
+bool is_table_beside(const fs::path& file, const fs::path& folder) {
+    return file.extension() == ".csv" && file.parent_path() == folder;
+}
+
 /// Lists the scans in the folder of each LiDAR, sorted by name. The frames get times at a
 /// constant rate.
 std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadLidar>& lidars,
@@ -179,13 +186,15 @@ std::vector<HeadFrame> frames_in_folders(double rate_hz, const std::vector<HeadL
     for (std::size_t l = 0; l < lidars.size(); ++l) {
         int number = 0;
         for (const fs::path& file : list_folder((folder / lidars[l].scans).lexically_normal()))
-            if (is_point_file(file) || is_image_file(file)) {
+            if ((is_point_file(file) && !is_table_beside(file, folder)) || is_image_file(file)) {
                 frames.push_back({number, number / rate_hz, int(l), file});
                 ++number;
             }
+        const std::string other = number == 0 ? describe_other_files(folder / lidars[l].scans) : "";
         if (number == 0)
-            throw DataError(fmt::format("{}: no scan, expected files .npz, .exr, .pcd, .ply, .bin or .npy",
-                                        (folder / lidars[l].scans).string()));
+            throw DataError(fmt::format(
+                "{}: no scan{}{}, expected files .npz, .exr, .pcd, .ply, .bin, .npy, .csv or .xyz",
+                (folder / lidars[l].scans).string(), other.empty() ? "" : ": ", other));
     }
     return frames;
 }

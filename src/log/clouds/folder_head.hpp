@@ -10,6 +10,8 @@
 #include <relidar/log/clouds.hpp>
 #include <relidar/log/dataset.hpp>
 
+#include "log/clouds/pose_conventions.hpp"
+
 namespace relidar::folder {
 
 inline constexpr const char* kHeadFile = "sequence.json";
@@ -31,6 +33,11 @@ struct PointUnits {
     /// true: point times are times of the log; false: point times are relative to the
     /// time of the frame
     bool absolute_times = false;
+    /// name of the field with the intensities; empty: the first field that may have them
+    std::string intensity_field = {};
+    /// Position that marks a ray without a return, in addition to those that is_return()
+    /// rejects.
+    std::optional<glm::vec3> no_return = {};
     double time_zero = 0.0;  ///< point time that corresponds to 0 s, in the time unit of the file
 };
 
@@ -73,10 +80,14 @@ Head read_head(const std::filesystem::path& folder, double max_range_m);
 
 /// Reads the vehicle poses at the frames. Returns nothing if the file does not exist. A
 /// line with 12 numbers is a 3x4 matrix, row-major, and line i belongs to frame number i.
-/// A line with 8 numbers is time_s x y z qw qx qy qz. Such poses are interpolated at the
-/// times of the frames.
+/// A line with 8 numbers is time_s x y z qw qx qy qz, and a line with 7 numbers is time_s
+/// x y z roll pitch yaw. Such poses are interpolated at the times of the frames. If the
+/// vehicle then does not drive forward, the numbers may have another meaning
+/// (choose_reading()).
+/// @param read_pairs  reads scans that confirm the meaning; may be null
 std::optional<std::vector<Pose>> read_poses(const std::filesystem::path& file,
-                                            const std::vector<HeadFrame>& frames);
+                                            const std::vector<HeadFrame>& frames, const ReadPairs& read_pairs,
+                                            std::vector<std::string>& notes);
 
 /// Reads the boxes from boxes.json. Returns none if the file does not exist. If only a
 /// range of the log's frames is read, labels outside its time are ignored.

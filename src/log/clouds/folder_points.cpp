@@ -5,17 +5,20 @@
 #include <array>
 #include <cmath>
 #include <numeric>
+#include <tuple>
+#include <utility>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
 
+#include "log/clouds/dropped_ray.hpp"
 #include "log/clouds/scan_npz.hpp"
 
 namespace relidar::folder {
 namespace {
 
-constexpr double kFarthestCoordinate_m = 1e6;
+constexpr float kFarthestCoordinate_m = 1e6f;
 // Maximum angle between two returns of one ray, as 1 - cosine. The angle is 1.4 mrad and
 // allows for rounded coordinates.
 constexpr float kOneRay = 1e-6f;
@@ -24,23 +27,35 @@ constexpr float kOneRay = 1e-6f;
 /// ReturnType: 3 strongest, 6 identical, 9 and 10 strongest and first or last.
 bool is_strongest(double type) { return type == 3.0 || type == 6.0 || type == 9.0 || type == 10.0; }
 
-/// Returns the indices of the points that are real returns. A point with x = NaN or at
-/// the origin is a ray without a return.
-std::vector<std::uint32_t> find_returns(std::size_t n, const std::array<const FieldValues*, 3>& xyz) {
-    enum : char { at_origin = 0, away = 1, no_number = 2 };
-    std::vector<char> place(n, at_origin);
-    for (const FieldValues* axis : xyz)
-        axis->visit([&](const auto& value_at) {
-            for (std::size_t i = 0; i < n; ++i) {
-                const auto value = value_at(i);
-                if (axis == xyz[0] && value != value) place[i] = no_number;
-                else if (value != 0 && place[i] == at_origin) place[i] = away;
-            }
+/// Returns true for each point whose range field marks a ray without a return. Returns an
+/// empty array if the points have no such field, or if it has no range of a return.
+std::vector<char> marked_by_range(const PointTable& table) {
+    const FieldValues* ranges = table.find(PointValue::range);
+    std::vector<char> marked;
+    if (!ranges) return marked;
+    marked.resize(table.n);
+    ranges->visit([&](const auto& range_at) {
+        for (std::size_t i = 0; i < table.n; ++i) marked[i] = !is_return_range(double(range_at(i)));
+    });
+    if (std::ranges::all_of(marked, [](char m) { return m != 0; })) marked.clear();
+    return marked;
+}
+
+/// Returns the indices of the points that are returns, and their positions.
+std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> find_returns(
+    const PointTable& table, const std::array<const FieldValues*, 3>& xyz, const PointUnits& units) {
+    std::vector<glm::vec3> all(table.n);
+    for (int axis = 0; axis < 3; ++axis)
+        xyz[std::size_t(axis)]->visit([&](const auto& value_at) {
+            for (std::size_t i = 0; i < table.n; ++i) all[i][axis] = float(value_at(i));
         });
-    std::vector<std::uint32_t> returns;
-    returns.reserve(n);
-    for (std::size_t i = 0; i < n; ++i)
-        if (place[i] == away) returns.push_back(std::uint32_t(i));
+    const std::vector<char> marked = marked_by_range(table);
+    std::pair<std::vector<std::uint32_t>, std::vector<glm::vec3>> returns;
+    returns.first.reserve(table.n);
+    for (std::size_t i = 0; i < table.n; ++i)
+        if (is_return(all[i]) && all[i] != units.no_return && (marked.empty() || !marked[i]))
+            returns.first.push_back(std::uint32_t(i));
+    for (const std::uint32_t i : returns.first) returns.second.push_back(all[i]);
     return returns;
 }
 
@@ -49,15 +64,14 @@ struct Conversion {
     std::vector<std::uint32_t> kept;
     const std::string& where;
 
-    /// Converts one field. Calls set(k, of_value(value, point)) for the k-th selected
-    /// point.
+    /// Converts one field. Calls set(k, of_value(value)) for the k-th selected point.
     /// @throws DataError if of_value throws; the message then also has the point's number
     template <class OfValue, class Set>
     void each(const FieldValues& field, const OfValue& of_value, const Set& set) const {
         field.visit([&](const auto& value_at) {
             std::size_t k = 0;
             try {
-                for (; k < kept.size(); ++k) set(k, of_value(double(value_at(kept[k])), kept[k]));
+                for (; k < kept.size(); ++k) set(k, of_value(double(value_at(kept[k]))));
             } catch (const DataError& error) {
                 throw DataError(fmt::format("{}: point {}{}", where, kept[k], error.what()));
             }
@@ -69,9 +83,7 @@ struct Conversion {
     void to(std::vector<T>& values, const FieldValues* field, const OfValue& of_value) const {
         if (!field) return;
         values.resize(kept.size());
-        each(
-            *field, [&](double value, std::size_t) { return of_value(value); },
-            [&](std::size_t k, T value) { values[k] = value; });
+        each(*field, of_value, [&](std::size_t k, T value) { values[k] = value; });
     }
 };
 
@@ -140,22 +152,19 @@ Points points_of(const PointTable& table, const PointUnits& units, double time_s
                                     !x   ? "x"
                                     : !y ? "y"
                                          : "z"));
-    const Conversion convert{find_returns(table.n, {x, y, z}), where};
     Points points;
-    points.position_m.resize(convert.kept.size());
-    // If a coordinate is invalid, the error message contains all coordinates of the
-    // point.
-    const auto coordinate = [&](double value, std::size_t i) {
-        if (!(std::abs(value) <= kFarthestCoordinate_m))
-            throw DataError(fmt::format(": ({}, {}, {}), expected metres within {}", (*x)[i], (*y)[i],
-                                        (*z)[i], kFarthestCoordinate_m));
-        return float(value);
-    };
-    for (const auto& [axis, field] : {std::pair(0, x), std::pair(1, y), std::pair(2, z)})
-        convert.each(*field, coordinate,
-                     [&points, a = axis](std::size_t k, float value) { points.position_m[k][a] = value; });
+    Conversion convert{{}, where};
+    std::tie(convert.kept, points.position_m) = find_returns(table, {x, y, z}, units);
+    for (std::size_t k = 0; k < convert.kept.size(); ++k) {
+        const glm::vec3 p = glm::abs(points.position_m[k]);
+        if (std::max({p.x, p.y, p.z}) <= kFarthestCoordinate_m) continue;
+        const std::size_t i = convert.kept[k];
+        throw DataError(fmt::format("{}: point {}: ({}, {}, {}), expected metres within {}", where, i,
+                                    (*x)[i], (*y)[i], (*z)[i], kFarthestCoordinate_m));
+    }
     const std::string of_point;  // Conversion adds the point's number
-    const auto* intensity = table.find(PointValue::intensity);
+    const auto* intensity = table.find(units.intensity_field);
+    if (!intensity) intensity = table.find(PointValue::intensity);
     if (!intensity) points.intensity.assign(convert.kept.size(), 0.0f);
     convert.to(points.intensity, intensity,
                [&](double value) { return unit_intensity(value, units, of_point); });

@@ -14,8 +14,8 @@ namespace relidar::folder {
 
 /// Converts a table of points to relidar's units. The names of the fields define their
 /// meaning (value_of_field()). If the table has Nebula's return_type, points with the
-/// same ring, time and direction become returns of one ray. A point with x = NaN or at
-/// the origin is a ray without a return.
+/// same ring, time and direction become returns of one ray. Leaves out rays without a
+/// return (is_return()), and points with the position units.no_return.
 /// @param time_s  time that is subtracted from absolute point times
 /// @throws DataError with the number of the invalid point
 Points points_of(const PointTable& table, const PointUnits& units, double time_s, const std::string& where);

@@ -10,14 +10,19 @@
 
 #include <fmt/format.h>
 
+#include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
 #include "base/progress_blocks.hpp"
 #include "log/clouds/broken_scans.hpp"
+#include "log/clouds/dropped_ray.hpp"
+#include "log/clouds/file_order.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/head_spins.hpp"
+#include "log/clouds/point_meaning.hpp"
 #include "log/clouds/scan_npz.hpp"
+#include "log/clouds/thinned_cloud.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -30,12 +35,11 @@ constexpr double kUsualPeriod_s = 0.1;  // period of a sweep, if there is only o
 /// Counts the first returns of a scan. If each of them is on a different ray,
 /// spinning_scan() keeps all of them.
 std::size_t count_first_returns(const Points& points) {
-    constexpr float kLeastRange_m = 1e-3f;
     std::size_t n = 0;
     for (std::size_t i = 0; i < points.size(); ++i) {
         const float range_m = glm::length(points.position_m[i]);
         const bool is_first = points.return_number.empty() || points.return_number[i] == 1;
-        n += is_first && range_m >= kLeastRange_m;
+        n += is_first && range_m >= kNearestReturn_m;
     }
     return n;
 }
@@ -47,6 +51,8 @@ struct Plan {
     bool undo = false;                          ///< true: motion compensation is undone
     /// [rings] beam of each ring; kNoBeam: points of the ring are ignored
     std::vector<std::uint16_t> beam_of_ring;
+    /// order of the points in the files, if it shows the rings that points do not have
+    std::optional<FileOrder> order;
 };
 
 /// Reads the scans of a folder from their files.
@@ -123,7 +129,8 @@ public:
             frame.scan = unordered_scan(points);
             return;
         }
-        if (plan.has_rings) points = renumbered(points, plan, i);
+        if (plan.order) plan.order->set_rings(points);
+        if (plan.has_rings || plan.order) points = renumbered(points, plan, i);
         else recover_rings(points, sensor.beams);
         frame.scan = spinning_scan(points, sensor, even_sweep(points, sensor));
         n_first_[i] = count_first_returns(points);
@@ -248,25 +255,24 @@ private:
     void fit_beams(std::size_t l, std::vector<Points>& samples) {
         Plan& plan = plans_[l];
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
-        if (!plan.has_rings) {
-            const std::vector<Beam> beams = find_beams(samples);
-            if (beams.empty()) {
-                note(l,
-                     "points have no rings, and their elevations show none: rays that were dropped are "
-                     "unknown, and so is the order of an "
-                     "image");
-                return;
-            }
-            for (Points& sample : samples) recover_rings(sample, beams);
+        if (!plan.has_rings && !find_rings(l, samples)) {
+            note(l,
+                 "points have no rings, and neither their order nor their elevations show them: rays that "
+                 "were dropped are unknown, and so is the order of an image" +
+                     way_out(l));
+            return;
         }
         const double step_s = sensor.period_s;
         std::optional<SpinningSensor> found = fitted(l, samples, step_s);
-        if (const std::string why = found ? why_no_head(samples, *found, step_s) : ""; !why.empty()) {
+        std::string why = found ? why_no_head(samples, *found, step_s) : "";
+        if (found && why.empty() && !plan.has_rings) why = why_thinned(samples, *found);
+        if (!why.empty()) {
             note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays "
-                                "that were dropped are unknown",
-                                why));
+                                "that were dropped are unknown{}",
+                                why, plan.has_rings ? "" : way_out(l)));
             found = std::nullopt;
         }
+        if (!found) plan.order.reset();
         if (!found) return;
         found->name = sensor.name;
         found->min_range_m = sensor.min_range_m;
@@ -275,7 +281,30 @@ private:
         sensor = *found;
         plan.ordered = true;
         note(l, fmt::format("{} beams x {} columns are fitted to its points{}", found->beams.size(),
-                            found->columns, plan.has_rings ? "" : ", which have no rings"));
+                            found->columns,
+                            plan.order        ? ", which have no rings; their order in the file shows them"
+                            : !plan.has_rings ? ", which have no rings"
+                                              : ""));
+    }
+
+    /// Sets the rings of samples without rings. Returns false if their order and their
+    /// elevations show no rings.
+    bool find_rings(std::size_t l, std::vector<Points>& samples) {
+        if (const FileOrder order(samples); order.shows_rings()) {
+            for (Points& sample : samples) order.set_rings(sample);
+            plans_[l].order = order;
+            return true;
+        }
+        const std::vector<Beam> beams = find_beams(samples);
+        if (beams.empty()) return false;
+        for (Points& sample : samples) recover_rings(sample, beams);
+        return true;
+    }
+
+    /// Returns the hint that a user can state the sensor of a plain folder.
+    std::string way_out(std::size_t l) const {
+        return head_.lidars[l].is_guessed ? ""
+                                          : "; \"sensor\" of the LiDAR in sequence.json states its beams";
     }
 
     std::optional<SpinningSensor> fitted(std::size_t l, const std::vector<Points>& samples, double period_s) {
@@ -323,6 +352,60 @@ private:
     }
 };
 
+/// Reads some tables of points, spread over the files. Skips files that cannot be read,
+/// because reading the scans reports the error.
+std::vector<PointTable> sample_tables(const std::vector<fs::path>& files,
+                                      const std::vector<std::string>& columns) {
+    std::vector<fs::path> with_points;
+    std::ranges::copy_if(files, std::back_inserter(with_points), is_point_file);
+    std::vector<PointTable> samples;
+    const std::size_t n = std::min(kSamples, with_points.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        try {
+            samples.push_back(read_point_file(with_points[k * with_points.size() / n], columns));
+        } catch (const DataError&) {
+            continue;
+        }
+    }
+    return samples;
+}
+
+/// Returns the scale of the intensities in some .npz files.
+IntensityScale scale_of_images(const std::vector<fs::path>& files) {
+    std::vector<fs::path> images;
+    std::ranges::copy_if(files, std::back_inserter(images),
+                         [](const fs::path& file) { return file.extension() == ".npz"; });
+    std::vector<double> intensities;
+    const std::size_t n = std::min(kSamples, images.size());
+    for (std::size_t k = 0; k < n; ++k) {
+        try {
+            const std::vector<NamedArray> arrays = read_npz(images[k * images.size() / n]);
+            if (const NamedArray* array = find_array(arrays, "intensity"))
+                std::ranges::copy(array->as_double(), std::back_inserter(intensities));
+        } catch (const DataError&) {
+            continue;  // reading the scan later reports the error
+        }
+    }
+    return find_scale(intensities);
+}
+
+/// Completes the units that sequence.json does not state from the points of some scans.
+/// Leaves the scale of the intensities open if it is ambiguous. An intensity above 1 is
+/// then an error.
+void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std::string>& notes) {
+    const std::vector<PointTable> samples = sample_tables(files, head.units.columns);
+    PointMeaning meaning = find_meaning(samples);
+    if (samples.empty() && !head.units.intensity_max) meaning.scale = scale_of_images(files);
+    head.units.intensity_field = meaning.intensity_field;
+    head.units.no_return = meaning.no_return;
+    std::erase(meaning.notes, meaning.scale.about);
+    if (!head.units.intensity_max && meaning.scale.is_sure && meaning.scale.max > 1.0) {
+        head.units.intensity_max = meaning.scale.max;
+        notes.push_back(meaning.scale.about + "; intensity_max in sequence.json states another scale");
+    }
+    notes.insert(notes.end(), meaning.notes.begin(), meaning.notes.end());
+}
+
 /// Returns the indices of the frames whose scans are read.
 /// @param most_scans  maximum number of scans per LiDAR
 std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans) {
@@ -355,7 +438,9 @@ void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
 
 void read_scans(Sequence& sequence, const Head& head, const std::vector<fs::path>& files,
                 const DatasetOptions& options) {
-    read_scans(sequence, head, FileScans(sequence, head, files), options);
+    Head complete = head;
+    find_units(complete, files, sequence.notes);
+    read_scans(sequence, complete, FileScans(sequence, complete, files), options);
 }
 
 }  // namespace relidar::folder

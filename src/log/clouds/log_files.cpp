@@ -11,6 +11,7 @@
 
 #include <relidar/base/error.hpp>
 #include "base/files.hpp"
+#include "log/clouds/dropped_ray.hpp"
 
 namespace relidar::kitti {
 namespace fs = std::filesystem;
@@ -104,14 +105,13 @@ std::vector<glm::vec4> read_scan(const fs::path& file) {
     std::memcpy(points.data(), bytes.data(), bytes.size());
     for (std::size_t i = 0; i < points.size(); ++i) {
         const glm::vec4& p = points[i];
-        const bool finite =
-            std::isfinite(p.x) && std::isfinite(p.y) && std::isfinite(p.z) && std::isfinite(p.w);
         const double largest = std::max({std::abs(p.x), std::abs(p.y), std::abs(p.z)});
-        if (finite && largest <= kFarthestReturn_m) continue;
+        if (!is_return(p) || (std::isfinite(p.w) && largest <= kFarthestReturn_m)) continue;
         throw DataError(
             fmt::format("{}: point {} is ({}, {}, {}) with intensity {}, expected finite values within {} m",
                         file.string(), i, p.x, p.y, p.z, p.w, kFarthestReturn_m));
     }
+    std::erase_if(points, [](const glm::vec4& p) { return !is_return(p); });
     return points;
 }
 

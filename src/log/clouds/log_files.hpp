@@ -20,7 +20,8 @@ namespace relidar::kitti {
 /// @throws UsageError if no scan is in the range
 std::vector<int> list_scans(const std::filesystem::path& folder, int begin, int end);
 
-/// Reads the points of a scan file: x, y, z (metres, sensor frame), reflectance.
+/// Reads the points of a scan file: x, y, z (metres, sensor frame), reflectance. Leaves
+/// out rays without a return.
 /// @throws DataError if the scan is truncated, empty or invalid
 std::vector<glm::vec4> read_scan(const std::filesystem::path& file);
 

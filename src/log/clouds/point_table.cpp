@@ -2,8 +2,11 @@
 #include "log/clouds/point_table.hpp"
 
 #include <algorithm>
+#include <cctype>
 #include <cstdint>
 #include <cstring>
+#include <iterator>
+#include <tuple>
 
 #include <fmt/format.h>
 
@@ -11,6 +14,7 @@
 #include <relidar/base/error.hpp>
 
 #include "base/files.hpp"
+#include "log/clouds/other_formats.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -23,17 +27,29 @@ struct FieldName {
     std::string_view name;
     PointValue value;
 };
-/// Field names and their meaning. If a file has several names with the same meaning, the
-/// first one in this list is used.
+/// Field names in lower case and their meaning. If a file has several names with the same
+/// meaning, the first one in this list is used.
 constexpr FieldName kFieldNames[] = {
     {"x", PointValue::x},
     {"y", PointValue::y},
     {"z", PointValue::z},
     {"intensity", PointValue::intensity},
+    {"intensities", PointValue::intensity},
+    {"i", PointValue::intensity},
     {"reflectivity", PointValue::intensity},
+    {"reflectance", PointValue::intensity},
+    {"remission", PointValue::intensity},
+    {"amplitude", PointValue::intensity},
+    {"signal", PointValue::intensity},
     {"ring", PointValue::ring},
+    {"rings", PointValue::ring},
     {"channel", PointValue::ring},
     {"line", PointValue::ring},
+    {"ring_id", PointValue::ring},
+    {"laser_id", PointValue::ring},
+    {"laser_number", PointValue::ring},
+    {"beam", PointValue::ring},
+    {"beam_id", PointValue::ring},
     {"time", PointValue::time},
     {"t", PointValue::time},
     {"timestamp", PointValue::time},
@@ -42,7 +58,36 @@ constexpr FieldName kFieldNames[] = {
     {"return", PointValue::return_number},
     {"return_number", PointValue::return_number},
     {"return_type", PointValue::return_type},
+    {"range", PointValue::range},
+    {"distance", PointValue::range},
 };
+constexpr std::size_t kNotRead = std::size(kFieldNames);
+
+/// Words that programs put before the name of a field.
+constexpr std::string_view kPrefixes[] = {"scalar_",     "points_", "point_", "position_", "pos_",
+                                          "coordinate_", "coord_",  "xyz_",   "vertex_",   "lidar_"};
+
+/// Returns the index of a name in kFieldNames, or kNotRead.
+std::size_t find_name(std::string_view name) {
+    const auto* const row = std::ranges::find(kFieldNames, name, &FieldName::name);
+    return std::size_t(row - std::begin(kFieldNames));
+}
+
+/// Returns the index of a field's meaning in kFieldNames. Ignores upper case and
+/// prefixes. Returns kNotRead for fields that relidar does not read.
+std::size_t row_of_field(std::string_view field) {
+    std::string name(trimmed(field));
+    std::ranges::transform(name, name.begin(), [](unsigned char c) { return char(std::tolower(c)); });
+    // VeloView and ParaView write coordinates as elements of a vector.
+    for (const char axis : {'0', '1', '2'})
+        if (name.starts_with("points") && name.ends_with(std::string(":") + axis))
+            return std::size_t(axis - '0');
+    std::string_view rest = name;
+    rest.remove_prefix(std::min(rest.find_last_of("./:") + 1, rest.size()));
+    for (const std::string_view prefix : kPrefixes)
+        if (rest.starts_with(prefix) && find_name(rest) == kNotRead) rest.remove_prefix(prefix.size());
+    return find_name(rest);
+}
 
 struct NumberTypeRow {
     char kind;
@@ -79,10 +124,14 @@ PointTable read_bin(const fs::path& file, const std::vector<std::string>& column
         throw DataError(
             fmt::format("{}: {} bytes, expected a multiple of {}: {} float32 a point (\"columns\")",
                         file.string(), n_bytes, record, fields.size()));
-    return read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
+    PointTable table = read_packed(data, fields, n_bytes / record, Packing::by_point, file.string());
+    table.unread.clear();  // read_head() reports the columns that are not read
+    return table;
 }
 
 PointTable read_npy_points(const fs::path& file, const std::vector<std::string>& columns) {
+    if (const SharedBytes bytes = share_bytes(read_file(file)); is_structured_npy(bytes.bytes))
+        return read_structured_npy(bytes, file.string());
     NamedArray array = read_npy(file);
     if (array.shape.size() != 2 || array.shape[1] != columns.size())
         throw DataError(fmt::format(
@@ -110,17 +159,32 @@ PointTable read_npy_points(const fs::path& file, const std::vector<std::string>&
 }  // namespace
 
 std::optional<PointValue> value_of_field(std::string_view name) {
-    for (const FieldName& known : kFieldNames)
-        if (known.name == name) return known.value;
-    return std::nullopt;
+    const std::size_t row = row_of_field(name);
+    return row == kNotRead ? std::nullopt : std::optional(kFieldNames[row].value);
+}
+
+std::vector<std::string> PointTable::names(PointValue value) const {
+    // A field with the exact name precedes other spellings of the name.
+    std::vector<std::tuple<std::size_t, bool, std::string>> ranked;
+    for (const auto& [name, values] : fields_) {
+        const std::size_t row = row_of_field(name);
+        if (row != kNotRead && kFieldNames[row].value == value)
+            ranked.emplace_back(row, name != kFieldNames[row].name, name);
+    }
+    std::ranges::sort(ranked);
+    std::vector<std::string> names;
+    for (auto& [row, is_other, name] : ranked) names.push_back(std::move(name));
+    return names;
+}
+
+const FieldValues* PointTable::find(const std::string& name) const {
+    const auto at = fields_.find(name);
+    return at == fields_.end() ? nullptr : &at->second;
 }
 
 const FieldValues* PointTable::find(PointValue value) const {
-    for (const FieldName& known : kFieldNames)
-        if (known.value == value)
-            if (const auto at = fields_.find(std::string(known.name)); at != fields_.end())
-                return &at->second;
-    return nullptr;
+    const std::vector<std::string> all = names(value);
+    return all.empty() ? nullptr : find(all[0]);
 }
 
 void PointTable::add(const std::string& name, const FieldValues& values, const std::string& where) {
@@ -149,6 +213,8 @@ PointTable read_packed(const SharedBytes& data, const std::vector<PointField>& f
             const char* first = data.bytes.data() + (packing == Packing::by_point ? before : before * n);
             table.add(field.name,
                       {type_of(field, where), first, packing == Packing::by_point ? record : width}, where);
+        } else if (field.name != kPadding) {
+            table.unread.push_back(field.name);
         }
         before += width;
     }
@@ -182,13 +248,16 @@ PointTable read_lines(std::string_view text, const std::vector<PointField>& fiel
         text.remove_prefix(std::min(end + 1, text.size()));
     }
     PointTable table(n);
+    for (const PointField& field : fields)
+        if (!is_point_field(field.name) && field.name != kPadding) table.unread.push_back(field.name);
     for (Column& column : kept) table.add(column.name, NumberType::f8, std::move(column.values), where);
     return table;
 }
 
 bool is_point_file(const fs::path& file) {
     const std::string ending = file.extension().string();
-    return ending == ".pcd" || ending == ".ply" || ending == ".bin" || ending == ".npy";
+    return ending == ".pcd" || ending == ".ply" || ending == ".bin" || ending == ".npy" || ending == ".csv" ||
+           ending == ".xyz";
 }
 
 bool is_image_file(const fs::path& file) { return file.extension() == ".npz" || file.extension() == ".exr"; }
@@ -221,8 +290,13 @@ PointTable read_point_file(const fs::path& file, const std::vector<std::string>&
     if (ending == ".npy") return read_npy_points(file, columns.empty() ? kKitti : columns);
     if (ending == ".pcd") return read_with_header(file, read_pcd);
     if (ending == ".ply") return read_with_header(file, read_ply);
-    throw DataError(fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin or .npy",
-                                file.string(), excerpt(ending)));
+    if (ending == ".csv" || ending == ".xyz")
+        return read_text_points(share_bytes(read_file(file)), columns, file.string());
+    if (const std::string other = describe_other_format(file); !other.empty())
+        throw DataError(fmt::format("{}: {}", file.string(), other));
+    throw DataError(
+        fmt::format("{}: the ending '{}', expected .npz, .exr, .pcd, .ply, .bin, .npy, .csv or .xyz",
+                    file.string(), excerpt(ending)));
 }
 
 }  // namespace relidar::folder

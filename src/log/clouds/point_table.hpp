@@ -20,10 +20,11 @@
 namespace relidar::folder {
 
 /// Meaning of a point field that relidar reads.
-enum class PointValue { x, y, z, intensity, ring, time, return_number, return_type };
+enum class PointValue { x, y, z, intensity, ring, time, return_number, return_type, range };
 
-/// Returns the meaning of a field name. Returns nothing for fields that relidar does not
-/// read, such as colours and normals.
+/// Returns the meaning of a field name. Ignores upper case, and prefixes such as
+/// "scalar_" that programs put before the name. Returns nothing for fields that relidar
+/// does not read, such as colours and normals.
 std::optional<PointValue> value_of_field(std::string_view name);
 inline bool is_point_field(std::string_view name) { return value_of_field(name).has_value(); }
 
@@ -97,10 +98,15 @@ public:
     /// true: the file states that its points are motion-compensated (deskewed) or in the
     /// world frame
     bool is_deskewed = false;
+    std::vector<std::string> unread;  ///< names of the fields that relidar does not read
 
     /// Returns the field with the given meaning, or nullptr if there is none. If several
     /// fields have this meaning, the order of the list of field names decides.
     const FieldValues* find(PointValue value) const;
+    /// Returns the field with this name, or nullptr if there is none.
+    const FieldValues* find(const std::string& name) const;
+    /// Returns the names of all fields with the given meaning, in the order of find().
+    std::vector<std::string> names(PointValue value) const;
     /// Adds a field to the table.
     /// @param where  file for error messages
     /// @throws DataError if the field already exists
@@ -119,6 +125,9 @@ private:
     std::map<std::string, FieldValues> fields_;
     std::vector<std::shared_ptr<const void>> memory_;
 };
+
+/// Name of the fields of a layout that only fill gaps.
+inline constexpr std::string_view kPadding = "_";
 
 /// Name and number type of a field in a file.
 struct PointField {
@@ -155,5 +164,16 @@ PointTable read_point_file(const std::filesystem::path& file, const std::vector<
 /// Read PCD and PLY files, which describe their fields in a header.
 PointTable read_pcd(const SharedBytes& file, const std::string& where);
 PointTable read_ply(const SharedBytes& file, const std::string& where);
+
+/// Reads lines of numbers that are separated by blanks, commas or semicolons. The first
+/// line may have the names of the fields.
+/// @param columns  names of the fields if the file has no header; empty: x y z, or x y z
+/// intensity
+PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
+                            const std::string& where);
+
+/// Returns true for the bytes of a .npy file whose elements have named fields.
+bool is_structured_npy(std::string_view bytes);
+PointTable read_structured_npy(const SharedBytes& file, const std::string& where);
 
 }  // namespace relidar::folder

@@ -10,6 +10,8 @@
 #include <relidar/base/arrays.hpp>
 #include <relidar/base/error.hpp>
 
+#include "log/clouds/dropped_ray.hpp"
+
 namespace relidar::folder {
 namespace {
 
@@ -76,10 +78,11 @@ std::vector<float> ranges_of(const Arrays& arrays, const std::string& name) {
     const std::vector<double> found = arrays.values(name, 1), drop = arrays.image("drop_prob", 0.0);
     std::vector<float> range_m;
     for (std::size_t i = 0; i < found.size(); ++i) {
-        if (!(found[i] >= 0.0 && found[i] <= 1e6))
+        const bool has_return = is_return_range(found[i]) && drop[i] < 0.5;
+        if (has_return && found[i] > 1e6)
             throw DataError(fmt::format("{} is {}, expected metres, 0 where there is no return",
                                         arrays.ray(name.c_str(), i), found[i]));
-        range_m.push_back(drop[i] < 0.5 ? float(found[i]) : 0.0f);
+        range_m.push_back(has_return ? float(found[i]) : 0.0f);
     }
     return range_m;
 }

@@ -13,9 +13,9 @@
 
 #include "base/csv.hpp"
 #include "base/files.hpp"
-#include "log/clouds/cloud_units.hpp"
 #include "log/clouds/folder_points.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/clouds/point_meaning.hpp"
 
 namespace relidar::stamped {
 namespace {
@@ -339,8 +339,8 @@ Brightness find_brightness(const std::vector<fs::path>& files, const std::vector
             continue;  // reading the scan later reports the error
         }
     }
-    const bag::CloudUnits units = bag::find_units(samples, std::vector<double>(samples.size(), 0.0), 0.0);
-    return {units.intensity_max, units.about};
+    const folder::IntensityScale scale = folder::find_meaning(samples).scale;
+    return {scale.max, scale.about};
 }
 
 }  // namespace relidar::stamped

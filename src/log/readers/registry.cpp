@@ -13,7 +13,9 @@
 #include <relidar/log/clouds.hpp>
 #include "base/files.hpp"
 #include "base/parallel.hpp"
+#include "log/clouds/far_marker.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/clouds/other_formats.hpp"
 #include "log/clouds/point_table.hpp"
 #include "log/readers/argoverse2/argoverse2.hpp"
 #include "log/readers/bag/load_ros_bag.hpp"
@@ -55,6 +57,7 @@ constexpr DatasetKind kKinds[] = {
     {"nuscenes", "v1.*", "nuScenes or TruckScenes", load_nuscenes, true},
     {"lyft", "data/scene.json train_data/scene.json test_data/scene.json", "Lyft Level 5", load_nuscenes,
      true},
+    {"t4", "annotation/scene.json", "a T4 dataset of TIER IV", load_nuscenes, true},
     {"boreas", "applanix", "a Boreas sequence", load_boreas},
     {"mulran", "global_pose.csv sensor_data/Ouster", "a MulRan sequence", load_mulran},
     {"once", "lidar_roof", "a ONCE sequence", load_once},
@@ -328,6 +331,10 @@ std::string recognise_dataset(const fs::path& path) {
         known += fmt::format("{}{} ({})", known.empty() ? "" : ", ", kind.describe, kind.marker);
     }
     check_bare_folder(path);
+    if (const std::string other = describe_other_format(path); !other.empty())
+        throw DataError(fmt::format("{}: {}", path.string(), other));
+    if (const std::string other = describe_other_files(path); !other.empty())
+        throw DataError(fmt::format("{}: not a dataset: {}", path.string(), other));
     for (const DatasetKind& kind : kKinds) {
         const std::string stranger = kitti::describe_stranger(path, kind.marker);
         if (!stranger.empty())
@@ -358,6 +365,7 @@ Sequence load_sequence(const std::string& dataset, const DatasetOptions& options
     check_gaps(sequence);
     if (!options.lidars.empty()) keep_lidars(sequence, options.lidars);
     find_sweeps(sequence);
+    drop_far_marker(sequence);
     apply_limits(sequence, {options.min_range_m, options.max_range_m});
     note_missing_intensities(sequence);
     return sequence;

@@ -6,13 +6,17 @@
 #include <cmath>
 #include <cstdint>
 #include <cstring>
+#include <limits>
+#include <optional>
 #include <type_traits>
 
 #include <gtest/gtest.h>
 
 #include <relidar/base/error.hpp>
 
+#include "log/clouds/far_marker.hpp"
 #include "log/clouds/folder_points.hpp"
+#include "log/clouds/point_meaning.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -70,6 +74,129 @@ TEST(PointTable, NamesOfAValueHaveAnOrder) {
     table.add("t", NumberType::u4, std::vector<std::uint32_t>{5}, "test");
     EXPECT_EQ((*table.find(PointValue::time))[0], 5.0);
     EXPECT_THROW(table.add("t", NumberType::u4, std::vector<std::uint32_t>{6}, "test"), DataError);
+}
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
+constexpr float kInfinite = std::numeric_limits<float>::infinity();
+
+/// Returns a table with fields x, y, z and further fields of one value per point.
+PointTable table_of(const std::vector<glm::vec3>& points,
+                    const std::vector<std::pair<std::string, std::vector<float>>>& fields) {
+    PointTable table(points.size());
+    for (int axis = 0; axis < 3; ++axis) {
+        std::vector<float> values;
+        for (const glm::vec3& p : points) values.push_back(p[axis]);
+        table.add(std::string(1, char('x' + axis)), NumberType::f4, std::move(values), "test");
+    }
+    for (const auto& [name, values] : fields) table.add(name, NumberType::f4, values, "test");
+    return table;
+}
+
+/// Returns points at different directions and ranges, such as a LiDAR measures them.
+std::vector<glm::vec3> measured_points(std::size_t n) {
+    std::vector<glm::vec3> points;
+    for (std::size_t i = 0; i < n; ++i) {
+        const double azimuth = 0.01 * double(i), range_m = 20.0 + 15.0 * std::sin(0.37 * double(i));
+        points.emplace_back(range_m * std::cos(azimuth), range_m * std::sin(azimuth), 0.001 * double(i % 97));
+    }
+    return points;
+}
+
+TEST(DroppedRays, HaveManySpellings) {
+    const glm::vec3 real(3.0f, -4.0f, 1.0f);
+    const std::vector<glm::vec3> dropped = {{kNan, kNan, kNan},
+                                            {kInfinite, kInfinite, kInfinite},
+                                            {-kInfinite, -kInfinite, -kInfinite},
+                                            {0.0f, -0.0f, 0.0f},
+                                            {kNan, 1.0f, 2.0f},
+                                            {1.0f, kNan, 2.0f},
+                                            {1.0f, 2.0f, kNan},
+                                            {5.0f, kInfinite, 0.0f},
+                                            {1e-5f, 0.0f, 1e-5f}};
+    std::vector<glm::vec3> points;
+    for (const glm::vec3& p : dropped) points.push_back(p), points.push_back(real);
+    const Points returns = points_of(table_of(points, {}), PointUnits{}, 0.0, "test");
+    ASSERT_EQ(returns.size(), dropped.size());
+    for (const glm::vec3& p : returns.position_m) EXPECT_EQ(p, real);
+}
+
+TEST(DroppedRays, HaveRangeZeroInARangeField) {
+    const std::vector<glm::vec3> points = measured_points(4);
+    const auto n_returns = [&](const std::vector<float>& range) {
+        return points_of(table_of(points, {{"range", range}}), PointUnits{}, 0.0, "test").size();
+    };
+    EXPECT_EQ(n_returns({20.0f, 0.0f, kInfinite, 20.0f}), 2u);
+    EXPECT_EQ(n_returns({0.0f, 0.0f, 0.0f, 0.0f}), 4u) << "a field that no program has filled";
+}
+
+TEST(DroppedRays, HaveAPositionThatIsRepeated) {
+    std::vector<glm::vec3> points = measured_points(2000);
+    EXPECT_EQ(find_meaning({table_of(points, {})}).no_return, std::nullopt);
+    // The mounting of a LiDAR, to which a driver has moved all points at the sensor.
+    const glm::vec3 mounting(1.2f, 0.0f, 1.7f);
+    for (std::size_t i = 0; i < points.size(); i += 20) points[i] = mounting;
+    PointUnits units;
+    units.no_return = find_meaning({table_of(points, {})}).no_return;
+    EXPECT_EQ(units.no_return, mounting);
+    EXPECT_EQ(points_of(table_of(points, {}), units, 0.0, "test").size(), 1900u);
+}
+
+TEST(DroppedRays, MarkTheMaximumRangeOfTheSensor) {
+    const auto n_returns = [](float marker_m) {
+        Sequence sequence;
+        add_frame(sequence, 0, 0.0, Pose{});
+        Scan& scan = sequence.frames[0].scan;
+        scan = unordered_scan(Points{measured_points(2000), std::vector<float>(2000, 0.5f)});
+        for (std::size_t i = 0; i < 2000; ++i) {
+            scan.rays.channel[i] = std::uint16_t(i % 16);
+            if (i % 10 == 0) scan.range_m[i] = marker_m * (1.0f + 1e-7f * float(i % 3));
+        }
+        drop_far_marker(sequence);
+        return scan.count_returns();
+    };
+    EXPECT_EQ(n_returns(100.0f), 1800u);
+    EXPECT_EQ(n_returns(130.5f), 1800u);
+    EXPECT_EQ(n_returns(99.87f), 2000u) << "a wall";
+}
+
+TEST(PointTable, FindsFieldsByTheirMeaning) {
+    for (const char* name : {"intensity", "Intensity", "INTENSITY", "scalar_intensity", "scalar_Intensity",
+                             "i", "intensities", "reflectance", "remission", "signal", "amplitude"})
+        EXPECT_EQ(value_of_field(name), PointValue::intensity) << name;
+    for (const char* name : {"x", "X", "scalar_x", "point_x", "pos_X", "position.x", "//X"})
+        EXPECT_EQ(value_of_field(name), PointValue::x) << name;
+    for (const char* name : {"nx", "normal_x", "velocity_x", "vx", "x_origin", "rgb", "ambient", "in", ""})
+        EXPECT_EQ(value_of_field(name), std::nullopt) << name;
+    const std::vector<glm::vec3> points = measured_points(3);
+    const PointTable table = table_of(points, {{"scalar_x", {7.0f, 7.0f, 7.0f}}});
+    EXPECT_EQ((*table.find(PointValue::x))[1], double(points[1].x)) << "the exact name is used first";
+}
+
+TEST(PointMeaning, UsesIntensitiesThatAreNotZero) {
+    const std::vector<glm::vec3> points = measured_points(3);
+    const std::vector<float> zero(3, 0.0f), bright = {12.0f, 187.0f, 3.0f};
+    const PointMeaning meaning =
+        find_meaning({table_of(points, {{"intensity", zero}, {"reflectivity", bright}})});
+    EXPECT_EQ(meaning.intensity_field, "reflectivity");
+    EXPECT_EQ(meaning.scale.max, 255.0);
+    PointUnits units;
+    units.intensity_field = meaning.intensity_field;
+    units.intensity_max = meaning.scale.max;
+    const PointTable table = table_of(points, {{"intensity", zero}, {"reflectivity", bright}});
+    EXPECT_FLOAT_EQ(points_of(table, units, 0.0, "test").intensity[1], 187.0f / 255.0f);
+    EXPECT_EQ(find_meaning({table_of(points, {{"intensity", zero}})}).notes.size(), 1u);
+    EXPECT_TRUE(find_meaning({table_of(points, {{"intensity", bright}})}).notes.size() == 1);
+}
+
+TEST(PointMeaning, FindsTheScaleOfIntensities) {
+    const auto scale = [](std::vector<double> values) { return find_scale(values); };
+    EXPECT_EQ(scale({0.0, 0.2, 1.0}).max, 1.0);
+    EXPECT_EQ(scale({0.0, 12.0, 187.0}).max, 255.0);
+    EXPECT_TRUE(scale({0.0, 12.0, 187.0}).is_sure);
+    EXPECT_FALSE(scale({0.0, 12.0, 100.0}).is_sure) << "may be percent";
+    EXPECT_FALSE(scale({-1.0, 12.0, 187.0}).is_sure);
+    EXPECT_TRUE(scale({0.0, 12.0, 4000.0}).is_sure);
+    EXPECT_FALSE(scale({0.0, 12.0, 70000.0}).is_sure) << "more than 16 bits";
 }
 
 /// Cylinders as 8 beams x 90 columns see them. Counts how often each scan is read.

@@ -83,8 +83,13 @@ Points BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, dou
     double zero_s = at.time_s - cloud_s;  // value of a point's time that corresponds to 0 s of the frame
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
     if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
-    Points points =
-        folder::points_of(table, {{}, units.intensity_max, units.time_unit_s, true}, zero_s, name(frame));
+    const folder::PointUnits point_units{.columns = {},
+                                         .intensity_max = units.meaning.scale.max,
+                                         .time_unit_s = units.time_unit_s,
+                                         .absolute_times = true,
+                                         .intensity_field = units.meaning.intensity_field,
+                                         .no_return = units.meaning.no_return};
+    Points points = folder::points_of(table, point_units, zero_s, name(frame));
     if (!deskewed_by_) return points;
     const Pose world_from_cloud = deskewed_by_(at.lidar, cloud_s);
     for (std::size_t i = 0; i < points.time_offset_s.size(); ++i) {

@@ -19,7 +19,7 @@ std::vector<folder::PointField> layout_of(const Cloud& cloud, const std::vector<
     std::vector<folder::PointField> layout;
     std::size_t at = 0;
     const auto skip_to = [&](std::size_t offset) {
-        if (offset > at) layout.push_back({"_", 'U', 1, offset - at});
+        if (offset > at) layout.push_back({std::string(folder::kPadding), 'U', 1, offset - at});
         at = offset;
     };
     for (const Cloud::Field& field : known) {
@@ -66,7 +66,11 @@ folder::PointTable table_of(const Cloud& cloud, const SharedBytes& message) {
     const std::vector<folder::PointField> layout = layout_of(cloud, known);
     const SharedBytes points =
         is_packed ? message.with(cloud.data.substr(0, n_bytes)) : share_bytes(packed_points(cloud, known));
-    return folder::read_packed(points, layout, cloud.size(), folder::Packing::by_point, "points");
+    folder::PointTable table =
+        folder::read_packed(points, layout, cloud.size(), folder::Packing::by_point, "points");
+    for (const Cloud::Field& field : cloud.fields)
+        if (!folder::is_point_field(field.name)) table.unread.push_back(field.name);
+    return table;
 }
 
 }  // namespace relidar::bag

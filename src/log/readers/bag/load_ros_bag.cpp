@@ -205,6 +205,8 @@ private:
             if (!clouds.parts_about.empty()) note(name_of(clouds) + ": " + clouds.parts_about);
             if (!lidars_.back().units.about.empty())
                 note(name_of(topic_of(l)) + ": " + lidars_.back().units.about);
+            for (const std::string& text : lidars_.back().units.meaning.notes)
+                note(name_of(topic_of(l)) + ": " + text);
             if (is_deskewed_ && has_poses_ && lidars_.back().units.zero != TimeZero::none)
                 note(name_of(clouds) +
                      ": relidar deskewed the points to the stamp: they are moved back to the sensor at their "
@@ -248,11 +250,11 @@ private:
 
     /// Reads the vehicle poses from the user's file. The file has poses by frame number
     /// or by the time of the recording.
-    std::vector<Pose> given_poses() const {
+    std::vector<Pose> given_poses() {
         std::vector<folder::HeadFrame> frames;
         for (const FrameCloud& frame : frames_)
             frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
-        const auto poses = folder::read_poses(options_.poses_file, frames);
+        const auto poses = folder::read_poses(options_.poses_file, frames, nullptr, sequence_.notes);
         if (!poses)
             throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)",
                                         options_.poses_file.string()));

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // Reads poses.txt and boxes.json of a plain folder, which is relidar's log format.
 #include <algorithm>
-#include <array>
 #include <cmath>
 
 #include <fmt/format.h>
@@ -14,6 +13,7 @@
 #include "base/json_field.hpp"
 #include "log/clouds/folder_head.hpp"
 #include "log/clouds/log_files.hpp"
+#include "log/clouds/pose_conventions.hpp"
 
 namespace relidar::folder {
 namespace {
@@ -68,42 +68,110 @@ std::vector<int> pose_places(const std::string& line, const std::string& where) 
     return at;
 }
 
-/// Parses a line of numbers. Returns the numbers in the order of kPoseNames.
-std::array<double, 8> pose_row(const std::string& line, const std::vector<int>& at,
-                               const std::string& where) {
+/// The numbers of a pose file with times, one row per pose: a time, a position, and a
+/// quaternion or three angles.
+struct PoseRows {
+    std::vector<std::vector<double>> rows;
+    bool has_names = false;  ///< true: a line of names states the order of the columns
+};
+
+/// Parses a line of numbers.
+/// @param n  expected number of numbers; 0: 7 or 8
+std::vector<double> pose_row(const std::string& line, std::size_t n, const std::string& where) {
     const auto v = parse_numbers(content(line));
-    if (!v || v->size() != at.size())
+    if (!v || (n > 0 ? v->size() != n : v->size() != 7 && v->size() != 8))
         throw DataError(
             fmt::format("{}: '{}', expected 8 numbers: time_s x y z qw qx qy qz", where, excerpt(line)));
     if (!std::all_of(v->begin(), v->end(), [](double x) { return std::abs(x) <= kLargestOfTrack; }))
         throw DataError(fmt::format("{}: '{}', expected finite numbers within {}", where, excerpt(line),
                                     kLargestOfTrack));
-    std::array<double, 8> row{};
-    for (std::size_t c = 0; c < row.size(); ++c) row[c] = (*v)[static_cast<std::size_t>(at[c])];
-    return row;
+    return *v;
 }
 
-PoseTrack read_track(const std::vector<std::string>& lines, const std::string& file) {
-    PoseTrack track;
-    std::vector<int> at{0, 1, 2, 3, 4, 5, 6, 7};
+PoseRows read_rows(const std::vector<std::string>& lines, const std::string& file) {
+    PoseRows rows;
+    std::vector<int> at;
     for (std::size_t i = 0; i < lines.size(); ++i) {
         const std::string where = fmt::format("{} line {}", file, i + 1);
-        if (track.pose.empty() && names_columns(lines[i])) {
+        if (rows.rows.empty() && names_columns(lines[i])) {
             at = pose_places(lines[i], where);
+            rows.has_names = true;
             continue;
         }
         if (content(lines[i]).empty()) continue;
-        const auto n = pose_row(lines[i], at, where);
-        if (!track.time_s.empty() && !(n[0] > track.time_s.back()))
-            throw DataError(fmt::format("{}: time {} s after {} s, expected times that rise", where, n[0],
-                                        track.time_s.back()));
-        const glm::dquat q(n[4], n[5], n[6], n[7]);
-        if (!(std::abs(glm::length(q) - 1.0) <= kUnit))
-            throw DataError(fmt::format("{}: a quaternion of length {}, expected 1", where, glm::length(q)));
-        track.time_s.push_back(n[0]);
-        track.pose.push_back({glm::normalize(q), {n[1], n[2], n[3]}});
+        std::vector<double> row = pose_row(lines[i],
+                                           !at.empty()         ? at.size()
+                                           : rows.rows.empty() ? 0
+                                                               : rows.rows[0].size(),
+                                           where);
+        if (const std::vector<double> read = row; !at.empty())
+            for (std::size_t c = 0; c < row.size(); ++c) row[c] = read[static_cast<std::size_t>(at[c])];
+        if (!rows.rows.empty() && !(row[0] > rows.rows.back()[0]))
+            throw DataError(fmt::format("{}: time {} s after {} s, expected times that rise", where, row[0],
+                                        rows.rows.back()[0]));
+        if (row.size() == 8) {
+            const double length = glm::length(glm::dquat(row[4], row[5], row[6], row[7]));
+            if (!(std::abs(length - 1.0) <= kUnit))
+                throw DataError(fmt::format("{}: a quaternion of length {}, expected 1", where, length));
+        }
+        rows.rows.push_back(std::move(row));
+    }
+    return rows;
+}
+
+/// Returns the track that a file describes.
+/// @param rotation_of_row  returns the rotation of a row
+template <class RotationOf>
+PoseTrack track_of(const PoseRows& rows, const RotationOf& rotation_of_row) {
+    PoseTrack track;
+    for (const std::vector<double>& row : rows.rows) {
+        track.time_s.push_back(row[0]);
+        track.pose.push_back({glm::normalize(rotation_of_row(row)), {row[1], row[2], row[3]}});
     }
     return track;
+}
+
+PoseTrack inverse_track(PoseTrack track) {
+    for (Pose& pose : track.pose) pose = inverse(pose);
+    return track;
+}
+
+/// Adds the inverse of each reading, for files with sensor-from-world poses.
+std::vector<PoseReading> with_inverses(std::vector<PoseReading> readings) {
+    const std::size_t n = readings.size();
+    for (std::size_t k = 0; k < n; ++k)
+        readings.push_back({readings[k].about + ", from the world to the sensor",
+                            inverse_track(readings[k].world_from_vehicle), true});
+    return readings;
+}
+
+/// Returns everything that the rows may mean. The documented meaning is first.
+std::vector<PoseReading> readings_of(const PoseRows& rows) {
+    using Row = std::vector<double>;
+    const auto angles = [](const Row& row, double unit) {
+        return rotation_of(unit * row[6], unit * row[5], unit * row[4]);
+    };
+    std::vector<PoseReading> readings;
+    if (rows.rows[0].size() == 8) {
+        const std::string named = "columns as their names say";
+        readings.push_back({rows.has_names ? named : "qw qx qy qz",
+                            track_of(rows, [](const Row& r) { return glm::dquat(r[4], r[5], r[6], r[7]); })});
+        if (!rows.has_names)
+            readings.push_back({"qx qy qz qw", track_of(rows, [](const Row& r) {
+                                    return glm::dquat(r[7], r[4], r[5], r[6]);
+                                })});
+    } else {
+        readings.push_back(
+            {"roll pitch yaw in radians", track_of(rows, [&](const Row& r) { return angles(r, 1.0); })});
+        readings.push_back({"roll pitch yaw in degrees",
+                            track_of(rows, [&](const Row& r) { return angles(r, kPi / 180.0); })});
+        const bool are_degrees = std::ranges::any_of(rows.rows, [](const Row& r) {
+            return std::max({std::abs(r[4]), std::abs(r[5]), std::abs(r[6])}) > 2.0 * kPi;
+        });
+        if (are_degrees) std::swap(readings[0], readings[1]);
+        if (are_degrees) readings.pop_back();
+    }
+    return with_inverses(std::move(readings));
 }
 
 std::vector<Pose> interpolated(const PoseTrack& track, const std::vector<HeadFrame>& frames,
@@ -154,18 +222,38 @@ BoxLabel read_label(const JsonField& label, const std::vector<HeadFrame>& all) {
 
 }  // namespace
 
-std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vector<HeadFrame>& frames) {
+std::optional<std::vector<Pose>> read_poses(const fs::path& file, const std::vector<HeadFrame>& frames,
+                                            const ReadPairs& read_pairs, std::vector<std::string>& notes) {
     if (!path_exists(file)) return std::nullopt;
     const std::vector<std::string> lines = split_lines(read_text(file));
     const auto first = std::find_if(lines.begin(), lines.end(),
                                     [](const std::string& line) { return !content(line).empty(); });
     if (first == lines.end())
         throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));
-    if (const auto numbers = parse_numbers(content(*first)); !numbers || numbers->size() != 12)
-        return interpolated(read_track(lines, file.string()), frames, file.string());
+    if (const auto numbers = parse_numbers(content(*first)); !numbers || numbers->size() != 12) {
+        const PoseRows rows = read_rows(lines, file.string());
+        if (rows.rows.empty())
+            throw DataError(fmt::format("{}: no pose, expected 12 or 8 numbers a line", file.string()));
+        const std::vector<PoseReading> readings = readings_of(rows);
+        // relidar has written a file with these names
+        if (rows.has_names && lines[0].find(kPoseNames[0]) != std::string::npos)
+            return interpolated(readings[0].world_from_vehicle, frames, file.string());
+        const std::size_t k = choose_reading(readings, read_pairs, file.string(), notes);
+        return interpolated(readings[k].world_from_vehicle, frames, file.string());
+    }
     std::vector<int> numbers;
     for (const HeadFrame& frame : frames) numbers.push_back(frame.number);
-    return kitti::read_pose_file(file, numbers);
+    std::vector<Pose> poses = kitti::read_pose_file(file, numbers);
+    PoseTrack track;  // one pose per time, because LiDARs that sweep together share a pose
+    for (std::size_t i = 0; i < frames.size(); ++i) {
+        if (!track.time_s.empty() && frames[i].time_s == track.time_s.back()) continue;
+        track.time_s.push_back(frames[i].time_s);
+        track.pose.push_back(poses[i]);
+    }
+    const std::vector<PoseReading> readings = with_inverses({{"matrices", std::move(track)}});
+    if (choose_reading(readings, read_pairs, file.string(), notes) > 0)
+        for (Pose& pose : poses) pose = inverse(pose);
+    return poses;
 }
 
 std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFrame>& frames,

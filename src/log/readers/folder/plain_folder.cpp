@@ -9,6 +9,7 @@
 
 #include "base/files.hpp"
 #include "log/clouds/folder_head.hpp"
+#include "log/clouds/folder_points.hpp"
 #include "log/clouds/log_files.hpp"
 
 namespace relidar {
@@ -44,12 +45,45 @@ std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOpti
     return frames;
 }
 
+/// Reads some pairs of consecutive scans of the first LiDAR, spread over the log. Files
+/// that cannot be read, and images, are skipped.
+folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFrame>& frames) {
+    constexpr std::size_t kPairs = 4;
+    folder::ScanPairs pairs;
+    std::vector<const HeadFrame*> of_first;
+    for (const HeadFrame& frame : frames)
+        if (frame.lidar == 0 && folder::is_point_file(frame.scan)) of_first.push_back(&frame);
+    const Pose& mounting = head.lidars[0].lidar.vehicle_from_sensor;
+    const auto read = [&](const HeadFrame& frame) {
+        const folder::PointTable table = folder::read_point_file(frame.scan, head.units.columns);
+        folder::PointUnits units = head.units;
+        units.intensity_max = 1.0;  // the scale of the intensities does not matter here
+        std::vector<glm::vec3> points =
+            folder::points_of(table, units, frame.time_s, frame.scan.string()).position_m;
+        for (glm::vec3& p : points) p = glm::vec3(mounting * glm::dvec3(p));
+        return points;
+    };
+    const std::size_t n = of_first.empty() ? 0 : std::min(kPairs, of_first.size() - 1);
+    for (std::size_t k = 0; k < n; ++k) {
+        const std::size_t i = k * (of_first.size() - 1) / n;
+        try {
+            pairs.add(of_first[i]->time_s, read(*of_first[i]), of_first[i + 1]->time_s,
+                      read(*of_first[i + 1]));
+        } catch (const DataError&) {
+            continue;  // reading the scans later reports the error
+        }
+    }
+    return pairs;
+}
+
 /// Returns the poses in poses.txt. If the file does not exist but the user has specified
 /// other poses, returns identity poses.
-std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>& frames,
-                            const DatasetOptions& options) {
+std::vector<Pose> own_poses(const fs::path& folder, const folder::Head& head,
+                            const std::vector<HeadFrame>& frames, const DatasetOptions& options,
+                            std::vector<std::string>& notes) {
     const fs::path file = folder / folder::kPosesFile;
-    if (const auto poses = folder::read_poses(file, frames)) return *poses;
+    const auto pairs = [&] { return read_pairs(head, frames); };
+    if (const auto poses = folder::read_poses(file, frames, pairs, notes)) return *poses;
     if (!options.poses_file.empty()) return std::vector<Pose>(frames.size());
     throw DataError(
         fmt::format("{}: no such file; expected poses of the vehicle, dataset.poses=FILE with them, or "
@@ -59,7 +93,8 @@ std::vector<Pose> own_poses(const fs::path& folder, const std::vector<HeadFrame>
 
 /// Replaces the vehicle poses of the log by poses from a file. Boxes keep their position
 /// relative to the vehicle.
-void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, const fs::path& file) {
+void replace_poses(Sequence& sequence, const folder::Head& head, const std::vector<HeadFrame>& frames,
+                   const fs::path& file) {
     PoseTrack track{sequence.world_from_vehicle.time_s, {}};
     if (file == kNoPoses) {
         track.pose.resize(track.time_s.size());
@@ -67,7 +102,9 @@ void replace_poses(Sequence& sequence, const std::vector<HeadFrame>& frames, con
         if (std::find(notes.begin(), notes.end(), kitti::kNoPosesNote) == notes.end())
             sequence.notes.push_back(kitti::kNoPosesNote);
     } else {
-        const std::optional<std::vector<Pose>> poses = folder::read_poses(file, frames);
+        const auto pairs = [&] { return read_pairs(head, frames); };
+        const std::optional<std::vector<Pose>> poses =
+            folder::read_poses(file, frames, pairs, sequence.notes);
         if (!poses)
             throw DataError(fmt::format("{}: no such file, expected poses (dataset.poses)", file.string()));
         for (std::size_t i = 0; i < frames.size(); ++i)
@@ -90,14 +127,14 @@ Sequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& opt
     sequence.lidars.clear();
     for (const folder::HeadLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
     const std::vector<HeadFrame> frames = wanted_frames(head, options, sequence.notes);
-    const std::vector<Pose> poses = own_poses(folder, frames, options);
+    const std::vector<Pose> poses = own_poses(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         add_frame(sequence, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);
         files.push_back(frames[i].scan);
     }
     sequence.boxes = folder::read_boxes(folder / folder::kBoxesFile, frames, head.frames);
-    if (!options.poses_file.empty()) replace_poses(sequence, frames, options.poses_file);
+    if (!options.poses_file.empty()) replace_poses(sequence, head, frames, options.poses_file);
     if (head.world_offset_m && options.poses_file.empty()) recentre(sequence, *head.world_offset_m);
     else recentre(sequence);
     folder::read_scans(sequence, head, files, options);

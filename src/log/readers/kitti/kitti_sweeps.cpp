@@ -25,7 +25,6 @@ namespace {
 // Number of scans for fitting the sensor. A few scans suffice, because the fit is then
 // far more accurate than the millimetre resolution of the files.
 constexpr std::size_t kFitScans = 6, kLatticeScans = 3;
-constexpr float kAtSensor_m = 1e-3f;
 
 std::vector<const RawScan*> spread(const std::vector<RawScan>& scans, std::size_t n) {
     std::vector<const RawScan*> some;
@@ -39,13 +38,6 @@ Points points_of(const RawScan& raw) {
     for (const glm::vec4& p : raw.points) points.position_m.emplace_back(p), points.intensity.push_back(p.w);
     points.ring.assign(raw.ring.begin(), raw.ring.end());
     return points;
-}
-
-/// Counts the points with a range above 1 mm. Some programs write missing returns as
-/// points at the sensor's origin.
-std::size_t count_points(const RawScan& scan) {
-    return static_cast<std::size_t>(std::ranges::count_if(
-        scan.points, [](const glm::vec4& p) { return glm::length(glm::vec3(p)) >= kAtSensor_m; }));
 }
 
 /// Returns the azimuth of the last point of a scan, in degrees from 0 to 360. The azimuth
@@ -65,45 +57,33 @@ class ScanSizes {
 public:
     explicit ScanSizes(const std::vector<RawScan>& raw) {
         for (const RawScan& scan : raw) {
-            n_points_.push_back(count_points(scan));
+            n_points_.push_back(scan.points.size());
             n_rings_.push_back(scan.n_rings);
             end_deg_.push_back(end_azimuth_deg(scan));
         }
     }
 
-    /// Returns a note if the last ring of a scan ends much earlier than in neighbouring
-    /// scans. Otherwise returns an empty string.
-    std::string note(std::size_t i, const std::string& file) const {
+    /// Returns the reason why scan i is incomplete, or an empty string if it is complete.
+    /// A scan is incomplete if it has no return, or far fewer points or rings than its
+    /// neighbours in time, or if its last ring ends much earlier.
+    std::string why_incomplete(std::size_t i, const std::string& file) const {
+        constexpr int kMissingRings = 2;  // a single beam without returns is not an error
         // on a real drive, the end of the last ring varies by up to 20 degrees
         constexpr double kEarly_deg = 60.0;
-        const double usual_deg = median_of_neighbours(end_deg_, i);
-        if (n_points_[i] == 0 || end_deg_[i] + kEarly_deg > usual_deg) return "";
-        return fmt::format(
-            "{}: its last ring ends at azimuth {:.0f} degrees, those of the scans beside it at {:.0f}: the "
-            "file may be cut "
-            "short, and what is missing counts as dropped rays",
-            file, end_deg_[i], usual_deg);
-    }
-
-    /// Checks that scan i is complete.
-    /// @throws DataError if the scan has no return, or fewer than half the points or
-    /// several rings fewer than its neighbours in time
-    void check(std::size_t i, std::size_t n_in_file, const std::string& file) const {
-        constexpr int kMissingRings = 2;  // a single beam without returns is not an error
-        if (n_points_[i] == 0)
-            throw DataError(
-                fmt::format("{}: all {} points are at the sensor, expected returns", file, n_in_file));
-        const std::size_t usual = median_of_neighbours(n_points_, i);
-        if (2 * n_points_[i] < usual)
-            throw DataError(fmt::format(
-                "{}: {} points where the scans beside it have {}, expected a whole sweep: is the file "
-                "cut short?",
-                file, n_points_[i], usual));
-        if (n_rings_[i] + kMissingRings <= median_of_neighbours(n_rings_, i))
-            throw DataError(fmt::format(
-                "{}: its points end in ring {}, those of the scans beside it in ring {}, expected a whole "
-                "sweep: is the file cut short?",
-                file, n_rings_[i], median_of_neighbours(n_rings_, i)));
+        if (n_points_[i] == 0) return fmt::format("{}: none of its points is a return", file);
+        if (const std::size_t usual = median_of_neighbours(n_points_, i); 2 * n_points_[i] < usual)
+            return fmt::format("{}: it has {} points, and the neighbouring scans have {}", file, n_points_[i],
+                               usual);
+        if (const int usual = median_of_neighbours(n_rings_, i); n_rings_[i] + kMissingRings <= usual)
+            return fmt::format(
+                "{}: its points end in ring {}, and those of the neighbouring scans in ring {}", file,
+                n_rings_[i], usual);
+        if (const double usual_deg = median_of_neighbours(end_deg_, i); end_deg_[i] + kEarly_deg <= usual_deg)
+            return fmt::format(
+                "{}: its last ring ends at azimuth {:.0f} degrees, and those of the neighbouring scans at "
+                "{:.0f}",
+                file, end_deg_[i], usual_deg);
+        return "";
     }
 
 private:
@@ -131,6 +111,7 @@ private:
 /// @throws DataError if the intensities are in neither range
 std::string scale_intensities(std::vector<RawScan>& raw, const std::string& folder) {
     constexpr float kBytes = 255.0f;
+    constexpr float kPercent = 100.0f;  // up to this value, fractions may be shares of another scale
     float lowest = 0.0f, highest = 0.0f;
     bool are_whole = true;
     for (const RawScan& scan : raw)
@@ -139,13 +120,14 @@ std::string scale_intensities(std::vector<RawScan>& raw, const std::string& fold
             are_whole = are_whole && p.w == std::floor(p.w);
         }
     if (lowest >= 0.0f && highest <= 1.0f) return "";
-    if (lowest < 0.0f || highest > kBytes || !are_whole)
+    if (lowest < 0.0f || highest > kBytes || (!are_whole && highest <= kPercent))
         throw DataError(
             fmt::format("{}: intensities from {} to {}, expected 0 to 1, or whole numbers up to 255", folder,
                         lowest, highest));
     for (RawScan& scan : raw)
         for (glm::vec4& p : scan.points) p.w /= kBytes;
-    return fmt::format("intensities are whole numbers up to {}: they are read as shares of 255", highest);
+    return fmt::format("intensities are {} up to {}: they are read as shares of 255",
+                       are_whole ? "whole numbers" : "numbers", highest);
 }
 
 /// Checks the number of rays before memory is allocated for them. The limits are the
@@ -183,11 +165,10 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     });
     const ScanSizes scan_sizes(raw);
     for (std::size_t at = 0; at < raw.size(); ++at)
-        broken.attempt(at, [&] {
-            scan_sizes.check(at, raw[at].points.size(), file_of(at).string());
-            if (std::string note = scan_sizes.note(at, file_of(at).string()); !note.empty())
-                sequence.notes.push_back(std::move(note));
-        });
+        if (const std::string why = broken.has(at) ? "" : scan_sizes.why_incomplete(at, file_of(at).string());
+            !why.empty())
+            broken.add(at, why + ": the file is cut short or damaged");
+    if (broken.size() == raw.size()) broken.tell(sequence, raw.size());
     for (std::size_t at = 0; at < raw.size(); ++at)
         if (broken.has(at)) raw[at] = {};  // empty, so that the broken scan does not influence the fits
     if (std::string note = scale_intensities(raw, folder.string()); !note.empty())

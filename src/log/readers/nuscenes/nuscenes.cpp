@@ -62,6 +62,14 @@ constexpr Format kFormats[] = {
      false, false},
 };
 
+/// Format of T4 datasets. The points of several LiDARs may be merged. They are in the
+/// vehicle's frame.
+constexpr Format kT4 = {
+    ".pcd.bin", "T4",
+    "points in the vehicle's frame, motion-compensated; time = stamp of the sweep; world: the map's frame",
+    false, false};
+constexpr const char* kTablesOfT4 = "annotation";  // name of the folder with the tables
+
 /// Name of a scene, and the folder that contains its tables.
 struct SceneName {
     std::string name;
@@ -132,7 +140,8 @@ public:
           options_(options),
           chosen_(choose_scene(list_scenes_of(folder), options.sequence)),
           scene_(read_scene(chosen_.tables, chosen_.name)),
-          format_(format_of(scene_.lidars[0].sweeps[0].file)),
+          format_(chosen_.tables.filename() == kTablesOfT4 ? kT4
+                                                           : format_of(scene_.lidars[0].sweeps[0].file)),
           split_(split_of(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
             main_s_.push_back(scene_.seconds(sweep.time_us));
@@ -301,7 +310,7 @@ private:
     void read_clouds(const std::vector<fs::path>& files) {
         folder::Head head;
         head.name = sequence_.name;
-        // the last column is always 1, so it is ignored
+        // The last column is 1 in Lyft's files, and -1 in T4's, so it is ignored.
         if (!format_.has_times) head.units.columns = {"x", "y", "z", "intensity", "-"};
         head.units.intensity_max = kMostIntensity;
         head.units.time_unit_s = 1e-6;
@@ -320,7 +329,8 @@ private:
 }  // namespace
 
 Sequence load_nuscenes(const fs::path& folder, const DatasetOptions& options) {
-    check_folder(folder, "nuScenes, TruckScenes or Lyft Level 5 (tables in v1.*/ or *data/)");
+    check_folder(folder,
+                 "nuScenes, TruckScenes, Lyft Level 5 or T4 (tables in v1.*/, *data/ or annotation/)");
     return NuscenesLog(folder, options).load();
 }
 

@@ -19,19 +19,17 @@
 
 #include "../../../support/two_lidars.hpp"
 #include "log/clouds/point_writers.hpp"
+#include "log/readers/folder/point_log.hpp"
 #include "log/readers/kitti/kitti_drive.hpp"
 
 namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-
-fs::path fresh(const std::string& name) {
-    const fs::path folder = fs::path(testing::TempDir()) / "relidar_folder" / name;
-    fs::remove_all(folder);
-    fs::create_directories(folder.parent_path());
-    return folder;
-}
+using test::expect_street;
+using test::fresh;
+using test::kStamped;
+using test::PointLog;
 
 /// Makes a street with two LiDARs, second returns, moving cars and a world offset.
 Sequence rich_street() {
@@ -271,82 +269,6 @@ TEST(SaveFolder, LeavesNothingUnfinished) {
     EXPECT_THROW(save_folder(street, folder.parent_path() / "other", {.overwrite = true}), UsageError);
     EXPECT_TRUE(fs::exists(folder.parent_path() / "other/thing.txt"));
 }
-
-/// A log of point files with the returns of a street, in the order of its rays.
-struct PointLog {
-    Sequence street = make_synthetic_street(
-        {.n_frames = 4, .rows = 16, .columns = 360, .range_noise_m = 0.0, .moving_cars = false});
-    fs::path folder;
-
-    PointLog(const std::string& name, const std::string& ending,
-             const std::function<std::string(const test::FilePoints&)>& written, const std::string& members)
-        : folder(fresh(name)) {
-        fs::create_directories(folder / "scans");
-        std::string poses;
-        for (const Frame& frame : street.frames) {
-            const std::size_t i = std::size_t(&frame - street.frames.data());
-            test::write_text(folder / "scans" / fmt::format("{:02}.{}", i, ending), written(points(frame)));
-            const glm::dmat4 m = to_matrix(street.world_from_vehicle.pose[i]);
-            for (int row = 0; row < 3; ++row)
-                for (int column = 0; column < 4; ++column) poses += fmt::format("{} ", m[column][row]);
-            poses += "\n";
-        }
-        test::write_text(folder / "poses.txt", poses);
-        test::write_text(folder / "sequence.json",
-                         "{\"format\": \"relidar log\", \"version\": 1, \"rate_hz\": 10" + members + "}");
-    }
-
-    static test::FilePoints points(const Frame& frame) {
-        test::FilePoints points;
-        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
-            if (frame.scan.range_m[i] > 0.0f)
-                points.push_back({frame.scan.point(i), std::round(frame.scan.intensity[i] * 255.0f) / 255.0f,
-                                  frame.scan.rays.channel[i],
-                                  frame.time_s + double(frame.scan.rays.time_offset_s[i])});
-        return points;
-    }
-};
-
-struct Difference {
-    double point_m = 0.0, time_s = 0.0, intensity = 0.0, ray = 0.0;
-    std::size_t rings = 0, drops = 0;
-};
-
-/// Compares ray by ray; the image has the rows and columns of the street.
-Difference difference(const Sequence& sequence, const Sequence& street) {
-    Difference worst;
-    for (std::size_t f = 0; f < street.frames.size(); ++f) {
-        const Scan &a = sequence.frames[f].scan, &b = street.frames[f].scan;
-        if (a.range_m.size() != b.range_m.size()) return {1e9, 1e9, 1e9, 1e9, 0, 0};
-        for (std::size_t i = 0; i < b.range_m.size(); ++i) {
-            worst.drops += (a.range_m[i] > 0.0f) != (b.range_m[i] > 0.0f);
-            worst.rings += a.rays.channel[i] != b.rays.channel[i];
-            worst.ray = std::max(worst.ray, double(glm::distance(a.rays.direction[i], b.rays.direction[i])));
-            worst.time_s =
-                std::max(worst.time_s, double(std::abs(a.rays.time_offset_s[i] - b.rays.time_offset_s[i])));
-            if (a.range_m[i] == 0.0f || b.range_m[i] == 0.0f) continue;
-            worst.intensity = std::max(worst.intensity, double(std::abs(a.intensity[i] - b.intensity[i])));
-            worst.point_m =
-                std::max(worst.point_m, glm::distance(world_return(sequence, sequence.frames[f], i).point_m,
-                                                      world_return(street, street.frames[f], i).point_m));
-        }
-    }
-    return worst;
-}
-
-void expect_street(const PointLog& log, double time_s) {
-    const Sequence sequence = load_sequence(log.folder.string(), {});
-    ASSERT_EQ(sequence.lidars[0].sensor.columns, log.street.lidars[0].sensor.columns);
-    const Difference worst = difference(sequence, log.street);
-    EXPECT_LT(worst.point_m, 1e-4);
-    EXPECT_LT(worst.time_s, time_s);
-    EXPECT_LT(worst.intensity, 0.51 / 255.0);
-    EXPECT_LT(worst.ray, 2e-4) << "of dropped rays too";
-    EXPECT_EQ(worst.rings, 0u);
-    EXPECT_EQ(worst.drops, 0u);
-}
-
-constexpr const char* kStamped = R"(, "intensity_max": 255, "point_times": "absolute")";
 
 TEST(PlainFolder, PcdAsText) { expect_street({"pcd_text", "pcd", test::pcd_text, kStamped}, 1e-6); }
 TEST(PlainFolder, PcdPacked) { expect_street({"pcd_binary", "pcd", test::pcd_binary, kStamped}, 1e-6); }

@@ -138,10 +138,6 @@ TEST(KittiErrors, BrokenScans) {
     write_text(drive.scan(1), "");
     expect_data_error(drive, {"0000000001.bin: empty"});
     std::string bad = original;
-    put_float(bad, 77, 1, NAN);
-    write_text(drive.scan(1), bad);
-    expect_data_error(drive, {"0000000001.bin: point 77", "finite"});
-    bad = original;
     put_float(bad, 5, 3, INFINITY);
     write_text(drive.scan(1), bad);
     expect_data_error(drive, {"point 5", "intensity inf"});

@@ -75,6 +75,21 @@ TEST(Nuscenes, EveryRayIsWhereItWasFired) {
     }
 }
 
+TEST(Nuscenes, TablesOfT4) {
+    const NuscenesFolder data("t4");
+    const Sequence nuscenes = load(data);
+    fs::rename(data.folder / "v1.0-mini", data.folder / "annotation");
+    EXPECT_EQ(recognise_dataset(data.folder), "t4");
+    const Sequence t4 = load(data);
+    EXPECT_EQ(t4.name, "T4 scene-0103");
+    ASSERT_EQ(t4.frames.size(), nuscenes.frames.size());
+    EXPECT_EQ(t4.boxes.size(), nuscenes.boxes.size());
+    for (std::size_t i = 0; i < t4.frames.size(); ++i) {
+        // A file has five float32 per point. Points near the sensor are returns, too.
+        EXPECT_EQ(t4.frames[i].scan.count_returns(), fs::file_size(data.sweep(int(i))) / 20);
+    }
+}
+
 TEST(Nuscenes, TimesPosesAndBoxesBetweenKeyframes) {
     const NuscenesFolder data("boxes", 40);
     const Sequence actual = load(data);

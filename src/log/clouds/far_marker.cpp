@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/far_marker.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include <fmt/format.h>
+
+namespace relidar {
+namespace {
+
+constexpr float kSameRange = 1e-5f;  // relative difference between equal ranges, caused by rounding
+constexpr float kRound_m = 0.5f;     // a maximum range is a multiple of this length
+// minimum and maximum share of the returns that have the marker's range
+constexpr double kLeastShare = 0.005, kMostShare = 0.95;
+constexpr std::size_t kFewest = 64;     // minimum number of returns with the marker's range
+constexpr std::size_t kFewestRows = 2;  // minimum number of beams with the marker's range
+
+float rounded(float range_m) { return kRound_m * std::round(range_m / kRound_m); }
+bool is_same_range(float a, float b) { return std::abs(a - b) <= kSameRange * b; }
+
+/// The returns of a LiDAR that have its largest range.
+struct FarReturns {
+    float range_m = 0.0f;
+    std::size_t n = 0, n_all = 0;
+    std::set<std::uint16_t> rows;
+};
+
+FarReturns find_far(const Sequence& sequence, int lidar) {
+    FarReturns far;
+    for (const Frame& frame : sequence.frames)
+        if (frame.lidar == lidar)
+            for (const float range_m : frame.scan.range_m) far.range_m = std::max(far.range_m, range_m);
+    for (const Frame& frame : sequence.frames) {
+        if (frame.lidar != lidar) continue;
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+            far.n_all += frame.scan.range_m[i] > 0.0f;
+            if (!is_same_range(frame.scan.range_m[i], far.range_m)) continue;
+            ++far.n;
+            far.rows.insert(frame.scan.rays.channel[i]);
+        }
+    }
+    return far;
+}
+
+bool is_marker(const FarReturns& far) {
+    const double share = double(far.n) / double(std::max<std::size_t>(far.n_all, 1));
+    return far.n >= kFewest && far.rows.size() >= kFewestRows && share >= kLeastShare &&
+           share <= kMostShare && is_same_range(far.range_m, rounded(far.range_m));
+}
+
+}  // namespace
+
+void drop_far_marker(Sequence& sequence) {
+    for (std::size_t l = 0; l < sequence.lidars.size(); ++l) {
+        const FarReturns far = find_far(sequence, int(l));
+        if (!is_marker(far)) continue;
+        for (Frame& frame : sequence.frames)
+            if (frame.lidar == int(l))
+                drop_outside(frame.scan, {0.0, double(far.range_m) * (1.0 - double(kSameRange))});
+        const std::string& name = sequence.lidars[l].name;
+        sequence.notes.push_back(fmt::format(
+            "range{}: {} of {} points are at exactly {} m, the largest range: they count as dropped rays",
+            name.empty() ? "" : " of " + name, far.n, far.n_all, rounded(far.range_m)));
+    }
+}
+
+}  // namespace relidar

@@ -1,0 +1,207 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/file_order.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include <relidar/base/math.hpp>
+
+namespace relidar::folder {
+namespace {
+
+// A larger step of the azimuth against the direction of the ring is the gap between the
+// end of a ring and the start of the next ring.
+constexpr double kBack_rad = 3.0 * kPi / 180.0;
+constexpr double kMostlyOneWay = 0.9;  // minimum share of the steps in the direction of the ring
+constexpr std::size_t kStride = 4;     // every fourth point is used to find the start of the rings
+constexpr std::size_t kFewestRings = 4, kMostOrderedRings = 256;
+// minimum share of neighbouring rings whose elevations change in the usual direction
+constexpr double kSorted = 0.9;
+// maximum deviation of a point from its ring, relative to the step between rings
+constexpr double kInRing = 0.5;
+
+double azimuth_of_point(const glm::vec3& p) { return std::atan2(double(p.y), double(p.x)); }
+double elevation_of_point(const glm::vec3& p) {
+    return std::atan2(double(p.z), std::hypot(double(p.x), double(p.y)));
+}
+
+double median_of(std::vector<double>& values) {
+    const auto middle = values.begin() + std::ptrdiff_t(values.size() / 2);
+    std::nth_element(values.begin(), middle, values.end());
+    return *middle;
+}
+
+/// Returns 1 if the azimuth mostly increases from point to point, -1 if it mostly
+/// decreases, and nothing if both occur.
+std::optional<double> direction_of(const Points& points) {
+    std::size_t n_up = 0, n_down = 0;
+    for (std::size_t i = 1; i < points.size(); ++i) {
+        const double step = std::remainder(
+            azimuth_of_point(points.position_m[i]) - azimuth_of_point(points.position_m[i - 1]), 2.0 * kPi);
+        n_up += step > 0.0, n_down += step < 0.0;
+    }
+    const double least = kMostlyOneWay * double(points.size());
+    if (double(n_up) > least) return 1.0;
+    if (double(n_down) > least) return -1.0;
+    return std::nullopt;
+}
+
+/// Returns for each point how far the azimuth has turned since the start of the file.
+std::vector<double> turned_azimuths(const Points& points, double turning) {
+    std::vector<double> turned;
+    turned.reserve(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        const double azimuth = turning * azimuth_of_point(points.position_m[i]);
+        if (i == 0) {
+            turned.push_back(azimuth);
+            continue;
+        }
+        double step = std::remainder(azimuth - turned.back(), 2.0 * kPi);
+        if (step < -kBack_rad) step += 2.0 * kPi;
+        turned.push_back(turned.back() + step);
+    }
+    return turned;
+}
+
+/// Returns the number of the turn in which each point lies, from 0.
+std::vector<std::uint16_t> number_turns(const std::vector<double>& turned, double first_rad) {
+    std::vector<std::uint16_t> turns;
+    turns.reserve(turned.size());
+    double first_turn = INFINITY;
+    for (const double t : turned)
+        first_turn = std::min(first_turn, std::floor((t - first_rad) / (2.0 * kPi)));
+    int last = 0;
+    for (const double t : turned) {
+        // A point that is rounded across the start of the next ring does not go back.
+        last = std::max(last, int(std::floor((t - first_rad) / (2.0 * kPi)) - first_turn));
+        turns.push_back(std::uint16_t(std::min(last, int(kMostOrderedRings))));
+    }
+    return turns;
+}
+
+/// Returns the median elevation of each ring, from the farther half of its points, where
+/// the origin of a beam has less effect.
+std::vector<double> elevations_of_rings(const Points& points, const std::vector<std::uint16_t>& ring) {
+    std::vector<std::vector<std::pair<float, double>>> seen;  // range and elevation
+    for (std::size_t i = 0; i < points.size(); ++i) {
+        if (ring[i] >= seen.size()) seen.resize(std::size_t(ring[i]) + 1);
+        seen[ring[i]].emplace_back(glm::length(points.position_m[i]),
+                                   elevation_of_point(points.position_m[i]));
+    }
+    std::vector<double> elevations;
+    for (auto& points_of_ring : seen) {
+        if (points_of_ring.empty()) {
+            elevations.push_back(NAN);
+            continue;
+        }
+        const auto half = points_of_ring.begin() + std::ptrdiff_t(points_of_ring.size() / 2);
+        std::nth_element(points_of_ring.begin(), half, points_of_ring.end());
+        std::vector<double> far;
+        for (auto p = half; p != points_of_ring.end(); ++p) far.push_back(p->second);
+        elevations.push_back(median_of(far));
+    }
+    return elevations;
+}
+
+/// Returns the median distance of points from the elevation of their ring.
+double spread_in_rings(const Points& points, const std::vector<std::uint16_t>& ring,
+                       const std::vector<double>& elevations) {
+    std::vector<double> off;
+    off.reserve(points.size());
+    for (std::size_t i = 0; i < points.size(); ++i)
+        off.push_back(std::abs(elevation_of_point(points.position_m[i]) - elevations[ring[i]]));
+    return median_of(off);
+}
+
+/// Returns the mean distance of points from the elevation of their ring. Unlike the
+/// median, it shows a few points in a wrong ring.
+double mean_off_rings(const Points& points, const std::vector<std::uint16_t>& ring,
+                      const std::vector<double>& elevations) {
+    double sum = 0.0;
+    for (std::size_t i = 0; i < points.size(); ++i)
+        sum += std::abs(elevation_of_point(points.position_m[i]) - elevations[ring[i]]);
+    return sum / double(points.size());
+}
+
+/// Returns the azimuth at which the rings of a scan begin. Points then differ least from
+/// the elevations of their rings.
+double find_first_azimuth(const Points& points, const std::vector<double>& turned) {
+    Points some;
+    std::vector<double> some_turned;
+    for (std::size_t i = 0; i < points.size(); i += kStride) {
+        some.position_m.push_back(points.position_m[i]);
+        some_turned.push_back(turned[i]);
+    }
+    const auto spread = [&](double first_rad) {
+        const std::vector<std::uint16_t> ring = number_turns(some_turned, first_rad);
+        return mean_off_rings(some, ring, elevations_of_rings(some, ring));
+    };
+    double least = INFINITY, best_rad = 0.0;
+    for (const int step_deg : {10, 1}) {
+        const double middle_rad = step_deg == 10 ? 0.0 : best_rad;
+        const int reach = step_deg == 10 ? 18 : 9;
+        for (int k = -reach; k <= reach; ++k) {
+            const double tried_rad = middle_rad + k * step_deg * kPi / 180.0, off = spread(tried_rad);
+            if (off < least) least = off, best_rad = tried_rad;
+        }
+    }
+    return best_rad;
+}
+
+/// Returns true if the rings follow one another in elevation and are distinct.
+bool are_rings(const Points& points, const std::vector<std::uint16_t>& ring,
+               const std::vector<double>& elevations) {
+    if (elevations.size() < kFewestRings || elevations.size() > kMostOrderedRings) return false;
+    std::vector<double> steps;
+    std::size_t n_up = 0, n_down = 0;
+    for (std::size_t r = 1; r < elevations.size(); ++r) {
+        const double step = elevations[r] - elevations[r - 1];
+        n_up += step > 0.0, n_down += step < 0.0;
+        if (std::isfinite(step)) steps.push_back(std::abs(step));
+    }
+    if (steps.empty() || double(std::max(n_up, n_down)) < kSorted * double(elevations.size() - 1))
+        return false;
+    return spread_in_rings(points, ring, elevations) < kInRing * median_of(steps);
+}
+
+}  // namespace
+
+FileOrder::FileOrder(const std::vector<Points>& scans) {
+    const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
+    if (fullest == scans.end()) return;
+    const std::optional<double> turning = direction_of(*fullest);
+    if (!turning) return;
+    turning_ = *turning;
+    const std::vector<double> turned = turned_azimuths(*fullest, turning_);
+    if (turned.back() - turned.front() < 2.0 * kPi * double(kFewestRings - 1)) return;
+    first_azimuth_rad_ = find_first_azimuth(*fullest, turned);
+    for (const Points& scan : scans) {
+        if (direction_of(scan) != turning) continue;
+        const std::vector<std::uint16_t> ring =
+            number_turns(turned_azimuths(scan, turning_), first_azimuth_rad_);
+        std::vector<double> elevations = elevations_of_rings(scan, ring);
+        // The scan with the most rings has a return on each beam.
+        if (elevations.size() > elevation_rad_.size() && are_rings(scan, ring, elevations))
+            elevation_rad_ = std::move(elevations);
+    }
+}
+
+void FileOrder::set_rings(Points& points) const {
+    points.ring.clear();
+    if (points.size() == 0) return;
+    points.ring = number_turns(turned_azimuths(points, turning_), first_azimuth_rad_);
+    const std::vector<double> elevations = elevations_of_rings(points, points.ring);
+    if (elevations.size() == n_rings()) return;
+    std::vector<std::uint16_t> nearest;
+    for (const double elevation : elevations) {
+        std::size_t best = 0;
+        for (std::size_t r = 0; r < n_rings(); ++r)
+            if (std::abs(elevation_rad_[r] - elevation) < std::abs(elevation_rad_[best] - elevation))
+                best = r;
+        nearest.push_back(std::uint16_t(best));
+    }
+    for (std::uint16_t& ring : points.ring) ring = nearest[ring];
+}
+
+}  // namespace relidar::folder

@@ -1,0 +1,142 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/point_meaning.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <set>
+
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include "base/files.hpp"
+#include "log/clouds/dropped_ray.hpp"
+
+namespace relidar::folder {
+namespace {
+
+// Limits of the scales 0 to 100 (percent), 0 to 255 and 0 to 65535 (16 bits).
+constexpr double kPercent = 100.0, kByte = 255.0, kTwoBytes = 65535.0;
+constexpr double kFewBrighter = 0.995;  // share of the intensities that a scale covers
+// A position that is repeated exactly marks dropped rays if a share of the points between
+// these limits, and this number of points, have it. Two returns never agree in all bits.
+constexpr double kLeastMarked = 0.01, kMostMarked = 0.95;
+constexpr std::size_t kFewestMarked = 16;
+constexpr std::size_t kLooks = 1024;  // number of points that are searched for repeated positions
+
+template <class Use>
+void for_each_value(const FieldValues& field, std::size_t n, const Use& use) {
+    field.visit([&](const auto& value_at) {
+        for (std::size_t i = 0; i < n; ++i) use(double(value_at(i)));
+    });
+}
+
+bool is_zero(const std::vector<PointTable>& clouds, const std::string& field) {
+    bool is_zero = true;
+    for (const PointTable& cloud : clouds)
+        if (const FieldValues* values = cloud.find(field))
+            for_each_value(*values, cloud.n, [&](double v) { is_zero = is_zero && !(v != 0.0); });
+    return is_zero;
+}
+
+/// Chooses the field of the intensities: the first one whose values are not all 0.
+void choose_intensity(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
+    const std::vector<std::string> names = clouds[0].names(PointValue::intensity);
+    if (names.empty()) return;
+    const auto used =
+        std::ranges::find_if(names, [&](const std::string& name) { return !is_zero(clouds, name); });
+    meaning.intensity_field = used == names.end() ? names[0] : *used;
+    const bool is_usual = meaning.intensity_field == "intensity" || meaning.intensity_field == "reflectivity";
+    if (used == names.end())
+        meaning.notes.push_back(fmt::format("the field '{}' is 0 at all points", excerpt(names[0])));
+    else if (used != names.begin())
+        meaning.notes.push_back(
+            fmt::format("intensities are read from the field '{}', because '{}' is 0 at all points",
+                        excerpt(*used), excerpt(names[0])));
+    else if (!is_usual)
+        meaning.notes.push_back(fmt::format("intensities are read from the field '{}'", excerpt(*used)));
+}
+
+void list_unread(const std::vector<PointTable>& clouds, PointMeaning& meaning) {
+    std::set<std::string> unread;
+    for (const PointTable& cloud : clouds)
+        for (const std::string& name : cloud.unread) unread.insert(excerpt(name));
+    if (unread.empty()) return;
+    meaning.notes.push_back(
+        fmt::format("fields of the points that are not read: {} (intensities: {})", fmt::join(unread, ", "),
+                    meaning.intensity_field.empty() ? "none, because no field has a name for them"
+                                                    : "'" + excerpt(meaning.intensity_field) + "'"));
+}
+
+/// Returns the position that many points of a cloud share exactly.
+std::optional<glm::vec3> repeated_position(const PointTable& cloud) {
+    const std::array<const FieldValues*, 3> xyz = {cloud.find(PointValue::x), cloud.find(PointValue::y),
+                                                   cloud.find(PointValue::z)};
+    if (!xyz[0] || !xyz[1] || !xyz[2]) return std::nullopt;
+    const auto point = [&](std::size_t i) {
+        return std::array{float((*xyz[0])[i]), float((*xyz[1])[i]), float((*xyz[2])[i])};
+    };
+    const auto is_real = [](const std::array<float, 3>& p) { return is_return(glm::vec3(p[0], p[1], p[2])); };
+    std::vector<std::array<float, 3>> some;
+    const std::size_t n = std::min(kLooks, cloud.n);
+    for (std::size_t k = 0; k < n; ++k)
+        if (const auto p = point(k * cloud.n / n); is_real(p)) some.push_back(p);
+    std::ranges::sort(some);
+    std::size_t most = 0, last = 0;
+    for (std::size_t k = 0, run = 0; k < some.size(); ++k) {
+        run = k > 0 && some[k] == some[k - 1] ? run + 1 : 1;
+        if (run > most) most = run, last = k;
+    }
+    if (most < 3) return std::nullopt;
+    std::size_t n_marked = 0;
+    for (std::size_t i = 0; i < cloud.n; ++i) n_marked += point(i) == some[last];
+    const double share = double(n_marked) / double(cloud.n);
+    if (n_marked < kFewestMarked || share < kLeastMarked || share > kMostMarked) return std::nullopt;
+    return glm::vec3(some[last][0], some[last][1], some[last][2]);
+}
+
+}  // namespace
+
+IntensityScale find_scale(std::vector<double>& intensities) {
+    std::erase_if(intensities, [](double v) { return !std::isfinite(v); });
+    if (intensities.empty()) return {};
+    const auto [lowest, highest] = std::ranges::minmax(intensities);
+    IntensityScale scale;
+    scale.is_sure = lowest >= 0.0 && (highest <= 1.0 || (highest > kPercent && highest <= kTwoBytes));
+    if (highest <= 1.0) return scale;
+    if (highest <= kByte) {
+        scale.max = kByte;
+        scale.about = fmt::format("intensities up to {:.4g} are read as shares of 255{}", highest,
+                                  scale.is_sure ? "" : ", but percent would fit them, too");
+        return scale;
+    }
+    const auto at = intensities.begin() + std::ptrdiff_t(kFewBrighter * double(intensities.size() - 1));
+    std::nth_element(intensities.begin(), at, intensities.end());
+    scale.max = std::max(*at, 1.0);
+    scale.about =
+        fmt::format("intensities up to {:.4g}: {:.4g}, above which 0.5 % of the points are, counts as 1",
+                    highest, scale.max);
+    return scale;
+}
+
+PointMeaning find_meaning(const std::vector<PointTable>& clouds) {
+    PointMeaning meaning;
+    if (clouds.empty()) return meaning;
+    choose_intensity(clouds, meaning);
+    list_unread(clouds, meaning);
+    std::vector<double> intensities;
+    for (const PointTable& cloud : clouds)
+        if (const FieldValues* values = cloud.find(meaning.intensity_field))
+            for_each_value(*values, cloud.n, [&](double v) { intensities.push_back(v); });
+    meaning.scale = find_scale(intensities);
+    if (!meaning.scale.about.empty()) meaning.notes.push_back(meaning.scale.about);
+    for (const PointTable& cloud : clouds)
+        if (!meaning.no_return) meaning.no_return = repeated_position(cloud);
+    if (meaning.no_return)
+        meaning.notes.push_back(
+            fmt::format("many points have exactly the position ({}, {}, {}): they count as dropped rays",
+                        meaning.no_return->x, meaning.no_return->y, meaning.no_return->z));
+    return meaning;
+}
+
+}  // namespace relidar::folder

@@ -1,0 +1,181 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reads points from text files (CSV, XYZ) and from structured numpy arrays. Both name
+// their fields in a header.
+#include <algorithm>
+#include <array>
+#include <cstring>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "base/files.hpp"
+#include "log/clouds/point_table.hpp"
+
+namespace relidar::folder {
+namespace {
+
+constexpr std::size_t kMostTextFields = 1024;
+constexpr std::size_t kNpyPrefix = 8;  // magic and version of a .npy file
+
+std::vector<PointField> names_in(std::string_view line) {
+    std::vector<PointField> fields;
+    for (line = trimmed(line); !line.empty(); line = trimmed(line)) {
+        const std::size_t end = std::min(line.find_first_of(" \t"), line.size());
+        std::string name(line.substr(0, end));
+        std::erase(name, '"');
+        fields.push_back({std::move(name), 'F', sizeof(double)});
+        line.remove_prefix(end);
+    }
+    return fields;
+}
+
+std::vector<PointField> fields_named(const std::vector<std::string>& names) {
+    std::vector<PointField> fields;
+    for (const std::string& name : names) fields.push_back({name, 'F', sizeof(double)});
+    return fields;
+}
+
+/// Returns the fields of a text file without a header.
+/// @param n  number of numbers per line
+std::vector<PointField> fields_without_header(std::size_t n, const std::vector<std::string>& columns,
+                                              const std::string& where) {
+    if (columns.size() == n) return fields_named(columns);
+    if (columns.empty() && n == 3) return fields_named({"x", "y", "z"});
+    if (columns.empty() && n == 4) return fields_named({"x", "y", "z", "intensity"});
+    throw DataError(
+        fmt::format("{}: {} numbers a line without a header, expected names in the first line, or "
+                    "\"columns\" in sequence.json",
+                    where, n));
+}
+
+/// Parses the list of fields in the header of a structured array: [('x', '<f4'), ...].
+class FieldList {
+public:
+    FieldList(std::string_view text, const std::string& where) : text_(text), where_(where) {}
+
+    std::vector<PointField> parse() {
+        std::vector<PointField> fields;
+        expect('[');
+        while (!accept(']')) {
+            expect('(');
+            const std::string name = quoted();
+            expect(',');
+            fields.push_back(field_of(name, quoted()));
+            if (accept(',') && peek('(')) fields.back().count *= shape();
+            expect(')');
+            if (!accept(',') && !peek(']')) fail();
+            if (fields.size() > kMostTextFields) fail();
+        }
+        return fields;
+    }
+    /// Parses a tuple of numbers, and returns their product.
+    std::size_t shape() {
+        std::size_t n = 1;
+        expect('(');
+        while (!accept(')')) {
+            std::size_t value = 0, n_digits = 0;
+            for (peek(' '); !text_.empty() && text_[0] >= '0' && text_[0] <= '9'; ++n_digits) {
+                value = 10 * value + std::size_t(text_[0] - '0');
+                text_.remove_prefix(1);
+            }
+            if (n_digits == 0 || n_digits > 8) fail();
+            n *= value;
+            if (n > std::size_t(1) << 32 || (!accept(',') && !peek(')'))) fail();
+        }
+        return n;
+    }
+
+private:
+    std::string_view text_;
+    const std::string& where_;
+
+    [[noreturn]] void fail() const {
+        throw DataError(fmt::format("{}: its npy header is malformed, expected fields of numbers", where_));
+    }
+    bool peek(char c) {
+        while (!text_.empty() && (text_[0] == ' ' || text_[0] == '\n')) text_.remove_prefix(1);
+        return !text_.empty() && text_[0] == c;
+    }
+    bool accept(char c) {
+        if (!peek(c)) return false;
+        text_.remove_prefix(1);
+        return true;
+    }
+    void expect(char c) {
+        if (!accept(c)) fail();
+    }
+    std::string quoted() {
+        expect('\'');
+        const std::size_t end = std::min(text_.find('\''), text_.size());
+        const std::string text(text_.substr(0, end));
+        text_.remove_prefix(end);
+        expect('\'');
+        return text;
+    }
+    /// Converts a type of numpy, such as '<f4'. An unnamed field, or one of type 'V',
+    /// fills a gap.
+    PointField field_of(const std::string& name, const std::string& type) const {
+        const auto size = parse_number(std::string_view(type).substr(std::min<std::size_t>(2, type.size())));
+        if (type.size() < 3 || !size || !(*size >= 1.0 && *size <= 65536.0)) fail();
+        if (type[0] == '>')
+            throw DataError(
+                fmt::format("{}: field '{}' is big-endian, expected little-endian", where_, excerpt(name)));
+        if (type[1] == 'V' || name.empty()) return {std::string(kPadding), 'U', 1, std::size_t(*size)};
+        const char kind = type[1] == 'f' ? 'F' : type[1] == 'i' ? 'I' : 'U';
+        return {name, kind, std::size_t(*size)};
+    }
+};
+
+}  // namespace
+
+PointTable read_text_points(const SharedBytes& file, const std::vector<std::string>& columns,
+                            const std::string& where) {
+    std::string text(file.bytes);
+    std::ranges::replace_if(
+        text, [](char c) { return c == ',' || c == ';' || c == '\r' || c == '\t'; }, ' ');
+    std::string_view rest = trimmed(text);
+    const auto first_line = [&] { return rest.substr(0, std::min(rest.find('\n'), rest.size())); };
+    const auto skip_line = [&] { rest.remove_prefix(std::min(first_line().size() + 1, rest.size())); };
+    std::vector<PointField> fields;
+    if (const auto numbers = parse_numbers(first_line()); numbers && numbers->size() == 1) skip_line();
+    if (const auto numbers = parse_numbers(first_line()); numbers) {
+        fields = fields_without_header(numbers->size(), columns, where);
+    } else {
+        std::string_view names = trimmed(first_line());
+        names.remove_prefix(std::min(names.find_first_not_of("#/ "), names.size()));
+        fields = names_in(names);
+        skip_line();
+    }
+    if (fields.size() > kMostTextFields)
+        throw DataError(
+            fmt::format("{}: {} fields, expected at most {}", where, fields.size(), kMostTextFields));
+    const auto n = rest.empty() ? 0 : std::size_t(std::ranges::count(rest, '\n')) + 1;
+    return read_lines(rest, fields, n, where);
+}
+
+bool is_structured_npy(std::string_view bytes) {
+    const std::string_view header = bytes.substr(0, 256);
+    const std::size_t at = header.find("'descr':");
+    return header.starts_with("\x93NUMPY") && at != header.npos &&
+           trimmed(header.substr(at + 8)).starts_with('[');
+}
+
+PointTable read_structured_npy(const SharedBytes& file, const std::string& where) {
+    const std::string_view bytes = file.bytes;
+    const std::size_t n_length = bytes.size() > kNpyPrefix && bytes[6] == 1 ? 2 : 4;
+    if (bytes.size() < kNpyPrefix + n_length) throw DataError(fmt::format("{}: truncated npy header", where));
+    std::uint32_t length = 0;
+    std::memcpy(&length, bytes.data() + kNpyPrefix, n_length);
+    const std::size_t start = kNpyPrefix + n_length;
+    if (length > bytes.size() - start) throw DataError(fmt::format("{}: truncated npy header", where));
+    const std::string_view header = bytes.substr(start, length);
+    const std::size_t fields_at = header.find("'descr':"), shape_at = header.find("'shape':");
+    if (fields_at == header.npos || shape_at == header.npos)
+        throw DataError(fmt::format("{}: its npy header lacks descr or shape", where));
+    const std::vector<PointField> fields = FieldList(header.substr(fields_at + 8), where).parse();
+    const std::size_t n = FieldList(header.substr(shape_at + 8), where).shape();
+    return read_packed(file.with(bytes.substr(start + length)), fields, n, Packing::by_point, where);
+}
+
+}  // namespace relidar::folder

@@ -1,0 +1,89 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/pose_conventions.hpp"
+
+#include <algorithm>
+#include <unordered_set>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "base/cell_key.hpp"
+#include "log/clouds/stamped_log.hpp"
+
+namespace relidar::folder {
+namespace {
+
+// A vehicle drives forward if the mean component of its steps along its x axis is at
+// least this large.
+constexpr double kForward = 0.9;
+// Minimum advantage of another reading: of the mean forward component, and of the
+// overlap.
+constexpr double kMoreForward = 0.3, kMoreOverlap = 0.02;
+constexpr std::size_t kFewestSteps = 3;          // minimum number of steps that show the motion
+constexpr double kCell_m = 0.5;                  // edge length of the cells for the overlap
+constexpr float kNear_m = 3.0f, kFar_m = 40.0f;  // range of the points that are compared
+
+bool is_compared(const glm::vec3& point_m) {
+    const float range_m = glm::length(point_m);
+    return range_m > kNear_m && range_m < kFar_m;
+}
+
+}  // namespace
+
+void ScanPairs::add(double first_s, std::vector<glm::vec3> first_m, double second_s,
+                    std::vector<glm::vec3> second_m) {
+    std::erase_if(first_m, [](const glm::vec3& p) { return !is_compared(p); });
+    std::erase_if(second_m, [](const glm::vec3& p) { return !is_compared(p); });
+    if (!first_m.empty() && !second_m.empty())
+        pairs_.push_back({first_s, second_s, std::move(first_m), std::move(second_m)});
+}
+
+double ScanPairs::overlap(const PoseTrack& world_from_vehicle) const {
+    double sum = 0.0;
+    for (const Pair& pair : pairs_) {
+        const Pose first_from_second =
+            inverse(world_from_vehicle.at(pair.first_s)) * world_from_vehicle.at(pair.second_s);
+        std::unordered_set<std::uint64_t> cells;
+        for (const glm::vec3& p : pair.first_m) cells.insert(cell_key(glm::dvec3(p), kCell_m));
+        std::size_t n = 0;
+        for (const glm::vec3& p : pair.second_m)
+            n += cells.contains(cell_key(first_from_second * glm::dvec3(p), kCell_m));
+        sum += double(n) / double(pair.second_m.size());
+    }
+    return pairs_.empty() ? 0.0 : sum / double(pairs_.size());
+}
+
+std::size_t choose_reading(const std::vector<PoseReading>& readings, const ReadPairs& read_pairs,
+                           const std::string& where, std::vector<std::string>& notes) {
+    std::vector<double> forward;
+    for (const PoseReading& reading : readings) {
+        const stamped::Driving driving = stamped::find_driving(reading.world_from_vehicle);
+        forward.push_back(driving.n_steps < kFewestSteps ? 0.0 : driving.mean.x);
+    }
+    const auto is_possible = [&](std::size_t k) {
+        return forward[k] >= kForward && forward[k] >= forward[0] + kMoreForward;
+    };
+    std::size_t n_possible = 0;
+    for (std::size_t k = 1; k < readings.size(); ++k) n_possible += is_possible(k);
+    if (n_possible == 0) return 0;
+    const ScanPairs scans = read_pairs ? read_pairs() : ScanPairs();
+    std::size_t best = 0;
+    double best_overlap = scans.overlap(readings[0].world_from_vehicle) + kMoreOverlap;
+    for (std::size_t k = 1; k < readings.size(); ++k) {
+        if (!is_possible(k)) continue;
+        if (scans.empty() && (readings[k].needs_scans || best > 0)) continue;
+        const double overlap = scans.overlap(readings[k].world_from_vehicle);
+        if (!scans.empty() && overlap <= best_overlap) continue;
+        best = k;
+        best_overlap = overlap;
+    }
+    if (best > 0)
+        notes.push_back(
+            fmt::format("{}: poses are read as {}: the vehicle then drives forward by {:.2f} on average, and "
+                        "by {:.2f} if "
+                        "they are read as {}",
+                        where, readings[best].about, forward[best], forward[0], readings[0].about));
+    return best;
+}
+
+}  // namespace relidar::folder

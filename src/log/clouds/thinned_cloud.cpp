@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "log/clouds/thinned_cloud.hpp"
+
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+namespace relidar {
+namespace {
+
+constexpr double kFewFilled = 0.3;    // minimum share of rays with a return in a complete cloud
+constexpr double kFewRegular = 0.78;  // minimum share of regular steps in a complete cloud
+constexpr double kRegular = 1.5;      // maximum ratio of a regular step to the median step
+// limits of a step between neighbouring points
+constexpr double kShortest_rad = 1e-5, kLongest_rad = 0.2;
+
+/// Returns the share of the azimuth steps along rings that are regular.
+double regular_share(const Points& scan) {
+    std::vector<std::pair<std::uint16_t, double>> places;  // ring and azimuth
+    for (std::size_t i = 0; i < scan.size(); ++i)
+        places.emplace_back(scan.ring[i],
+                            std::atan2(double(scan.position_m[i].y), double(scan.position_m[i].x)));
+    std::ranges::sort(places);
+    std::vector<double> steps;
+    for (std::size_t i = 1; i < places.size(); ++i) {
+        const double step = places[i].second - places[i - 1].second;
+        if (places[i].first == places[i - 1].first && step > kShortest_rad && step < kLongest_rad)
+            steps.push_back(step);
+    }
+    if (steps.empty()) return 1.0;
+    std::ranges::sort(steps);
+    const double most = kRegular * steps[steps.size() / 2];
+    return double(std::ranges::upper_bound(steps, most) - steps.begin()) / double(steps.size());
+}
+
+}  // namespace
+
+std::string why_thinned(const std::vector<Points>& scans, const SpinningSensor& fitted) {
+    const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
+    if (fullest == scans.end()) return "";
+    const double filled = double(fullest->size()) / (double(fitted.beams.size()) * fitted.columns);
+    if (filled < kFewFilled)
+        return fmt::format("points fill {:.0f} % of {} beams x {} columns, as in a thinned cloud",
+                           100.0 * filled, fitted.beams.size(), fitted.columns);
+    if (const double share = regular_share(*fullest); share < kFewRegular)
+        return fmt::format("{:.0f} % of the steps between points are regular, as in a thinned cloud",
+                           100.0 * share);
+    return "";
+}
+
+}  // namespace relidar
