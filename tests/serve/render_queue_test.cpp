@@ -18,13 +18,23 @@
 namespace relidar::serve {
 namespace {
 
-const auto kWanted = [] { return true; };
+/// Request that calls functions.
+struct FunctionsRequest : Request {
+    std::function<void(bool is_last)> on_submit = [](bool) {};
+    std::function<void()> on_finish = [] {};
+    std::function<bool()> cancelled = [] { return false; };
+
+    void submit(bool is_last) override { on_submit(is_last); }
+    void finish() override { on_finish(); }
+    bool is_cancelled() const override { return cancelled(); }
+};
+using Outcome = RenderQueue::Outcome;
 
 /// Work that blocks the render thread until the object is destroyed.
 class Blocker {
 public:
     explicit Blocker(RenderQueue& queue)
-        : place_(std::move(*queue.enter())), thread_([this] { place_.run([this] { block(); }, kWanted); }) {
+        : slot_(std::move(*queue.reserve())), thread_([this] { slot_.run([this] { block(); }); }) {
         begun_.get_future().wait();
     }
     ~Blocker() {
@@ -34,7 +44,7 @@ public:
 
 private:
     std::promise<void> begun_, go_;
-    RenderQueue::Place place_;
+    RenderQueue::Slot slot_;
     std::thread thread_;
 
     void block() {
@@ -43,131 +53,142 @@ private:
     }
 };
 
-TEST(RenderQueue, HasPlacesForThoseWhoWaitAndTheOneWhoIsServed) {
+TEST(RenderQueue, HasSlotsForPendingRequestsAndTheCurrentOne) {
     RenderQueue queue(2);
-    std::vector<RenderQueue::Place> places;
+    std::vector<RenderQueue::Slot> slots;
     for (int i = 0; i < 3; ++i) {
-        std::optional<RenderQueue::Place> place = queue.enter();
-        ASSERT_TRUE(place);
-        places.push_back(std::move(*place));
+        std::optional<RenderQueue::Slot> slot = queue.reserve();
+        ASSERT_TRUE(slot);
+        slots.push_back(std::move(*slot));
     }
-    EXPECT_FALSE(queue.enter());
-    places.pop_back();
-    EXPECT_TRUE(queue.enter()) << "a place is given back";
+    EXPECT_FALSE(queue.reserve());
+    slots.pop_back();
+    EXPECT_TRUE(queue.reserve()) << "a slot is released";
 }
 
-TEST(RenderQueue, DoesAllWorkOnOneThread) {
+TEST(RenderQueue, RunsAllRequestsOnOneThread) {
     RenderQueue queue(8);
     std::thread::id worker;
-    queue.enter()->run([&] { worker = std::this_thread::get_id(); }, kWanted);
+    queue.reserve()->run([&] { worker = std::this_thread::get_id(); });
     EXPECT_NE(worker, std::this_thread::get_id());
     std::atomic<int> elsewhere = 0, done = 0;
     std::vector<std::jthread> clients;
     for (int i = 0; i < 8; ++i)
         clients.emplace_back([&] {
-            queue.enter()->run([&] { elsewhere += std::this_thread::get_id() != worker, ++done; }, kWanted);
+            queue.reserve()->run([&] { elsewhere += std::this_thread::get_id() != worker, ++done; });
         });
     clients.clear();
     EXPECT_EQ(done, 8);
     EXPECT_EQ(elsewhere, 0);
 }
 
-/// Returns what a queue does with waiting work, in order. A lower-case letter marks the
-/// begin of work in two parts, a comma follows if other work begins together with it, and
-/// a capital letter marks its end.
-/// @param line names and kinds; kind 0 is work in one part
-/// @param fails name of the work whose begin fails
+/// Returns what a queue does with pending requests, in order. A lower-case letter marks a
+/// submission, a comma follows if another request is submitted together with it, and a
+/// capital letter marks the end of the request.
+/// @param line names and scenes; scene 0 stands for a request without a scene
+/// @param fails name of the request whose submission fails
 std::string parts_of(const std::vector<std::pair<char, std::size_t>>& line, std::size_t together,
                      char fails = ' ') {
     RenderQueue queue(8);
-    queue.begin_together(together);
+    queue.set_batch_size(together);
     std::string parts;  // accessed only by the queue's thread
     std::vector<std::jthread> clients;
     std::optional<Blocker> blocker(std::in_place, queue);
     std::atomic<int> n_in_line = 0;
-    const auto add = [&](const auto& work) {
+    for (const auto& [name, scene] : line) {
         const int before = n_in_line;
-        clients.emplace_back([&queue, &n_in_line, work] {
-            RenderQueue::Place place = std::move(*queue.enter());
-            const auto is_wanted = [&n_in_line, told = false]() mutable {
-                return n_in_line += !std::exchange(told, true), true;
+        clients.emplace_back([&, name = name, scene = scene] {
+            FunctionsRequest request;
+            request.on_submit = [&parts, name, fails](bool is_last) {
+                if (name == fails) throw std::runtime_error("submit");
+                parts += name;
+                if (!is_last) parts += ',';
             };
+            request.on_finish = [&parts, name] { parts += char(std::toupper(name)); };
+            request.cancelled = [&n_in_line, counted = false]() mutable {
+                return n_in_line += !std::exchange(counted, true), false;
+            };
+            if (scene > 0) request.scene = scene;
             try {
-                place.run(work, is_wanted);
+                queue.reserve()->run(request);
             } catch (const std::runtime_error&) {}
         });
-        // the queue has asked whether the work is cancelled, so the work is in the queue
+        // the queue has polled whether the request is cancelled, so the request is
+        // pending
         while (n_in_line == before) std::this_thread::yield();
-    };
-    for (const auto& [name, kind] : line) {
-        const auto begin = [&parts, name = name, fails](bool is_last) {
-            if (name == fails) throw std::runtime_error("begin");
-            parts += name;
-            if (!is_last) parts += ',';
-        };
-        if (kind == 0) add(std::function<void()>([&parts, name = name] { parts += name; }));
-        else add(WorkInTwo{begin, [&parts, name = name] { parts += char(std::toupper(name)); }, kind});
     }
     blocker.reset();
     clients.clear();
     return parts;
 }
 
-/// The second work of a kind must begin before the first one ends, and the order must be
-/// kept. Work of another kind, or in one part, must wait.
-TEST(RenderQueue, WorkInTwoOverlapsWithTheNextOfItsKind) {
+/// The second request for a scene must be submitted before the first one ends, and the
+/// order must be kept. Requests for another scene, or without a scene, must wait.
+TEST(RenderQueue, RequestsOfASceneOverlap) {
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 2}, {'-', 0}, {'e', 2}}, 1), "abAcBCdD-eE");
 }
 
-TEST(RenderQueue, WorkInTwoOfOneKindIsBegunTogether) {
+TEST(RenderQueue, RequestsOfASceneAreSubmittedTogether) {
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}, {'e', 1}, {'f', 2}, {'-', 0}, {'g', 2}}, 2),
               "a,bc,dABeCDEfF-gG");
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 2}, {'d', 2}, {'e', 2}, {'f', 2}}, 3), "a,bABc,d,efCDEF");
     EXPECT_EQ(parts_of({{'a', 1}, {'b', 1}, {'c', 1}, {'d', 1}}, 2, 'b'), "a,c,dACD")
-        << "b fails: nobody told a";
+        << "b fails, and a was not informed";
 }
 
-TEST(RenderQueue, WorkInTwoThatFailsIsNotFinishedAndStopsNoOther) {
+TEST(RenderQueue, ARequestThatFailsIsNotFinishedAndStopsNoOther) {
     RenderQueue queue(8);
     bool finished = false;
-    const WorkInTwo fails{[](bool) { throw std::runtime_error("begin"); }, [&] { finished = true; }, 1};
-    EXPECT_THROW(queue.enter()->run(fails, kWanted), std::runtime_error);
+    FunctionsRequest fails;
+    fails.scene = 1;
+    fails.on_submit = [](bool) { throw std::runtime_error("submit"); };
+    fails.on_finish = [&] { finished = true; };
+    EXPECT_THROW(queue.reserve()->run(fails), std::runtime_error);
     EXPECT_FALSE(finished);
-    const WorkInTwo fails_late{[](bool) {}, [] { throw std::runtime_error("finish"); }, 1};
-    EXPECT_THROW(queue.enter()->run(fails_late, kWanted), std::runtime_error);
-    const WorkInTwo works{[](bool) {}, [&] { finished = true; }, 1};
-    EXPECT_EQ(queue.enter()->run(works, kWanted), WorkEnd::done) << "nobody comes after it";
+    FunctionsRequest fails_late;
+    fails_late.scene = 1;
+    fails_late.on_finish = [] { throw std::runtime_error("finish"); };
+    EXPECT_THROW(queue.reserve()->run(fails_late), std::runtime_error);
+    FunctionsRequest works;
+    works.scene = 1;
+    works.on_finish = [&] { finished = true; };
+    EXPECT_EQ(queue.reserve()->run(works), Outcome::done) << "nobody comes after it";
     EXPECT_TRUE(finished);
 }
 
-TEST(RenderQueue, WorkWhoseClientHasLeftIsNeverBegun) {
+TEST(RenderQueue, ACancelledRequestIsNeverSubmitted) {
     RenderQueue queue(4);
-    std::atomic<bool> ran = false, wanted = true;
-    WorkEnd end = WorkEnd::done;
+    std::atomic<bool> ran = false, cancelled = false;
+    Outcome outcome = Outcome::done;
+    FunctionsRequest request;
+    request.on_submit = [&](bool) { ran = true; };
+    request.cancelled = [&] { return cancelled.load(); };
     {
         Blocker blocker(queue);
-        std::jthread client(
-            [&] { end = queue.enter()->run([&] { ran = true; }, [&] { return wanted.load(); }); });
-        wanted = false;
+        std::jthread client([&] { outcome = queue.reserve()->run(request); });
+        cancelled = true;
         client.join();  // joins while the thread is busy: a cancelled request must not wait for others
-        EXPECT_EQ(end, WorkEnd::unwanted);
+        EXPECT_EQ(outcome, Outcome::cancelled);
     }
-    queue.enter()->run([] {}, kWanted);  // afterwards, all earlier work has been processed
+    queue.reserve()->run([] {});  // afterwards, all earlier work has been processed
     EXPECT_FALSE(ran);
 }
 
-TEST(RenderQueue, LooksOnceMoreBeforeItBegins) {
+TEST(RenderQueue, ChecksOnceMoreBeforeItSubmits) {
     RenderQueue queue(4);
     bool ran = false;
-    EXPECT_EQ(queue.enter()->run([&] { ran = true; }, [] { return false; }), WorkEnd::unwanted);
+    FunctionsRequest request;
+    request.on_submit = [&](bool) { ran = true; };
+    request.cancelled = [] { return true; };
+    EXPECT_EQ(queue.reserve()->run(request), Outcome::cancelled);
     EXPECT_FALSE(ran);
 }
 
-TEST(RenderQueue, FailureOfWorkIsItsOwn) {
+TEST(RenderQueue, AFailureEndsOnlyItsRequest) {
     RenderQueue queue(4);
-    EXPECT_THROW(queue.enter()->run([] { throw std::runtime_error("of this one"); }, kWanted),
-                 std::runtime_error);
-    EXPECT_EQ(queue.enter()->run([] {}, kWanted), WorkEnd::done);
+    EXPECT_THROW(queue.reserve()->run([] { throw std::runtime_error("of this one"); }), std::runtime_error);
+    FunctionsRequest request;
+    EXPECT_EQ(queue.reserve()->run(request), Outcome::done);
 }
 
 }  // namespace

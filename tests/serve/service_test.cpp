@@ -2,12 +2,18 @@
 // Tests the answers that a client receives: scans must equal those of ScanRenderer bit by
 // bit, and points must lie on surfaces. Also tests tracks of the log and sensors of the
 // client.
+#include <fstream>
+#include <iterator>
+
 #include <fmt/format.h>
 #include <gmock/gmock.h>
 
+#include <relidar/base/arrays.hpp>
 #include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_files.hpp>
 
 #include "../../tools/network/loopback.hpp"
+#include "../../tools/view/frame.hpp"
 #include "../support/drop_networks.hpp"
 #include "small_service.hpp"
 
@@ -65,6 +71,63 @@ TEST_F(Service, RendersToTheBitAsTheLibrary) {
     request.mutable_actors()->clear_actors();
     request.set_sample_seed(7);
     expect_same(scan_of(request), rendered({0.45, way, ActorPoses{}}, "VLP-16:90x10", 7));
+}
+
+/// Returns the positions in a binary PLY file. A point has 26 bytes: x, y, z, intensity,
+/// ring (2 bytes), time and instance.
+std::vector<float> ply_positions(const std::filesystem::path& path) {
+    constexpr std::size_t kPointBytes = 26;
+    std::ifstream file(path, std::ios::binary);
+    std::string text{std::istreambuf_iterator<char>(file), {}};
+    text.erase(0, text.find("end_header\n") + 11);
+    EXPECT_EQ(text.size() % kPointBytes, 0u);
+    std::string positions;
+    for (std::size_t i = 0; i < text.size(); i += kPointBytes) positions += text.substr(i, 12);
+    return values<float>(positions);
+}
+
+/// Returns the positions of the rays that return.
+/// @param ends [n, 3] end points of all rays
+std::vector<float> returned_positions(const std::vector<float>& ends, const RenderedScan& scan) {
+    std::vector<float> positions;
+    for (std::size_t i = 0; i < scan.median_range_m.size(); ++i)
+        if (returned(scan.image.drop_prob[i], scan.median_range_m[i]))
+            positions.insert(positions.end(), {ends[3 * i], ends[3 * i + 1], ends[3 * i + 2]});
+    return positions;
+}
+
+/// The sensor moves and turns. At the time of the scan its frame is the world of the
+/// scene, so that the viewer uses the same frame. Run.render() of Python returns
+/// scan_arrays().
+TEST_F(Service, PointsAreThoseOfFilesViewerAndPython) {
+    start();
+    const Pose turned{glm::normalize(glm::dquat(1.0, 0.01, 0.02, 0.1)), at_x(1.3).translation};
+    const PoseTrack way{{0.3, 0.45, 0.6}, {at_x(-2.0), at_x(0.0), turned}};
+    v1::RenderLidarRequest request = standing();
+    request.clear_path();
+    for (std::size_t i = 0; i < 3; ++i) add_pose(*request.mutable_path(), way.time_s[i], way.pose[i]);
+    request.set_time_s(0.45), request.set_points_at_s(0.45);
+    const std::vector<float> beside_image = values<float>(scan_of(request).points().xyz_m());
+    ASSERT_GT(beside_image.size(), 60u);
+    request.mutable_wanted()->clear_range_image(), request.mutable_wanted()->clear_drop_probability();
+    EXPECT_EQ(values<float>(scan_of(request).points().xyz_m()), beside_image) << "without an image";
+
+    const relidar::Run run = load_run(folder / "small");
+    const RenderedScan scan = rendered({0.45, way}, "", {});
+    ScanFormat format = scan_format(run, configured_sensor(run.config, run.sequence));
+    format.formats = {"ply"}, format.deskew = true;
+    ScanFolder(folder / "files", format).write(0, scan);
+    EXPECT_EQ(ply_positions(folder / "files" / "frame_000000.ply"), beside_image) << "render --format ply";
+
+    const view::ScanColumns in_viewer = view::simulated_columns(scan, run.config, kDatasetOrigin_m);
+    std::vector<float> ends;
+    for (const glm::vec3& end : in_viewer.position_m) ends.insert(ends.end(), {end.x, end.y, end.z});
+    EXPECT_EQ(returned_positions(ends, scan), beside_image) << "viewer";
+
+    const std::vector<NamedArray> arrays = scan_arrays(scan, 0, format);
+    const auto of_python = std::ranges::find(arrays, "points", &NamedArray::name);
+    ASSERT_NE(of_python, arrays.end());
+    EXPECT_EQ(returned_positions(of_python->as_float(), scan), beside_image) << "Python";
 }
 
 /// Each request is rendered in its own weather, or in the server's weather if it has

@@ -2,7 +2,6 @@
 #include "render_queue.hpp"
 
 #include <algorithm>
-#include <chrono>
 #include <utility>
 
 #include <relidar/base/error.hpp>
@@ -10,13 +9,22 @@
 namespace relidar::serve {
 namespace {
 
-/// A waiting call checks at this interval that its client is still connected. It checks
-/// once more before its job starts.
-constexpr std::chrono::milliseconds kLook{10};
+/// A waiting call checks at this interval whether its request is cancelled. The render
+/// thread checks once more before it submits the request.
+constexpr std::chrono::milliseconds kPoll{10};
+
+class FunctionRequest final : public Request {
+public:
+    explicit FunctionRequest(const std::function<void()>& function) : function_(function) {}
+    void submit(bool) override { function_(); }
+
+private:
+    const std::function<void()>& function_;
+};
 
 }  // namespace
 
-RenderQueue::RenderQueue(std::size_t waiting) : places_(waiting + 1), thread_([this] { serve(); }) {}
+RenderQueue::RenderQueue(std::size_t n_pending) : slots_(n_pending + 1), thread_([this] { serve(); }) {}
 
 RenderQueue::~RenderQueue() {
     {
@@ -27,11 +35,11 @@ RenderQueue::~RenderQueue() {
     thread_.join();
 }
 
-std::optional<RenderQueue::Place> RenderQueue::enter() {
+std::optional<RenderQueue::Slot> RenderQueue::reserve() {
     const std::lock_guard lock(mutex_);
-    if (taken_ == places_) return {};
-    ++taken_;
-    return Place(this);
+    if (n_reserved_ == slots_) return {};
+    ++n_reserved_;
+    return Slot(this);
 }
 
 std::optional<std::string> RenderQueue::device_loss() {
@@ -39,117 +47,118 @@ std::optional<std::string> RenderQueue::device_loss() {
     return device_loss_;
 }
 
-void RenderQueue::begin_together(std::size_t n) {
+void RenderQueue::set_batch_size(std::size_t n) {
     const std::lock_guard lock(mutex_);
-    together_ = n;
+    batch_size_ = n;
 }
 
-RenderQueue::Place::~Place() {
+RenderQueue::Slot::~Slot() {
     if (!queue_) return;
     const std::lock_guard lock(queue_->mutex_);
-    --queue_->taken_;
+    --queue_->n_reserved_;
 }
 
-WorkEnd RenderQueue::Place::run(const std::function<void()>& work, const std::function<bool()>& is_wanted) {
-    return run(WorkInTwo{[&](bool) { work(); }, {}, 0}, is_wanted);
-}
-
-WorkEnd RenderQueue::Place::run(const WorkInTwo& work, const std::function<bool()>& is_wanted) {
-    Job job{work, is_wanted};
+RenderQueue::Outcome RenderQueue::Slot::run(Request& request) {
+    request.queued_at_ = Request::Clock::now();
     std::unique_lock lock(queue_->mutex_);
-    queue_->line_.push_back(&job);
+    queue_->pending_.push_back(&request);
     queue_->more_.notify_one();
-    queue_->wait(job, lock);
-    if (job.failure) std::rethrow_exception(job.failure);
-    return job.state == Job::State::done ? WorkEnd::done : WorkEnd::unwanted;
+    queue_->wait(request, lock);
+    if (request.failure_) std::rethrow_exception(request.failure_);
+    return request.state_ == Request::State::done ? Outcome::done : Outcome::cancelled;
 }
 
-void RenderQueue::wait(Job& job, std::unique_lock<std::mutex>& lock) {
-    while (job.state == Job::State::waits &&
-           !job.changed.wait_for(lock, kLook, [&] { return job.state != Job::State::waits; })) {
-        if (job.is_wanted()) continue;
-        job.state = Job::State::unwanted;
-        line_.erase(std::find(line_.begin(), line_.end(), &job));
+void RenderQueue::Slot::run(const std::function<void()>& function) {
+    FunctionRequest request(function);
+    run(request);
+}
+
+void RenderQueue::wait(Request& request, std::unique_lock<std::mutex>& lock) {
+    using State = Request::State;
+    while (request.state_ == State::pending &&
+           !request.changed_.wait_for(lock, kPoll, [&] { return request.state_ != State::pending; })) {
+        if (!request.is_cancelled()) continue;
+        request.state_ = State::cancelled;
+        pending_.erase(std::find(pending_.begin(), pending_.end(), &request));
     }
-    job.changed.wait(lock,
-                     [&] { return job.state == Job::State::done || job.state == Job::State::unwanted; });
+    request.changed_.wait(
+        lock, [&] { return request.state_ == State::done || request.state_ == State::cancelled; });
 }
 
-/// Returns the next job whose client is still connected, or null if there is none.
-/// @param before if not null, only a job is returned that may start immediately after
-/// this job
-RenderQueue::Job* RenderQueue::next(const Job* before) {
-    while (!line_.empty()) {
-        Job* job = line_.front();
-        if (before && !(job->work.finish && job->work.kind == before->work.kind)) return nullptr;
-        line_.pop_front();
-        job->state = job->is_wanted() ? Job::State::runs : Job::State::unwanted;
-        job->changed.notify_one();
-        if (job->state == Job::State::runs) return job;
+/// Returns the next request that is not cancelled, or null if there is none.
+/// @param scene if set, only a request for this scene is returned
+Request* RenderQueue::next(const std::optional<std::size_t>& scene) {
+    while (!pending_.empty()) {
+        Request* request = pending_.front();
+        if (scene && request->scene != scene) return nullptr;
+        pending_.pop_front();
+        request->state_ = request->is_cancelled() ? Request::State::cancelled : Request::State::in_flight;
+        request->changed_.notify_one();
+        if (request->state_ == Request::State::in_flight) return request;
     }
     return nullptr;
 }
 
-/// Runs one part of a job. The job ends after its last part, or if the part throws an
-/// exception.
-void RenderQueue::do_part(Job& job, const std::function<void()>& part, bool is_last,
-                          std::unique_lock<std::mutex>& lock) {
+/// Submits or finishes a request. The request ends after its last part, or if the part
+/// throws an exception.
+/// @param submits_last argument of submit(); without a value, finishes the request
+void RenderQueue::run_part(Request& request, std::optional<bool> submits_last,
+                           std::unique_lock<std::mutex>& lock) {
     lock.unlock();
     std::exception_ptr failure;
     std::optional<std::string> loss;
+    if (submits_last) request.submitted_at_ = Request::Clock::now();
     try {
-        part();
+        if (submits_last) request.submit(*submits_last);
+        else request.finish();
     } catch (const DeviceLost& error) {
         failure = std::current_exception();
         loss = error.what();
     } catch (...) {
         failure = std::current_exception();
     }
+    request.finished_at_ = Request::Clock::now();
     lock.lock();
     if (loss && !device_loss_) device_loss_ = loss;
-    if (!is_last && !failure) return;
-    job.failure = failure;
-    job.state = Job::State::done;
-    job.changed.notify_one();
+    if (submits_last && request.scene && !failure) return;
+    request.failure_ = failure;
+    request.state_ = Request::State::done;
+    request.changed_.notify_one();
 }
 
-/// Starts a job, and the following jobs that are submitted to the device together with
-/// it.
-/// @return all started jobs that still have a second part to run
-std::vector<RenderQueue::Job*> RenderQueue::begin(Job* job, std::unique_lock<std::mutex>& lock) {
-    std::vector<Job*> begun;
-    for (std::size_t n = 1; job; ++n) {
-        Job* with_it = job->work.finish && n < together_ ? next(job) : nullptr;
-        do_part(
-            *job, [&] { job->work.begin(!with_it); }, !job->work.finish, lock);
-        // A job in another state has ended. The thread that waited for it may already
-        // have destroyed the job.
-        if (job->state == Job::State::runs) begun.push_back(job);
-        job = with_it;
+/// Submits a request, and the following requests that belong to its batch.
+/// @return the requests that are in flight
+RenderQueue::Batch RenderQueue::submit(Request* request, std::unique_lock<std::mutex>& lock) {
+    Batch batch;
+    for (std::size_t n = 1; request; ++n) {
+        Request* following = request->scene && n < batch_size_ ? next(request->scene) : nullptr;
+        run_part(*request, !following, lock);
+        if (request->state_ == Request::State::in_flight) batch.push_back(request);
+        request = following;
     }
-    return begun;
+    return batch;
 }
 
-void RenderQueue::finish(const std::vector<Job*>& jobs, std::unique_lock<std::mutex>& lock) {
-    for (Job* job : jobs) do_part(*job, job->work.finish, true, lock);
+void RenderQueue::finish(const Batch& batch, std::unique_lock<std::mutex>& lock) {
+    for (Request* request : batch) run_part(*request, {}, lock);
 }
 
 void RenderQueue::serve() {
     std::unique_lock lock(mutex_);
-    std::vector<Job*> begun;  // Jobs that the device is working on.
+    Batch in_flight;
     while (true) {
-        Job* job = next();
-        if (!job && begun.empty()) {
-            more_.wait(lock, [&] { return closed_ || !line_.empty(); });
-            if (line_.empty()) return;
+        Request* request = next();
+        if (!request && in_flight.empty()) {
+            more_.wait(lock, [&] { return closed_ || !pending_.empty(); });
+            if (pending_.empty()) return;
             continue;
         }
-        const bool overlap =
-            job && !begun.empty() && job->work.finish && job->work.kind == begun.front()->work.kind;
-        if (!overlap) finish(std::exchange(begun, {}), lock);
-        if (!job) continue;
-        const std::vector<Job*> next_ones = begin(job, lock);
-        finish(std::exchange(begun, next_ones), lock);
+        const bool overlaps =
+            request && !in_flight.empty() && request->scene && request->scene == in_flight.front()->scene;
+        if (!overlaps) finish(std::exchange(in_flight, {}), lock);
+        if (!request) continue;
+        const Batch submitted = submit(request, lock);
+        finish(std::exchange(in_flight, submitted), lock);
     }
 }
 

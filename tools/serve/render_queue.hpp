@@ -1,9 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Defines a queue of jobs for a render thread. The render thread is the only thread that
-// uses the device. If the queue is full, a request fails immediately. The job of a client
-// that has disconnected is skipped.
+// Defines the bounded queue of requests, and the render thread that serves them in
+// batches. The render thread is the only thread that uses the device. If the queue is
+// full, a request fails immediately. A cancelled request is skipped.
 #pragma once
 
+#include <chrono>
 #include <condition_variable>
 #include <deque>
 #include <exception>
@@ -16,91 +17,102 @@
 
 namespace relidar::serve {
 
-/// Result of a job.
-enum class WorkEnd { done, unwanted };
+/// A request to the render thread. A derived class also holds the response.
+class Request {
+public:
+    virtual ~Request() = default;
+    /// Submits the work to the device.
+    /// @param is_last false if another request of the same batch follows immediately, so
+    /// that both can be submitted together
+    virtual void submit(bool is_last) = 0;
+    /// Waits for the device and stores the response. Runs only for requests with a scene.
+    virtual void finish() {}
+    /// Returns true if nobody waits for the response any more: the client has
+    /// disconnected, or the deadline has passed. Called from time to time by one thread.
+    virtual bool is_cancelled() const { return false; }
 
-/// A job in two parts. The first part submits work to the device. The second part runs
-/// after the device has finished this work. In between, the next job of the same kind can
-/// start.
-struct WorkInTwo {
-    /// Submits the work. `is_last` is false if another job of the same kind starts
-    /// immediately afterwards, so that both jobs can be submitted together.
-    std::function<void(bool is_last)> begin;
-    std::function<void()> finish;
-    std::size_t kind = 0;  ///< A job may start before earlier jobs of the same kind have finished.
+    /// Requests for the same scene are in flight together: a request is submitted before
+    /// earlier ones have finished. Without a scene, the request runs alone.
+    std::optional<std::size_t> scene = {};
+    /// Time between run() and submit(), and time from submit() to the response.
+    double queued_ms() const { return ms_between(queued_at_, submitted_at_); }
+    double rendered_ms() const { return ms_between(submitted_at_, finished_at_); }
+
+private:
+    friend class RenderQueue;
+    using Clock = std::chrono::steady_clock;
+
+    enum class State { pending, in_flight, done, cancelled } state_ = State::pending;
+    std::exception_ptr failure_ = {};
+    std::condition_variable changed_ = {};
+    Clock::time_point queued_at_ = {}, submitted_at_ = {}, finished_at_ = {};
+
+    static double ms_between(Clock::time_point begin, Clock::time_point end) {
+        return std::chrono::duration<double, std::milli>(end - begin).count();
+    }
 };
 
 class RenderQueue {
 public:
     /// Starts the render thread.
-    /// @param waiting maximum number of waiting requests, in addition to the running one
-    explicit RenderQueue(std::size_t waiting);
-    /// Waits until all jobs have ended. All slots must be released before.
+    /// @param n_pending maximum number of pending requests, in addition to the current
+    /// one
+    explicit RenderQueue(std::size_t n_pending);
+    /// Waits until all requests have ended. All slots must be released before.
     ~RenderQueue();
     RenderQueue(const RenderQueue&) = delete;
     RenderQueue& operator=(const RenderQueue&) = delete;
 
-    /// A slot in the queue. A caller with a slot can always run jobs. The destructor
+    enum class Outcome { done, cancelled };
+    /// A slot in the queue. A caller with a slot can always run requests. The destructor
     /// releases the slot.
-    class Place {
+    class Slot {
     public:
-        Place(Place&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }
-        Place& operator=(Place&&) = delete;
-        ~Place();
-        /// Runs a job on the render thread and waits until it ends. Jobs run in the order
-        /// of these calls.
-        /// @param is_wanted returns false if the client no longer waits. It is called
-        /// from time to time by one thread. If it returns false before the job has
-        /// started, the job is skipped. If the job has started, this call waits until the
-        /// job ends.
-        /// @throws all exceptions of the job
-        WorkEnd run(const std::function<void()>& work, const std::function<bool()>& is_wanted);
-        /// Runs a job in two parts. The first parts of jobs of the same kind run in the
-        /// order of the calls, and so do the second parts.
-        WorkEnd run(const WorkInTwo& work, const std::function<bool()>& is_wanted);
+        Slot(Slot&& other) noexcept : queue_(other.queue_) { other.queue_ = nullptr; }
+        Slot& operator=(Slot&&) = delete;
+        ~Slot();
+        /// Runs a request on the render thread and waits until it ends. Requests are
+        /// submitted in the order of these calls. A request that is cancelled before it
+        /// was submitted is skipped. Otherwise this call waits until the request ends.
+        /// @throws all exceptions of the request
+        Outcome run(Request& request);
+        /// Runs a function on the render thread.
+        void run(const std::function<void()>& function);
 
     private:
         friend RenderQueue;
-        explicit Place(RenderQueue* queue) : queue_(queue) {}
+        explicit Slot(RenderQueue* queue) : queue_(queue) {}
         RenderQueue* queue_;
     };
     /// Returns a slot in the queue, or no value if the queue is full.
-    std::optional<Place> enter();
-    std::size_t places() const { return places_; }
+    std::optional<Slot> reserve();
+    std::size_t slots() const { return slots_; }
     /// Returns the error message of the driver if the device was lost. Returns no value
     /// while the device works.
     std::optional<std::string> device_loss();
-    /// Sets how many waiting jobs of one kind may start before the first of them has
-    /// finished. The default is 1.
-    void begin_together(std::size_t n);
+    /// Sets the maximum number of requests in a batch, see Request::submit(). The default
+    /// is 1.
+    void set_batch_size(std::size_t n);
 
 private:
-    struct Job {
-        const WorkInTwo& work;  ///< If `finish` is empty, the job has only one part.
-        const std::function<bool()>& is_wanted;
-        enum class State { waits, runs, done, unwanted } state = State::waits;
-        std::exception_ptr failure = {};
-        std::condition_variable changed = {};
-    };
+    using Batch = std::vector<Request*>;
 
-    const std::size_t places_;
+    const std::size_t slots_;
     std::mutex mutex_;
     std::condition_variable more_;
     std::optional<std::string> device_loss_;
-    /// Waiting jobs. Each job is stored on the stack of the thread that waits for this
-    /// job.
-    std::deque<Job*> line_;
-    std::size_t taken_ = 0, together_ = 1;
+    /// Pending requests. The thread that waits for a request owns it.
+    std::deque<Request*> pending_;
+    std::size_t n_reserved_ = 0, batch_size_ = 1;
     bool closed_ = false;
     std::thread thread_;
 
     void serve();
-    Job* next(const Job* before = nullptr);
-    std::vector<Job*> begin(Job* job, std::unique_lock<std::mutex>& lock);
-    void finish(const std::vector<Job*>& jobs, std::unique_lock<std::mutex>& lock);
-    void do_part(Job& job, const std::function<void()>& part, bool is_last,
-                 std::unique_lock<std::mutex>& lock);
-    void wait(Job& job, std::unique_lock<std::mutex>& lock);
+    Request* next(const std::optional<std::size_t>& scene = {});
+    Batch submit(Request* request, std::unique_lock<std::mutex>& lock);
+    void finish(const Batch& batch, std::unique_lock<std::mutex>& lock);
+    void run_part(Request& request, std::optional<bool> submits_last, std::unique_lock<std::mutex>& lock);
+    void wait(Request& request, std::unique_lock<std::mutex>& lock);
 };
 
 }  // namespace relidar::serve

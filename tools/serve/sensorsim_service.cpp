@@ -4,7 +4,7 @@
 #include <fmt/format.h>
 
 #include "refusal.hpp"
-#include "render_work.hpp"
+#include "render_requests.hpp"
 #include "scenes.hpp"
 #include "sensorsim_messages.hpp"
 
@@ -67,17 +67,19 @@ grpc::Status SensorsimService::get_available_ego_masks(grpc::ServerContext*, con
     return grpc::Status::OK;
 }
 
-void SensorsimService::render(RenderQueue::Place& place, const WantedScan& wanted,
+void SensorsimService::render(RenderQueue::Slot& slot, const WantedScan& wanted,
                               const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer) {
-    write_points(render_points(place, scenes_, {&wanted, 1}, context).scan.front().points, answer);
+    PointsRequest request(scenes_, context, {&wanted, 1});
+    request.run(slot);
+    write_points(request.points.front().points, answer);
 }
 
 grpc::Status SensorsimService::render_lidar(grpc::ServerContext* context,
                                             const sensorsim::LidarRenderRequest* request,
                                             sensorsim::LidarRenderReturn* answer) {
     return answered([&] {
-        RenderQueue::Place place = enter(queue_);
-        render(place, reader_->read(*request), *context, *answer);
+        RenderQueue::Slot slot = reserve(queue_);
+        render(slot, reader_->read(*request), *context, *answer);
     });
 }
 
@@ -96,11 +98,11 @@ grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
             refuse("lidar", fmt::format("{} scans", request->lidar_size()),
                    fmt::format("at most {} per call", kMostScans));
         // All scans of the call use the same slot in the queue.
-        RenderQueue::Place place = enter(queue_);
+        RenderQueue::Slot slot = reserve(queue_);
         std::vector<WantedScan> wanted;
         for (const sensorsim::LidarRenderRequest& lidar : request->lidar())
             wanted.push_back(reader_->read(lidar));
-        for (const WantedScan& scan : wanted) render(place, scan, *context, *answer->add_lidar());
+        for (const WantedScan& scan : wanted) render(slot, scan, *context, *answer->add_lidar());
     });
 }
 

@@ -50,7 +50,7 @@ private:
     const std::unique_ptr<RequestReader> scene_reader_;
     const std::unique_ptr<SensorsimReader> reader_;
 
-    void render(RenderQueue::Place& place, const WantedScan& wanted, const grpc::ServerContext& context,
+    void render(RenderQueue::Slot& slot, const WantedScan& wanted, const grpc::ServerContext& context,
                 sensorsim::LidarRenderReturn& answer);
 };
 

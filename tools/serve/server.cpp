@@ -18,7 +18,7 @@
 
 #include "acceptor.hpp"
 #include "asset_shelf.hpp"
-#include "render_work.hpp"
+#include "render_requests.hpp"
 #include "sensorsim_service.hpp"
 #include "service.hpp"
 
@@ -93,9 +93,7 @@ struct ScanServer::Impl {
         on_render_thread([&] { scenes.reset(), device.reset(); });
     }
 
-    void on_render_thread(const std::function<void()>& work) {
-        queue.enter()->run(work, [] { return true; });
-    }
+    void on_render_thread(const std::function<void()>& work) { queue.reserve()->run(work); }
     void listen(const ServerOptions& options);
     void set_serving(bool serving);
 };
@@ -106,7 +104,7 @@ void ScanServer::Impl::listen(const ServerOptions& options) {
     grpc::EnableDefaultHealthCheckService(true);
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
     grpc::ResourceQuota quota("relidar");
-    quota.SetMaxThreads(int(queue.places() + kOtherThreads));
+    quota.SetMaxThreads(int(queue.slots() + kOtherThreads));
     grpc::ServerBuilder builder;
     builder.SetResourceQuota(quota);
     builder.SetMaxReceiveMessageSize(kLargestRequest);
@@ -148,7 +146,7 @@ ScanServer::ScanServer(const ServerOptions& options) : impl_(std::make_unique<Im
         impl_->scenes.emplace(*impl_->device, std::move(sources), memory_bytes(options, *impl_->device),
                               *impl_->assets);
     });
-    if (ScanRenderer::default_side_by_side(*impl_->device) > 1) impl_->queue.begin_together(kCallsTogether);
+    if (ScanRenderer::default_side_by_side(*impl_->device) > 1) impl_->queue.set_batch_size(kBatchSize);
     impl_->service.emplace(impl_->queue, *impl_->scenes);
     if (options.sensorsim) impl_->sensorsim.emplace(impl_->queue, *impl_->scenes, *options.sensorsim);
     impl_->listen(options);

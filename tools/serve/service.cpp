@@ -5,47 +5,42 @@
 
 #include "answer_messages.hpp"
 #include "asset_shelf.hpp"
-#include "render_work.hpp"
+#include "render_requests.hpp"
 #include "sensor_messages.hpp"
 #include "spawn_messages.hpp"
 
 namespace relidar::serve {
 namespace {
 
-std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place>& places) {
-    std::vector<std::string> names;
-    for (const SpawnedActors::Place& place : places) names.push_back(place.actor.name);
-    return names;
-}
-
 bool needs_image(const WantedScan& wanted) {
     return wanted.range_image || wanted.drop_probability || !wanted.points;
 }
 
-template <class Scan>
-void tell_times(const Timed<Scan>& timed, v1::LidarScan& answer) {
-    answer.set_queued_ms(timed.queued_ms);
-    answer.set_rendered_ms(timed.rendered_ms);
+void write_times(const Request& request, v1::LidarScan& answer) {
+    answer.set_queued_ms(request.queued_ms());
+    answer.set_rendered_ms(request.rendered_ms());
 }
 
 }  // namespace
 
-void RenderService::render(RenderQueue::Place& place, const WantedScan& wanted,
-                           const grpc::ServerContext& context, v1::LidarScan& answer) {
-    const Timed<RenderedScan> timed = render_scan(place, scenes_, wanted, context);
-    write_scan(timed.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
+void RenderService::render_image(RenderQueue::Slot& slot, const WantedScan& wanted,
+                                 const grpc::ServerContext& context, v1::LidarScan& answer) {
+    ScanImageRequest request(scenes_, context, wanted);
+    request.run(slot);
+    write_scan(request.scan, wanted, scenes_.outlines()[wanted.scene].config, answer);
     write_sparse_actors(wanted, answer);
-    tell_times(timed, answer);
+    write_times(request, answer);
 }
 
-void RenderService::render_points(RenderQueue::Place& place, std::span<const WantedScan> wanted,
+void RenderService::render_points(RenderQueue::Slot& slot, std::span<const WantedScan> wanted,
                                   const grpc::ServerContext& context,
                                   std::span<v1::LidarScan* const> answers) {
-    const Timed<std::vector<RenderedPoints>> timed = serve::render_points(place, scenes_, wanted, context);
+    PointsRequest request(scenes_, context, wanted);
+    request.run(slot);
     for (std::size_t i = 0; i < wanted.size(); ++i) {
-        write_scan(timed.scan[i], wanted[i], *answers[i]);
+        write_scan(request.points[i], wanted[i], *answers[i]);
         write_sparse_actors(wanted[i], *answers[i]);
-        tell_times(timed, *answers[i]);
+        write_times(request, *answers[i]);
     }
 }
 
@@ -75,20 +70,12 @@ grpc::Status RenderService::GetTracks(grpc::ServerContext*, const v1::GetTracksR
 grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::SpawnActorsRequest* request,
                                         v1::SpawnActorsResponse* answer) {
     return answered([&] {
-        RenderQueue::Place in_line = enter(queue_);
+        RenderQueue::Slot slot = reserve(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
         const std::vector<SpawnWish> wishes = reader_.read_spawns(*request, scene);
-        std::vector<SpawnedActors::Place> places;
-        const WorkEnd end =
-            in_line.run([&] { places = scenes_.spawn(scene, wishes); }, [&] { return is_wanted(*context); });
-        if (end == WorkEnd::unwanted) give_up(*context);
-        // Removes the actors again, because a client that receives no answer would never
-        // remove them.
-        if (!is_wanted(*context)) {
-            scenes_.spawned().give_back(scene, names_of_spawned(places));
-            give_up(*context);
-        }
-        for (const SpawnedActors::Place& place : places)
+        SpawnRequest spawn(scenes_, *context, scene, wishes);
+        spawn.run(slot);
+        for (const SpawnedActors::Place& place : spawn.places)
             write_spawned(place, scenes_.outlines()[scene], *answer->add_actors());
     });
 }
@@ -118,18 +105,18 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
 grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::RenderLidarRequest* request,
                                         v1::LidarScan* answer) {
     return answered([&] {
-        RenderQueue::Place place = enter(queue_);
+        RenderQueue::Slot slot = reserve(queue_);
         const WantedScan wanted = reader_.read(*request);
-        if (needs_image(wanted)) render(place, wanted, *context, *answer);
-        else render_points(place, {&wanted, 1}, *context, {&answer, 1});
+        if (needs_image(wanted)) render_image(slot, wanted, *context, *answer);
+        else render_points(slot, {&wanted, 1}, *context, {&answer, 1});
     });
 }
 
 grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::RenderRigRequest* request,
                                       grpc::ServerWriter<v1::RigScan>* writer) {
     return answered([&] {
-        // One place for all scans, so that a rig is not rejected after some of its scans.
-        RenderQueue::Place place = enter(queue_);
+        // One slot for all scans, so that a rig is not rejected after some of its scans.
+        RenderQueue::Slot slot = reserve(queue_);
         const std::vector<WantedScan> wanted = reader_.read(*request);
         for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {
             for (n = 0; n < kMostAtOnce && first + n < wanted.size() && !needs_image(wanted[first + n]);) ++n;
@@ -138,11 +125,11 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
             std::vector<v1::RigScan> scans(n);
             std::vector<v1::LidarScan*> answers;
             for (v1::RigScan& scan : scans) answers.push_back(scan.mutable_scan());
-            if (of_points) render_points(place, std::span(wanted).subspan(first, n), *context, answers);
-            else render(place, wanted[first], *context, *answers.front());
+            if (of_points) render_points(slot, std::span(wanted).subspan(first, n), *context, answers);
+            else render_image(slot, wanted[first], *context, *answers.front());
             for (std::size_t i = 0; i < n; ++i) {
                 scans[i].set_name(request->sensors(int(first + i)).name());
-                if (!writer->Write(scans[i])) give_up(*context);
+                if (!writer->Write(scans[i])) refuse_cancelled(*context);
             }
         }
     });

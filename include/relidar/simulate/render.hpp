@@ -344,13 +344,6 @@ public:
 private:
     struct Impl;
     std::unique_ptr<Impl> impl_;
-
-    /// Sets the path of the sensor to the poses of a request.
-    /// @return poses of the instances at the time of the scan
-    std::vector<InstancePose> drive(const SensorChoice& sensor, const ScanRequest& request);
-    /// Renders a scan after the path of the sensor was set.
-    RenderedScan take(const SensorChoice& sensor, double time_s, std::vector<InstancePose> placed,
-                      std::optional<std::uint64_t> sample);
 };
 
 /// Bins a simulated scan into a grid, in the same way as the dataset bins its real

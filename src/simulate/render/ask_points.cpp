@@ -38,90 +38,38 @@ void copy_points(std::span<const shared::ReturnedPoint> from, const IntensitySca
 
 }  // namespace
 
-/// Returns true if the device, and not the host, computes the points of this sensor's
-/// scans.
-bool ScanRenderer::Impl::gathers_points(const SensorChoice& sensor, bool sampled) const {
-    const SensorConfig own = config_of(sensor);
-    return !sampled && weather.clear() && wanted.empty() && !sensor.grid && own.sub_rays == 1 &&
-           own.returns == 1 && sensor.rays.size() > 0;
-}
-
-/// Selects the rendering resources for the next scan that is submitted together with
-/// others. Creates the resources at the first call.
-ScanStrand& ScanRenderer::Impl::next_strand() {
-    if (!together) {
-        while (1 + std::ssize(others) < most_strands) {
-            try {
-                others.emplace_back(device).copy = scene.copy();
-                // device memory is exhausted, so fewer copies of the scene are used
-            } catch (const DeviceError&) {
-                others.pop_back();
-                most_strands = 1 + int(others.size());
-            }
-        }
-        together.emplace(scene.renderer().stream(), 1 + others.size());
-        n_together = 0;
-    }
-    const std::size_t strand = n_together++ % (1 + others.size());
-    together->choose(strand);
-    return strand == 0 ? first : others[strand - 1];
-}
-
-/// Submits the GPU commands of all scans that were recorded together.
-void ScanRenderer::Impl::send() {
-    if (!together) return;
-    together.reset();
-    scene.renderer().stream().submit();
-}
-
-void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
-                              std::optional<std::uint64_t> sample, Send when) {
-    Impl& s = *impl_;
-    if (s.asked.size() >= kScansInFlight)
-        throw UsageError(fmt::format(
-            "cannot request the points of another scan: {} requested scans were not read, expected "
-            "fewer than {}",
-            s.asked.size(), kScansInFlight));
-    AskedPoints asked;
-    if (!s.gathers_points(sensor, sample.has_value())) {
-        const RenderedScan scan = render(sensor, request, sample);
-        asked.ready =
-            RenderedPoints{place_points(scan, s.config, request.dataset_from_sensor.at(points_at_s)),
-                           scan.image.range_m.size(), scan.unseen_share};
-        s.asked.push_back(std::move(asked));
-        return;
-    }
-    std::vector<InstancePose> placed = drive(sensor, request);
-    asked.dataset_from_points = request.dataset_from_sensor.at(points_at_s);
-    const bool joins = side_by_side() > 1 && (s.together || when == Send::with_next);
-    ScanStrand& strand = joins ? s.next_strand() : s.first;
-    s.bring(strand, sensor, request.time_s, std::move(placed));
-    asked.renderer = &s.renderer_of(strand);
-    Stream& stream = asked.renderer->stream();
-    const bool refined = s.refines_rays(sensor, sensor.rays);
-    const std::optional<RayTable> of_now = s.rays_of_scan(sensor, request.time_s);
-    const Impl::Cast cast = s.record(strand, sensor, of_now ? *of_now : sensor.rays, request.time_s, refined);
-    asked.rays = cast.rays;
-    asked.dataset_from_sensor = shifted_track(cast.track, s.sweep.world_offset_m);
-    asked.time_s = request.time_s;
-    asked.max_range_m = std::min(sensor.limits.max_m, double(s.config.dataset.max_range_m));
-    asked.step = s.scatter[std::size_t(sensor.lidar)].step;
-    const PoseTrack points_from_sensor = seen_from(asked.dataset_from_sensor, asked.dataset_from_points);
-    asked.points = strand.points.record(stream, *cast.rays,
-                                        {.points_from_sensor = points_from_sensor,
-                                         .time_s = request.time_s,
-                                         .of_image = s.config.render.points != "median",
-                                         .refined = refined},
-                                        asked.renderer->forward_pass().pass_cap_count());
-    s.asked.push_back(std::move(asked));
-    if (!joins) stream.submit();
-    else if (when == Send::now) s.send();
+/// Records GPU commands that render a sweep and compute its points.
+PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& dataset_from_points,
+                                                const ScanPlan& plan, Send when) {
+    const int side_by_side = sweeps.layout().blocks.empty() ? lanes.most() : 1;
+    const bool joins = side_by_side > 1 && (lanes.has_batch() || when == Send::with_next);
+    RenderLane& lane = joins ? lanes.next() : lanes.first();
+    load_scene(lane, sweep);
+    const bool corrects_drops = plan.network == ScanPlan::Network::device;
+    PendingPoints scan{
+        .rays = record(lane, sweep, sweep.rays(), corrects_drops),
+        .dataset_from_sensor = shifted_track(sweep.world_from_sensor, sweeps.log().world_offset_m),
+        .dataset_from_points = dataset_from_points,
+        .time_s = sweep.time_s,
+        .max_range_m = seen_by_log(sweep.sensor).max_range_m,
+        .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
+        .renderer = &lanes.renderer(lane)};
+    const PoseTrack points_from_sensor = seen_from(scan.dataset_from_sensor, dataset_from_points);
+    scan.points = lane.points.record(scan.renderer->stream(), *scan.rays,
+                                     {.points_from_sensor = points_from_sensor,
+                                      .time_s = sweep.time_s,
+                                      .of_image = config.render.points != "median",
+                                      .refined = corrects_drops},
+                                     scan.renderer->forward_pass().pass_cap_count());
+    if (!joins) scan.renderer->stream().submit();
+    else if (when == Send::now) lanes.submit_batch();
+    return scan;
 }
 
 /// Waits for the points of a requested scan.
-RenderedPoints ScanRenderer::Impl::points_of(AskedPoints& scan, Points memory) {
+RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
     if (scan.ready) return std::move(*scan.ready);
-    send();
+    lanes.submit_batch();
     const PointsOnDevice::Gathered gathered = PointsOnDevice::wait(scan.renderer->stream(), *scan.points);
     if (gathered.n_capped > 0) scan.renderer->check_passes();
     const RayTable& rays = scan.rays->table();
@@ -132,47 +80,67 @@ RenderedPoints ScanRenderer::Impl::points_of(AskedPoints& scan, Points memory) {
     result.points.world_from_points = scan.dataset_from_points;
     result.points.time_s = scan.time_s;
     copy_points(gathered.points, steps, result.points);
-    if (coverage.empty()) return result;
+    if (settings.coverage.empty()) return result;
     const auto ray_at = [&](std::size_t k) {
         const std::size_t i = PointsOnDevice::asked_ray(k, rays.size());
         return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])),
                           glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.asked_m[k]};
     };
-    result.unseen_share = relidar::unseen_share(gathered.asked_m.size(), ray_at,
-                                                {coverage, sweep.world_offset_m, scan.max_range_m});
+    result.unseen_share = relidar::unseen_share(
+        gathered.asked_m.size(), ray_at, {settings.coverage, sweeps.log().world_offset_m, scan.max_range_m});
     return result;
 }
 
 /// Waits until all requested scans are finished. Stores their points until they are
 /// collected.
-void ScanRenderer::Impl::settle() {
-    // If a request failed after recording had begun, its scan is not in `asked`.
-    // Therefore this also waits for the device.
-    if (together) {
-        send();
+void ScanRenderer::Impl::finish_pending() {
+    // If a request failed after recording had begun, its scan is not pending. Therefore
+    // this also waits for the device.
+    if (lanes.has_batch()) {
+        lanes.submit_batch();
         scene.renderer().stream().finish();
     }
-    for (AskedPoints& scan : asked) scan.ready = points_of(scan);
+    for (PendingPoints& scan : pending) scan.ready = collect(scan);
 }
 
-ScanRenderer::~ScanRenderer() {
-    const auto in_flight = [](const AskedPoints& scan) { return !scan.ready; };
-    if (std::ranges::none_of(impl_->asked, in_flight)) return;
-    try {
-        impl_->send();
-        // the device may still write to memory that this object frees
-        impl_->scene.renderer().stream().finish();
-    } catch (const DeviceError&) {  // a lost device no longer writes
+void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
+                              std::optional<std::uint64_t> sample, Send when) {
+    Impl& s = *impl_;
+    if (s.pending.size() >= kScansInFlight)
+        throw UsageError(fmt::format(
+            "cannot request the points of another scan: {} requested scans were not read, expected "
+            "fewer than {}",
+            s.pending.size(), kScansInFlight));
+    const Sweep sweep = s.sweeps.make(sensor, request);
+    const Pose dataset_from_points = request.dataset_from_sensor.at(points_at_s);
+    const ScanPlan plan = s.plan(sweep, sample.has_value());
+    if (plan.points_on_device) {
+        s.pending.push_back(s.record_points(sweep, dataset_from_points, plan, when));
+        return;
     }
+    const RenderedScan scan = s.render(sweep, sample);
+    s.pending.push_back({.ready = RenderedPoints{place_points(scan, s.config, dataset_from_points),
+                                                 scan.image.range_m.size(), scan.unseen_share}});
 }
 
 RenderedPoints ScanRenderer::take_points(Points memory) {
     Impl& s = *impl_;
-    if (s.asked.empty())
+    if (s.pending.empty())
         throw UsageError("cannot read the points of a scan: no scan was requested; call ask_points() first");
-    AskedPoints first = std::move(s.asked.front());
-    s.asked.pop_front();
-    return s.points_of(first, std::move(memory));
+    PendingPoints first = std::move(s.pending.front());
+    s.pending.pop_front();
+    return s.collect(first, std::move(memory));
+}
+
+ScanRenderer::~ScanRenderer() {
+    const auto in_flight = [](const PendingPoints& scan) { return !scan.ready; };
+    if (std::ranges::none_of(impl_->pending, in_flight)) return;
+    try {
+        impl_->lanes.submit_batch();
+        // the device may still write to memory that this object frees
+        impl_->scene.renderer().stream().finish();
+    } catch (const DeviceError&) {  // a lost device no longer writes
+    }
 }
 
 }  // namespace relidar

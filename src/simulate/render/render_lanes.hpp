@@ -1,0 +1,75 @@
+// SPDX-License-Identifier: Apache-2.0
+// Traces and measures the rays of sweeps on the device, several sweeps in parallel.
+// Private to render.
+#pragma once
+
+#include <deque>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/simulate/render.hpp>
+
+#include "simulate/render/points_on_device.hpp"
+#include "simulate/render/resident_scene.hpp"
+#include "simulate/render/sensor_rays.hpp"
+#include "simulate/render/sweep.hpp"
+
+namespace relidar {
+
+/// Resources that one scan uses exclusively while it is being rendered. Each of the scans
+/// that are rendered in parallel has a lane.
+struct RenderLane {
+    /// copy of the scene on the device; null if the scene itself is used
+    std::unique_ptr<Renderer> copy = {};
+    /// Rays of recently used sensors on the device. The most recently used sensor is
+    /// first.
+    std::vector<std::shared_ptr<SensorRays>> known_rays;
+    PointsOnDevice points;
+    std::optional<DropRefiner> refiner = {};
+
+    explicit RenderLane(Device& device) : known_rays{std::make_shared<SensorRays>(device)}, points(device) {}
+    /// Returns the rays of a sensor as arrays on the device. Keeps the rays of the most
+    /// recently used sensors there.
+    /// @param never_seen see SensorRays::take()
+    std::shared_ptr<SensorRays> upload(Device& device, const SensorChoice& sensor, const RayTable& table,
+                                       const std::function<float(std::size_t)>& never_seen);
+};
+
+/// The lanes of a scene. Records the GPU commands of a scan in one of them.
+class RenderLanes {
+public:
+    RenderLanes(Device& device, ResidentScene& scene);
+
+    /// Lane of a scan that the device renders alone.
+    RenderLane& first() { return first_; }
+    /// Returns the lane for the next scan of a batch. Begins a batch if none is open.
+    /// Creates the lanes at the first call.
+    RenderLane& next();
+    bool has_batch() const { return batch_.has_value(); }
+    /// Submits the GPU commands of all scans of the batch.
+    void submit_batch();
+    Renderer& renderer(const RenderLane& lane) { return lane.copy ? *lane.copy : scene_.renderer(); }
+
+    /// Sets the network that corrects the ray-drop. An empty network switches it off.
+    void set_network(const DropNetwork& network);
+    /// Returns the network, or null without one.
+    const DropNetwork* network() const { return first_.refiner ? &first_.refiner->network() : nullptr; }
+    /// Returns the refiner of a lane. Creates it if the lane has none.
+    DropRefiner& refiner(RenderLane& lane);
+    int most() const { return most_; }
+    void set_most(int n);
+
+private:
+    Device& device_;
+    ResidentScene& scene_;
+    RenderLane first_;
+    std::deque<RenderLane> others_ = {};  ///< lanes for further parallel scans
+    int most_;
+    std::optional<Strands> batch_ = {};  ///< commands of scans that were recorded but not submitted
+    std::size_t n_batch_ = 0;            ///< number of scans in the batch
+};
+
+}  // namespace relidar

@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+// First step of a scan: computes the rays of a sensor, the path of the sensor and the
+// poses of all instances during a sweep. Private to render.
+#pragma once
+
+#include <optional>
+#include <string>
+#include <vector>
+
+#include <relidar/simulate/render.hpp>
+
+namespace relidar {
+
+/// A sweep to render.
+struct Sweep {
+    const SensorChoice& sensor;
+    double time_s = 0.0;
+    /// Rays of this sweep if they differ from the sensor's table. They differ if a
+    /// pattern generates new rays for each scan, or if all rays are fired at the same
+    /// time.
+    std::optional<RayTable> changed_rays = {};
+    PoseTrack world_from_sensor = {};  ///< a single pose if the sensor does not move
+    Pose pose = {};                    ///< pose of the sensor at `time_s`
+    std::vector<InstancePose> instances = {};
+
+    const RayTable& rays() const { return changed_rays ? *changed_rays : sensor.rays; }
+};
+
+/// Makes sweeps from the log and the actors of a run.
+class SweepMaker {
+public:
+    /// @param config must outlive this object
+    SweepMaker(const Config& config, const Scene& scene, const Sequence& sequence);
+    /// Hides instances in all following sweeps.
+    /// @throws UsageError for a wrong number of instances
+    void show_only(const std::vector<bool>& shown);
+    /// Returns the sensor with the measured azimuths of the log, see sensor_in_sweep().
+    SensorChoice in_log(const SensorChoice& sensor, double time_s) const;
+    /// Returns a sweep on the recorded path of the log's vehicle.
+    /// @param sensor must outlive the sweep
+    Sweep make(const SensorChoice& sensor, double time_s, const Pose& sensor_offset);
+    /// Returns a sweep with the poses of a request.
+    /// @throws DataError if poses or times are invalid
+    Sweep make(const SensorChoice& sensor, const ScanRequest& request);
+
+    /// LiDARs and boxes of the log, without scans.
+    const Sequence& log() const { return log_; }
+    const Scene& layout() const { return layout_; }
+    /// Returns the probability that the sensor itself never gets a return in a direction,
+    /// for example because the vehicle blocks it.
+    float never_seen(const SensorChoice& sensor, std::uint16_t channel, const glm::vec3& direction) const;
+    /// Returns the range limits of a sensor. If the sensor has no maximum range, returns
+    /// the maximum range of the log.
+    RangeLimits limits_of(const SensorChoice& sensor) const;
+    /// Converts a track between the world of the scene and the world of the dataset.
+    PoseTrack in_dataset(const PoseTrack& world_from_thing) const;
+
+private:
+    const Config& config_;
+    const Scene layout_;  ///< models, instances and sensor drop, without surfels
+    Sequence log_;        ///< the vehicle has the poses of the current sweep
+    const PoseTrack log_world_from_vehicle_;
+    const std::vector<Frame> shifted_;  ///< frames whose head azimuth differs from the nominal azimuth
+    std::vector<bool> shown_;           ///< [instances]
+
+    Sweep drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
+                const ActorPoses* world_from_actor);
+};
+
+}  // namespace relidar

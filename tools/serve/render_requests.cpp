@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render_requests.hpp"
+
+#include <chrono>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "refusal.hpp"
+
+namespace relidar::serve {
+namespace {
+
+std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place>& places) {
+    std::vector<std::string> names;
+    for (const SpawnedActors::Place& place : places) names.push_back(place.actor.name);
+    return names;
+}
+
+/// Calls a function with the renderer of the requested scene. Error messages name the
+/// folder of the run.
+template <class Function>
+SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted, const Function& function) {
+    try {
+        return scenes.use(wanted.scene, wanted.weather, function);
+    } catch (const DataError& error) {
+        throw Refusal(grpc::StatusCode::INTERNAL, error.what());
+    }
+}
+
+bool is_late(const grpc::ServerContext& context) {
+    return std::chrono::system_clock::now() >= context.deadline();
+}
+
+}  // namespace
+
+RenderQueue::Slot reserve(RenderQueue& queue) {
+    std::optional<RenderQueue::Slot> slot = queue.reserve();
+    if (!slot)
+        throw Refusal(
+            grpc::StatusCode::RESOURCE_EXHAUSTED,
+            fmt::format("cannot queue the request: all {} slots of the queue are occupied; try again later",
+                        queue.slots()));
+    return std::move(*slot);
+}
+
+bool ClientRequest::is_cancelled() const { return context_.IsCancelled() || is_late(context_); }
+
+void ClientRequest::run(RenderQueue::Slot& slot) {
+    const bool is_done = slot.run(*this) == RenderQueue::Outcome::done;
+    if (is_done && !is_cancelled()) return;
+    if (is_done) undo();
+    refuse_cancelled(context_);
+}
+
+void refuse_cancelled(const grpc::ServerContext& context) {
+    if (is_late(context))
+        throw Refusal(grpc::StatusCode::DEADLINE_EXCEEDED,
+                      "cannot answer the request: its deadline has passed; set a later deadline");
+    throw Refusal(grpc::StatusCode::CANCELLED, "cannot answer the request: the client has disconnected");
+}
+
+void ScanImageRequest::submit(bool) {
+    use(scenes_, wanted_, [&](ScanRenderer& renderer) {
+        scan = renderer.render(*wanted_.sensor, wanted_.request, wanted_.sample);
+    });
+}
+
+PointsRequest::PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
+                             std::span<const WantedScan> wanted)
+    : ClientRequest(scenes, context), wanted_(wanted) {
+    scene = wanted.front().scene;
+}
+
+void PointsRequest::submit(bool is_last) {
+    using Send = ScanRenderer::Send;
+    try {
+        for (const WantedScan& scan : wanted_) {
+            const Send when = is_last && &scan == &wanted_.back() ? Send::now : Send::with_next;
+            load_ = use(scenes_, scan, [&](ScanRenderer& renderer) {
+                renderer.ask_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
+            });
+            ++n_submitted_;
+        }
+    } catch (...) {
+        if (n_submitted_ == 0) throw;
+        submit_failure_ = std::current_exception();
+    }
+}
+
+void PointsRequest::finish() {
+    scenes_.use_again(*scene, load_, [&](ScanRenderer& renderer) {
+        while (points.size() < n_submitted_) points.push_back(renderer.take_points());
+    });
+    if (submit_failure_) std::rethrow_exception(submit_failure_);
+}
+
+void SpawnRequest::submit(bool) { places = scenes_.spawn(spawn_scene_, wishes_); }
+
+/// Removes the actors again, because a client that receives no response would never
+/// remove them.
+void SpawnRequest::undo() { scenes_.spawned().give_back(spawn_scene_, names_of_spawned(places)); }
+
+}  // namespace relidar::serve
