@@ -19,11 +19,13 @@ double mib(std::uint64_t bytes) { return double(bytes) / 1048576.0; }
 
 [[noreturn]] void fail_allocation(const Device::Impl& device, std::size_t size, const std::string& what,
                                   VkResult result) {
-    gpu::fail(
-        result,
-        fmt::format("cannot allocate {:.1f} MiB for {}: the driver returned {} while {:.1f} MiB were in use "
-                    "on {}; use fewer frames or a device with more memory",
-                    mib(size), what, gpu::result_name(result), mib(device.allocated), device.info.name));
+    const gpu::MemoryBudget budget = gpu::memory_budget(device.physical);
+    gpu::fail(result,
+              fmt::format("cannot allocate {:.1f} MiB for {} on {}: the driver returned {}; relidar uses "
+                          "{:.1f} MiB, and {:.1f} MiB of the budget of {:.1f} MiB are free; use fewer "
+                          "frames or a device with more memory",
+                          mib(size), what, device.info.name, gpu::result_name(result), mib(device.allocated),
+                          mib(budget.n_free()), mib(budget.n_bytes)));
 }
 
 void check_size(const Device::Impl& device, std::size_t size, const std::string& what) {
@@ -62,6 +64,7 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
                       VK_BUFFER_USAGE_ACCELERATION_STRUCTURE_STORAGE_BIT_KHR;
     const VkResult created = vkCreateBuffer(owner.device, &info, nullptr, &handle);
     if (created != VK_SUCCESS) fail_allocation(owner, size, what, created);
+    gpu::name_object(owner.device, VK_OBJECT_TYPE_BUFFER, handle, what);
     VkMemoryRequirements needs;
     vkGetBufferMemoryRequirements(owner.device, handle, &needs);
     const VkResult result = owner.memory->take(needs, use, memory);

@@ -4,6 +4,7 @@
 // kernels.
 #include "gpu/context.hpp"
 
+#include <algorithm>
 #include <cstdio>
 #include <cstring>
 
@@ -15,6 +16,7 @@
 #include "gpu/pipeline_cache.hpp"
 #include "gpu/swiftshader.hpp"
 #include "gpu/transfers.hpp"
+#include "gpu/trust.hpp"
 
 namespace relidar::gpu {
 
@@ -74,6 +76,16 @@ VkDebugUtilsMessengerCreateInfoEXT messenger_info(Instance* instance) {
     return info;
 }
 
+bool has_debug_utils() {
+    std::uint32_t n = 0;
+    vkEnumerateInstanceExtensionProperties(nullptr, &n, nullptr);
+    std::vector<VkExtensionProperties> extensions(n);
+    vkEnumerateInstanceExtensionProperties(nullptr, &n, extensions.data());
+    return std::ranges::any_of(extensions, [](const VkExtensionProperties& e) {
+        return std::strcmp(e.extensionName, VK_EXT_DEBUG_UTILS_EXTENSION_NAME) == 0;
+    });
+}
+
 }  // namespace
 
 Instance::Instance(bool validation) {
@@ -87,12 +99,16 @@ Instance::Instance(bool validation) {
     VkInstanceCreateInfo info{VK_STRUCTURE_TYPE_INSTANCE_CREATE_INFO};
     info.pApplicationInfo = &app;
     VkDebugUtilsMessengerCreateInfoEXT debug = messenger_info(this);
+    // Every instance enables the extension, so that debuggers show names without an
+    // option of relidar.
+    if (validation || has_debug_utils()) {
+        info.enabledExtensionCount = 1;
+        info.ppEnabledExtensionNames = &extension;
+    }
     if (validation) {
         info.pNext = &debug;
         info.enabledLayerCount = 1;
         info.ppEnabledLayerNames = &layer;
-        info.enabledExtensionCount = 1;
-        info.ppEnabledExtensionNames = &extension;
     }
     const VkResult result = vkCreateInstance(&info, nullptr, &handle);
     if (result == VK_ERROR_INCOMPATIBLE_DRIVER)
@@ -226,6 +242,7 @@ Device::Device(const DeviceOptions& options) : impl_(std::make_unique<Impl>()) {
     impl_->physical = physical[static_cast<std::size_t>(index)];
     impl_->memory_limit_bytes = options.memory_limit_bytes;
     impl_->compile_only = options.compile_only;
+    gpu::distrust(*impl_, gpu::find_trust(*impl_, options));
     impl_->open(options.pipeline_cache);
 }
 
@@ -241,6 +258,8 @@ void Device::Impl::open(const std::filesystem::path& cache_folder) {
     find_compute_queues();
     make_device();
     vkGetDeviceQueue(device, queue_family, 0, &queue);
+    gpu::name_object(device, VK_OBJECT_TYPE_DEVICE, device, "relidar");
+    gpu::name_object(device, VK_OBJECT_TYPE_QUEUE, queue, "compute queue");
     read_limits();
     make_pipeline_layout();
     if (compile_only) return;  // A driver without hardware lacks the functions below.
@@ -357,7 +376,9 @@ void Device::Impl::read_limits() {
     vkGetPhysicalDeviceProperties2(physical, &properties);
     timestamp_period_ns = properties.properties.limits.timestampPeriod;
     compiles_ahead = info.type != "CPU" && !compile_only;
-    workgroup_size = std::max(32u, subgroup.subgroupSize);
+    // No watchdog resets a CPU.
+    if (info.type != "CPU") launch_limit.piece_s = 0.25;
+    workgroup_size = std::max(32u, static_cast<std::uint32_t>(info.subgroup_size));
     largest_buffer = {sizes.maxBufferSize, "maxBufferSize"};
     if (info.memory_bytes && info.memory_bytes < largest_buffer.n_bytes)
         largest_buffer = {info.memory_bytes, "its memory"};
@@ -373,6 +394,7 @@ void Device::Impl::make_pipeline_layout() {
     layout.pushConstantRangeCount = 1;
     layout.pPushConstantRanges = &range;
     gpu::check(vkCreatePipelineLayout(device, &layout, nullptr, &pipeline_layout), "vkCreatePipelineLayout");
+    gpu::name_object(device, VK_OBJECT_TYPE_PIPELINE_LAYOUT, pipeline_layout, "two addresses");
 }
 
 Device::Impl::Impl() = default;

@@ -15,6 +15,7 @@
 
 #include <relidar/gpu/stream.hpp>
 #include "gpu/forced.hpp"
+#include "gpu/launch_limit.hpp"
 
 #include "base/parallel.hpp"
 #include "gpu/vulkan.hpp"
@@ -50,6 +51,18 @@ struct Instance {
 
     std::vector<VkPhysicalDevice> physical_devices() const;
 };
+
+/// Sets the name of a Vulkan object for debuggers and the validation layer. Has no
+/// effect if the Vulkan loader lacks VK_EXT_debug_utils.
+template <class Handle>
+void name_object(VkDevice device, VkObjectType type, Handle handle, const std::string& name) {
+    if (!vkSetDebugUtilsObjectNameEXT) return;
+    VkDebugUtilsObjectNameInfoEXT info{VK_STRUCTURE_TYPE_DEBUG_UTILS_OBJECT_NAME_INFO_EXT};
+    info.objectType = type;
+    info.objectHandle = reinterpret_cast<std::uint64_t>(handle);
+    info.pObjectName = name.c_str();
+    vkSetDebugUtilsObjectNameEXT(device, &info);
+}
 
 /// Returns true if a device supports an extension.
 bool has_extension(VkPhysicalDevice physical, const char* name);
@@ -139,6 +152,7 @@ struct Device::Impl {
     std::unique_ptr<gpu::Transfers> transfers;
     std::unique_ptr<gpu::PipelineCache> pipeline_cache;
     gpu::Pipelines pipelines;
+    gpu::LaunchLimit launch_limit;
     std::mutex queue_mutex;
     /// Layout of all compute pipelines. The push constants consist of two addresses.
     VkPipelineLayout pipeline_layout = VK_NULL_HANDLE;
@@ -147,6 +161,10 @@ struct Device::Impl {
     std::unique_ptr<Buffer::Impl> nothing;
     std::uint64_t memory_limit_bytes = 0;  ///< Limit for the device memory in bytes. 0 means no limit.
     bool compile_only = false;
+    bool wrong_sums = false;  ///< True if the device adds floats incorrectly with every method.
+    /// True if every kernel must use DeviceInfo::subgroup_size, because the check found
+    /// wrong results with the default size of the driver.
+    bool forced_lanes = false;
     ForcedWays forced;  ///< Behaviour that tests have forced.
     /// If true, pipelines are compiled when their kernels are created. If false (CPU), a
     /// pipeline is compiled at its first launch.

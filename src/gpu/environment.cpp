@@ -10,6 +10,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "gpu/trust.hpp"
+
 namespace relidar {
 
 namespace {
@@ -46,6 +48,9 @@ DeviceOptions from_environment(DeviceOptions options) {
     const std::string limit = value_of("RELIDAR_MEMORY_LIMIT_MIB");
     if (!limit.empty() && options.memory_limit_bytes == 0) options.memory_limit_bytes = memory_limit(limit);
     if (options.pipeline_cache.empty()) options.pipeline_cache = cache_folder();
+#ifdef RELIDAR_ASSERTS
+    gpu::set_faults(value_of("RELIDAR_FAULTS"));
+#endif
     return options;
 }
 

@@ -66,13 +66,16 @@ std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_
     return words;
 }
 
+/// @param name name of the kernel with its constants, for debuggers
 gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::uint32_t> words,
-                                   const std::vector<Constant>& constants, Subgroups subgroups) {
+                                   const std::string& name, const std::vector<Constant>& constants,
+                                   Subgroups subgroups) {
     VkShaderModuleCreateInfo module_info{VK_STRUCTURE_TYPE_SHADER_MODULE_CREATE_INFO};
     module_info.codeSize = words.size_bytes();
     module_info.pCode = words.data();
     VkShaderModule module = VK_NULL_HANDLE;
     gpu::check(vkCreateShaderModule(device.device, &module_info, nullptr, &module), "vkCreateShaderModule");
+    gpu::name_object(device.device, VK_OBJECT_TYPE_SHADER_MODULE, module, name);
     std::vector<VkSpecializationMapEntry> map;
     for (std::size_t i = 0; i < constants.size(); ++i)
         map.push_back({static_cast<std::uint32_t>(constants[i].id),
@@ -81,7 +84,9 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     const VkSpecializationInfo specialisation{static_cast<std::uint32_t>(map.size()), map.data(),
                                               constants.size() * sizeof(Constant), constants.data()};
     VkComputePipelineCreateInfo info{VK_STRUCTURE_TYPE_COMPUTE_PIPELINE_CREATE_INFO};
-    info.flags = device.pipeline_statistics ? VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR : 0;
+    // Large launches are cut into pieces, and a piece begins at any workgroup.
+    info.flags = VK_PIPELINE_CREATE_DISPATCH_BASE_BIT;
+    if (device.pipeline_statistics) info.flags |= VK_PIPELINE_CREATE_CAPTURE_STATISTICS_BIT_KHR;
     info.stage.sType = VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_CREATE_INFO;
     info.stage.stage = VK_SHADER_STAGE_COMPUTE_BIT;
     info.stage.module = module;
@@ -90,7 +95,8 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     VkPipelineShaderStageRequiredSubgroupSizeCreateInfo lanes{
         VK_STRUCTURE_TYPE_PIPELINE_SHADER_STAGE_REQUIRED_SUBGROUP_SIZE_CREATE_INFO};
     lanes.requiredSubgroupSize = static_cast<std::uint32_t>(device.info.subgroup_size);
-    if (subgroups == Subgroups::full && device.optional.subgroup_size) info.stage.pNext = &lanes;
+    if ((subgroups == Subgroups::full || device.forced_lanes) && device.optional.subgroup_size)
+        info.stage.pNext = &lanes;
     if (subgroups == Subgroups::full && device.optional.full_subgroups)
         info.stage.flags = VK_PIPELINE_SHADER_STAGE_CREATE_REQUIRE_FULL_SUBGROUPS_BIT;
     info.layout = device.pipeline_layout;
@@ -98,6 +104,8 @@ gpu::Pipelines::Made make_pipeline(Device::Impl& device, std::span<const std::ui
     gpu::Pipelines::Made made{VK_SUCCESS, VK_NULL_HANDLE};
     made.result = vkCreateComputePipelines(device.device, cache, 1, &info, nullptr, &made.pipeline);
     vkDestroyShaderModule(device.device, module, nullptr);
+    if (made.result == VK_SUCCESS)
+        gpu::name_object(device.device, VK_OBJECT_TYPE_PIPELINE, made.pipeline, name);
     return made;
 }
 
@@ -119,6 +127,19 @@ private:
     std::counting_semaphore<>& compilers_;
 };
 
+std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
+    std::sort(constants.begin(), constants.end(),
+              [](const Constant& a, const Constant& b) { return a.id < b.id; });
+    const std::set<std::uint32_t> of_module = gpu::constant_ids(words);
+    std::string text;
+    for (const Constant& c : constants) {
+        if (c.id == ConstantId::WORKGROUP_SIZE || !of_module.contains(static_cast<std::uint32_t>(c.id)))
+            continue;
+        text += fmt::format("{}{}={}", text.empty() ? "" : " ", name_of(c.id), c.value);
+    }
+    return text;
+}
+
 /// Returns the pipeline of a kernel. If it does not exist, it is created at the first use
 /// or immediately in another thread.
 std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& device,
@@ -131,22 +152,12 @@ std::shared_future<gpu::Pipelines::Made> find_or_begin_pipeline(Device::Impl& de
         made = std::async(how, [&device, module = kernel.module, stem = kernel.name,
                                 constants = kernel.constants, subgroups = kernel.subgroups] {
             const Turn turn(device.pipelines.compilers);
-            return make_pipeline(device, module_words(device, module, stem, constants), constants, subgroups);
+            const std::string constants_shown = constants_text(find_words(module), constants);
+            return make_pipeline(device, module_words(device, module, stem, constants),
+                                 constants_shown.empty() ? module : module + " " + constants_shown, constants,
+                                 subgroups);
         });
     return made;
-}
-
-std::string constants_text(std::span<const std::uint32_t> words, std::vector<Constant> constants) {
-    std::sort(constants.begin(), constants.end(),
-              [](const Constant& a, const Constant& b) { return a.id < b.id; });
-    const std::set<std::uint32_t> of_module = gpu::constant_ids(words);
-    std::string text;
-    for (const Constant& c : constants) {
-        if (c.id == ConstantId::WORKGROUP_SIZE || !of_module.contains(static_cast<std::uint32_t>(c.id)))
-            continue;
-        text += fmt::format("{}{}={}", text.empty() ? "" : " ", name_of(c.id), c.value);
-    }
-    return text;
 }
 
 }  // namespace
@@ -227,6 +238,11 @@ std::string missing_for_networks(const Device& device) {
 }
 
 KernelVariant accumulating_variant(const Device& device, const KernelVariant& variant) {
+    if (impl_of(device).wrong_sums)
+        throw DeviceError(
+            fmt::format("cannot add gradients on {}: the device gives wrong sums of floats; `relidar check` "
+                        "shows details",
+                        device.info().name));
     return KernelVariant(variant.suffix + (device.info().float_atomics ? "_atomics" : "_swap"));
 }
 

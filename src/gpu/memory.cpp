@@ -5,6 +5,10 @@
 #include <algorithm>
 #include <iterator>
 
+#include <fmt/format.h>
+
+#include "gpu/context.hpp"
+
 namespace relidar::gpu {
 
 namespace {
@@ -31,6 +35,24 @@ std::vector<VkMemoryPropertyFlags> preferred_properties(MemoryUse use) {
 }
 
 }  // namespace
+
+MemoryBudget memory_budget(VkPhysicalDevice physical) {
+    VkPhysicalDeviceMemoryBudgetPropertiesEXT budgets{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_BUDGET_PROPERTIES_EXT};
+    VkPhysicalDeviceMemoryProperties2 memory{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_MEMORY_PROPERTIES_2};
+    const bool has_budgets = has_extension(physical, VK_EXT_MEMORY_BUDGET_EXTENSION_NAME);
+    if (has_budgets) memory.pNext = &budgets;
+    vkGetPhysicalDeviceMemoryProperties2(physical, &memory);
+    MemoryBudget largest;
+    for (std::uint32_t i = 0; i < memory.memoryProperties.memoryHeapCount; ++i) {
+        const VkMemoryHeap& heap = memory.memoryProperties.memoryHeaps[i];
+        const MemoryBudget found{has_budgets ? budgets.heapBudget[i] : heap.size,
+                                 has_budgets ? budgets.heapUsage[i] : 0};
+        if ((heap.flags & VK_MEMORY_HEAP_DEVICE_LOCAL_BIT) && found.n_bytes >= largest.n_bytes)
+            largest = found;
+    }
+    return largest;
+}
 
 std::optional<std::uint64_t> FreeRanges::take(std::uint64_t n_bytes, std::uint64_t alignment) {
     for (auto range = ranges_.begin(); range != ranges_.end(); ++range) {
@@ -140,7 +162,10 @@ VkResult MemoryPools::add_block(std::uint32_t type, std::uint64_t n_bytes) {
     auto block = std::make_unique<MemoryBlock>(
         MemoryBlock{VK_NULL_HANDLE, type, n_bytes, nullptr, FreeRanges(n_bytes)});
     const VkResult result = vkAllocateMemory(device_, &info, nullptr, &block->memory);
-    if (result == VK_SUCCESS) blocks_[type].push_back(std::move(block));
+    if (result != VK_SUCCESS) return result;
+    name_object(device_, VK_OBJECT_TYPE_DEVICE_MEMORY, block->memory,
+                fmt::format("block of {} MiB, type {}", n_bytes >> 20, type));
+    blocks_[type].push_back(std::move(block));
     return result;
 }
 

@@ -31,6 +31,17 @@ enum class MemoryUse {
     readback,
 };
 
+/// Device memory that this process may use.
+struct MemoryBudget {
+    std::uint64_t n_bytes = 0;  ///< Budget of the largest device-local heap.
+    std::uint64_t n_used = 0;   ///< Memory of the heap that this process uses.
+
+    std::uint64_t n_free() const { return n_bytes > n_used ? n_bytes - n_used : 0; }
+};
+/// Returns the current budget. It depends on other programs if the driver has
+/// VK_EXT_memory_budget. Otherwise it is the size of the heap, and n_used is 0.
+MemoryBudget memory_budget(VkPhysicalDevice physical);
+
 /// Free ranges of a block.
 class FreeRanges {
 public:

@@ -14,6 +14,8 @@
 
 #include <fmt/format.h>
 
+#include "gpu/context.hpp"
+
 namespace relidar::gpu {
 
 namespace {
@@ -61,41 +63,42 @@ std::string read_file(const std::filesystem::path& path, const VkPhysicalDeviceP
                                                                                          : std::string();
 }
 
-/// Writes the cache file atomically, because other processes may access it at the same
-/// time. Ignores failures, because a missing cache only costs time.
-void write_file(const std::filesystem::path& path, std::string_view bytes) {
+}  // namespace
+
+void replace_file(const std::filesystem::path& path, std::string_view bytes) {
     std::error_code failed;
     std::filesystem::create_directories(path.parent_path(), failed);
     // Several devices of one process may be closed simultaneously.
     static std::atomic<unsigned> count{0};
     const std::filesystem::path temporary = fmt::format("{}.{}-{}", path.string(), ::getpid(), count++);
-    const FileHeader header = header_of(bytes);
     std::ofstream file(temporary, std::ios::binary);
-    file.write(reinterpret_cast<const char*>(&header), sizeof header);
     file.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
     file.close();
     if (file) std::filesystem::rename(temporary, path, failed);
     if (!file || failed) std::filesystem::remove(temporary, failed);
 }
 
-}  // namespace
+std::string device_key(const VkPhysicalDeviceProperties& properties) {
+    std::string uuid;
+    for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
+    return fmt::format("{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
+}
 
 PipelineCache::PipelineCache(VkPhysicalDevice physical, VkDevice device, const std::filesystem::path& folder)
     : device_(device) {
     VkPhysicalDeviceProperties properties;
     vkGetPhysicalDeviceProperties(physical, &properties);
-    std::string uuid;
-    for (const std::uint8_t byte : properties.pipelineCacheUUID) uuid += fmt::format("{:02x}", byte);
-    if (!folder.empty())
-        path_ = folder /
-                fmt::format("pipelines_{:04x}_{:04x}_{}", properties.vendorID, properties.deviceID, uuid);
+    if (!folder.empty()) path_ = folder / ("pipelines_" + device_key(properties));
 
     const std::string bytes = path_.empty() ? std::string() : read_file(path_, properties);
     read_bytes_ = bytes.size();
     VkPipelineCacheCreateInfo info{VK_STRUCTURE_TYPE_PIPELINE_CACHE_CREATE_INFO};
     info.initialDataSize = bytes.size();
     info.pInitialData = bytes.data();
-    if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) return;
+    if (vkCreatePipelineCache(device, &info, nullptr, &handle_) == VK_SUCCESS) {
+        name_object(device, VK_OBJECT_TYPE_PIPELINE_CACHE, handle_, "pipelines of relidar");
+        return;
+    }
     handle_ = VK_NULL_HANDLE;  // Pipelines are then created without a cache.
     path_.clear();
 }
@@ -108,8 +111,10 @@ void PipelineCache::save() const {
     // bytes, which are not a valid cache.
     if (n_bytes < sizeof(VkPipelineCacheHeaderVersionOne)) return;
     std::string bytes(n_bytes, '\0');
-    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) == VK_SUCCESS)
-        write_file(path_, std::string_view(bytes).substr(0, n_bytes));
+    if (vkGetPipelineCacheData(device_, handle_, &n_bytes, bytes.data()) != VK_SUCCESS) return;
+    bytes.resize(n_bytes);
+    const FileHeader header = header_of(bytes);
+    replace_file(path_, std::string(reinterpret_cast<const char*>(&header), sizeof header) + bytes);
 }
 
 PipelineCache::~PipelineCache() {

@@ -6,10 +6,18 @@
 
 #include <filesystem>
 #include <string>
+#include <string_view>
 
 #include "gpu/vulkan.hpp"
 
 namespace relidar::gpu {
+
+/// Writes a file of the cache folder atomically, because other processes may access it at
+/// the same time. Ignores failures, because a missing file only costs time.
+void replace_file(const std::filesystem::path& path, std::string_view bytes);
+
+/// Returns a name for files that belong to one device and one version of its driver.
+std::string device_key(const VkPhysicalDeviceProperties& properties);
 
 class PipelineCache {
 public:

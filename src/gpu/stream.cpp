@@ -20,20 +20,19 @@ Stream::Impl::Impl(Device& d, bool with_timing)
     type.semaphoreType = VK_SEMAPHORE_TYPE_TIMELINE;
     VkSemaphoreCreateInfo semaphore{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &type};
     gpu::check(vkCreateSemaphore(device->device, &semaphore, nullptr, &timeline), "vkCreateSemaphore");
+    gpu::name_object(device->device, VK_OBJECT_TYPE_SEMAPHORE, timeline, "submissions of a stream");
+    const bool measures = d.info().timestamps && device->launch_limit.is_set();
     for (Slot& slot : slots) {
         VkCommandPoolCreateInfo pool{VK_STRUCTURE_TYPE_COMMAND_POOL_CREATE_INFO};
         pool.queueFamilyIndex = device->queue_family;
         gpu::check(vkCreateCommandPool(device->device, &pool, nullptr, &slot.pool), "vkCreateCommandPool");
-        VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
-        allocate.commandPool = slot.pool;
-        allocate.commandBufferCount = 1;
-        gpu::check(vkAllocateCommandBuffers(device->device, &allocate, &slot.commands),
-                   "vkAllocateCommandBuffers");
-        if (!timing) continue;
+        gpu::name_object(device->device, VK_OBJECT_TYPE_COMMAND_POOL, slot.pool, "commands of a stream");
+        if (!timing && !measures) continue;
         VkQueryPoolCreateInfo queries{VK_STRUCTURE_TYPE_QUERY_POOL_CREATE_INFO};
         queries.queryType = VK_QUERY_TYPE_TIMESTAMP;
         queries.queryCount = 2 * kMaxLaunches;
         gpu::check(vkCreateQueryPool(device->device, &queries, nullptr, &slot.queries), "vkCreateQueryPool");
+        gpu::name_object(device->device, VK_OBJECT_TYPE_QUERY_POOL, slot.queries, "times of launches");
     }
 }
 
@@ -56,12 +55,49 @@ VkCommandBuffer Stream::Impl::commands() {
     slot.block = slot.block_bytes = 0;
     slot.kept.clear();
     gpu::check(vkResetCommandPool(device->device, slot.pool, 0), "vkResetCommandPool");
-    if (timing) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
+    if (slot.queries) vkResetQueryPool(device->device, slot.queries, 0, 2 * kMaxLaunches);
+    slot.n_buffers = 0;
+    begin_buffer(slot);
+    recording = true;
+    return slot.commands;
+}
+
+void Stream::Impl::begin_buffer(Slot& slot) {
+    if (slot.n_buffers == slot.buffers.size()) {
+        VkCommandBufferAllocateInfo allocate{VK_STRUCTURE_TYPE_COMMAND_BUFFER_ALLOCATE_INFO};
+        allocate.commandPool = slot.pool;
+        allocate.commandBufferCount = 1;
+        VkCommandBuffer buffer = VK_NULL_HANDLE;
+        gpu::check(vkAllocateCommandBuffers(device->device, &allocate, &buffer), "vkAllocateCommandBuffers");
+        gpu::name_object(device->device, VK_OBJECT_TYPE_COMMAND_BUFFER, buffer, "commands of a stream");
+        slot.buffers.push_back(buffer);
+    }
+    slot.commands = slot.buffers[slot.n_buffers++];
     VkCommandBufferBeginInfo begin{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     begin.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
     gpu::check(vkBeginCommandBuffer(slot.commands, &begin), "vkBeginCommandBuffer");
-    recording = true;
-    return slot.commands;
+    recorded_s = 0.0;
+}
+
+void Stream::Impl::submit_part() {
+    Slot& slot = slots[current];
+    gpu::check(vkEndCommandBuffer(slot.commands), "vkEndCommandBuffer");
+    VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
+    info.commandBufferCount = 1;
+    info.pCommandBuffers = &slot.commands;
+    device->submit(info);
+    begin_buffer(slot);
+}
+
+void Stream::Impl::begin_label(const std::string& name) {
+    if (!vkCmdBeginDebugUtilsLabelEXT) return;
+    VkDebugUtilsLabelEXT label{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
+    label.pLabelName = name.c_str();
+    vkCmdBeginDebugUtilsLabelEXT(commands(), &label);
+}
+
+void Stream::Impl::end_label() {
+    if (vkCmdEndDebugUtilsLabelEXT) vkCmdEndDebugUtilsLabelEXT(commands());
 }
 
 void Stream::Impl::end_concurrent() {
@@ -85,10 +121,13 @@ void Stream::Impl::record_strands() {
     for (const Strand& one : strands) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
         const auto has_step = [k](const Strand& one) { return k < one.size(); };
-        begin_timing(std::ranges::find_if(strands, has_step)->at(k).name);
+        const std::string& name = std::ranges::find_if(strands, has_step)->at(k).name;
+        begin_timing(name);
+        begin_label(name);
         for (const Strand& one : strands)
             if (has_step(one))
                 for (const Command& command : one[k].commands) command(commands());
+        end_label();
         end_timing();
         record_barrier();
     }
@@ -115,13 +154,14 @@ void Stream::Impl::record_barrier() {
                          nullptr);
 }
 
-void Stream::Impl::begin_timing(const std::string& name) {
+void Stream::Impl::begin_timing(const std::string& name, std::uint32_t n_groups) {
     last_kernel = name;
     VkCommandBuffer buffer = commands();
     Slot& slot = slots[current];
-    timed = timing && slot.launches.size() < kMaxLaunches;
+    const bool measured = device->launch_limit.should_measure(name, n_groups);
+    timed = slot.queries && (timing || measured) && slot.launches.size() < kMaxLaunches;
     if (!timed) return;
-    slot.launches.push_back(name);
+    slot.launches.push_back({name, measured ? n_groups : 0});
     vkCmdWriteTimestamp(buffer, VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT, slot.queries,
                         2 * static_cast<std::uint32_t>(slot.launches.size() - 1));
 }
@@ -182,6 +222,36 @@ std::uint64_t Stream::Impl::store_parameters(const KernelBase& kernel, const voi
     return store(params.data(), n_bytes).address;
 }
 
+/// Launch of n workgroups in rows and columns, because Vulkan limits the number in one
+/// dimension. A piece consists of consecutive rows.
+struct Stream::Impl::Dispatch {
+    VkPipeline pipeline;
+    std::array<std::uint64_t, 2> pushed;
+    std::uint32_t rows, columns, rows_per_piece;
+
+    std::uint32_t rows_from(std::uint32_t row) const { return std::min(rows_per_piece, rows - row); }
+    void record(VkCommandBuffer c, VkPipelineLayout layout, std::uint32_t row) const {
+        vkCmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
+        vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
+        vkCmdDispatchBase(c, 0, row, 0, columns, rows_from(row), 1);
+    }
+};
+
+namespace {
+
+Stream::Impl::Dispatch make_dispatch(VkPipeline pipeline, const std::array<std::uint64_t, 2>& pushed,
+                                     std::uint32_t n_groups, std::uint32_t groups_per_piece) {
+    // Number of workgroups per dimension that every Vulkan device supports.
+    constexpr std::uint32_t kMaxGroups = 65535;
+    const std::uint32_t columns =
+        std::max(std::min({n_groups, kMaxGroups, groups_per_piece}), (n_groups - 1) / kMaxGroups + 1);
+    // Spreads the workgroups evenly over the rows, so that few of them have no work.
+    const std::uint32_t rows = (n_groups - 1) / columns + 1, even_columns = (n_groups - 1) / rows + 1;
+    return {pipeline, pushed, rows, even_columns, std::max(1u, groups_per_piece / even_columns)};
+}
+
+}  // namespace
+
 void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, const void* bytes,
                           std::size_t n_bytes) {
     if (device->compile_only)
@@ -190,16 +260,33 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     const VkPipeline pipeline = kernel.impl().pipeline();
     const std::array<std::uint64_t, 2> pushed{store_parameters(kernel, bytes, n_bytes),
                                               device->nothing->address};
-    // Number of workgroups per dimension that every Vulkan device supports.
-    constexpr std::uint32_t kMaxGroups = 65535;
+    const std::string& name = kernel.impl().name;
     const std::uint32_t n_groups = (n_threads - 1) / kernel.impl().workgroup_size + 1;
-    const std::uint32_t rows = (n_groups - 1) / kMaxGroups + 1, columns = (n_groups - 1) / rows + 1;
-    record(kernel.impl().name,
-           [layout = device->pipeline_layout, pipeline, pushed, rows, columns](VkCommandBuffer c) {
-               vkCmdBindPipeline(c, VK_PIPELINE_BIND_POINT_COMPUTE, pipeline);
-               vkCmdPushConstants(c, layout, VK_SHADER_STAGE_COMPUTE_BIT, 0, sizeof(pushed), pushed.data());
-               vkCmdDispatch(c, columns, rows, 1);
-           });
+    const bool limited = device->launch_limit.is_set() && gpu::can_cut(name);
+    const Dispatch dispatch = make_dispatch(pipeline, pushed, n_groups,
+                                            limited ? device->launch_limit.groups_per_piece(name) : n_groups);
+    // The commands of strands are recorded later, and all in one submission.
+    if (limited && strands.empty()) return record_pieces(name, dispatch);
+    record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer c) {
+        for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
+            dispatch.record(c, layout, row);
+    });
+}
+
+void Stream::Impl::record_pieces(const std::string& name, const Dispatch& dispatch) {
+    for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece) {
+        const std::uint32_t n_groups = dispatch.rows_from(row) * dispatch.columns;
+        const double expected_s = device->launch_limit.expected_s(name, n_groups);
+        commands();
+        if (recorded_s > 0.0 && recorded_s + expected_s > device->launch_limit.piece_s) submit_part();
+        begin_timing(name, n_groups);
+        begin_label(name);
+        dispatch.record(commands(), device->pipeline_layout, row);
+        end_label();
+        end_timing();
+        recorded_s += expected_s;
+    }
+    barrier();
 }
 
 void Stream::Impl::wait(std::uint64_t ticket) {
@@ -223,8 +310,10 @@ void Stream::Impl::collect_times(Slot& slot) {
         vkGetQueryPoolResults(device->device, slot.queries, 0, static_cast<std::uint32_t>(stamps.size()),
                               stamps.size() * 8, stamps.data(), 8, VK_QUERY_RESULT_64_BIT);
     for (std::size_t i = 0; result == VK_SUCCESS && i < slot.launches.size(); ++i) {
-        times.add(slot.launches[i],
-                  double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6);
+        const auto& [name, n_groups] = slot.launches[i];
+        const double ms = double(stamps[2 * i + 1] - stamps[2 * i]) * device->timestamp_period_ns * 1e-6;
+        if (timing) times.add(name, ms);
+        if (n_groups > 0) device->launch_limit.add(name, n_groups, 1e-3 * ms);
     }
     slot.launches.clear();
 }
@@ -288,6 +377,13 @@ std::uint64_t Stream::submit() {
         throw Error(ExitCode::bug, "cannot submit commands: a Concurrent scope is still open");
     s.record_strands();
     VkCommandBuffer commands = s.commands();
+    // RenderDoc and GFXReconstruct treat a command buffer with this label as a frame, so
+    // that they can capture a program without a window.
+    if (vkCmdInsertDebugUtilsLabelEXT) {
+        VkDebugUtilsLabelEXT frame_end{VK_STRUCTURE_TYPE_DEBUG_UTILS_LABEL_EXT};
+        frame_end.pLabelName = "vr-marker,frame_end,type,application";
+        vkCmdInsertDebugUtilsLabelEXT(commands, &frame_end);
+    }
     gpu::check(vkEndCommandBuffer(commands), "vkEndCommandBuffer");
     const std::uint64_t ticket = s.last_ticket + 1;
     VkTimelineSemaphoreSubmitInfo values{VK_STRUCTURE_TYPE_TIMELINE_SEMAPHORE_SUBMIT_INFO};
@@ -300,6 +396,7 @@ std::uint64_t Stream::submit() {
     info.pSignalSemaphores = &s.timeline;
     s.device->submit(info);
     s.recording = false;
+    s.recorded_s = 0.0;
     s.last_ticket = s.slots[s.current].ticket = ticket;
     s.current = (s.current + 1) % Impl::kSlots;
     return ticket;

@@ -45,10 +45,18 @@ struct Stream::Impl {
 
     struct Slot {
         VkCommandPool pool = VK_NULL_HANDLE;
-        VkCommandBuffer commands = VK_NULL_HANDLE;
+        VkCommandBuffer commands = VK_NULL_HANDLE;  ///< Command buffer that is being recorded.
+        /// Command buffers of a submission. A long submission has several, which are
+        /// submitted in order. The next recording uses them again.
+        std::vector<VkCommandBuffer> buffers;
+        std::size_t n_buffers = 0;  ///< Number of command buffers of the current recording.
         VkQueryPool queries = VK_NULL_HANDLE;
-        /// Names of the launches, in the same order as their pairs of timestamps.
-        std::vector<std::string> launches;
+        /// Launches with timestamps, in the order of their pairs of timestamps.
+        struct TimedLaunch {
+            std::string name;
+            std::uint32_t n_groups;  ///< Number of workgroups. 0 if the speed is not measured.
+        };
+        std::vector<TimedLaunch> launches;
         /// Memory blocks for values that the host writes. Their number grows to the needs
         /// of the largest submission.
         std::vector<std::unique_ptr<Buffer::Impl>> blocks;
@@ -85,6 +93,8 @@ struct Stream::Impl {
     VkSemaphore timeline = VK_NULL_HANDLE;
     std::uint64_t last_ticket = 0;
     std::string last_kernel = "none";
+    /// Expected duration of the commands that were recorded since the last submission.
+    double recorded_s = 0.0;
     KernelTimes times;
 
     Impl(Device& device, bool timing);
@@ -100,7 +110,9 @@ struct Stream::Impl {
     void record(const std::string& name, Recorded command) {
         if (!strands.empty()) return keep(name, std::move(command));
         begin_timing(name);
+        begin_label(name);
         command(commands());
+        end_label();
         end_timing();
         barrier();
     }
@@ -131,6 +143,7 @@ struct Stream::Impl {
     void launch(const KernelBase& kernel, std::uint32_t n_threads, const void* params, std::size_t n_bytes);
     void wait(std::uint64_t ticket);
     void collect_times(Slot& slot);
+    struct Dispatch;
 
 private:
     /// Stores the parameters of a launch for the kernel. Replaces each address 0 by the
@@ -142,8 +155,17 @@ private:
     /// one barrier is recorded, at the end of the scope.
     void barrier();
     void record_barrier();
-    void begin_timing(const std::string& name);
+    /// @param n_groups number of workgroups of a launch whose speed may be measured, or 0
+    void begin_timing(const std::string& name, std::uint32_t n_groups = 0);
     void end_timing();
+    /// Begins or ends a region that debuggers show with a name.
+    void begin_label(const std::string& name);
+    void end_label();
+    void record_pieces(const std::string& name, const Dispatch& dispatch);
+    void begin_buffer(Slot& slot);
+    /// Submits the commands recorded so far. The recording continues in a new command
+    /// buffer of the same submission.
+    void submit_part();
 };
 
 /// Records a kernel launch with n_threads threads. The kernel sees the results of all

@@ -23,8 +23,11 @@ void Transfers::make_commands() {
     allocate.commandPool = pool_;
     allocate.commandBufferCount = 1;
     check(vkAllocateCommandBuffers(device_.device, &allocate, &commands_), "vkAllocateCommandBuffers");
+    name_object(device_.device, VK_OBJECT_TYPE_COMMAND_POOL, pool_, "copies");
+    name_object(device_.device, VK_OBJECT_TYPE_COMMAND_BUFFER, commands_, "copies");
     const VkFenceCreateInfo fence{VK_STRUCTURE_TYPE_FENCE_CREATE_INFO};
     check(vkCreateFence(device_.device, &fence, nullptr, &done_), "vkCreateFence");
+    name_object(device_.device, VK_OBJECT_TYPE_FENCE, done_, "copy is done");
 }
 
 Transfers::~Transfers() {

@@ -1,11 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
 // Tests the limits of one submission, readbacks, and the copy kernel that measures memory
 // speed (gpu/copy).
+#include <filesystem>
+#include <fstream>
 #include <map>
 #include <numeric>
 #include <optional>
+#include <utility>
 
 #include <stdlib.h>
+
+#include <gmock/gmock.h>
 
 #include <relidar/base/error.hpp>
 #include "../support/device.hpp"
@@ -246,6 +251,132 @@ TEST_F(StreamTest, StrandsMayBeSubmittedBeforeTheirEnd) {
     stream.submit();
     EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait(stream))[99], 2u);
     EXPECT_THROW(Strands(stream, 0), Error);
+}
+
+/// Launches of a kernel whose workgroups are expected to take a millisecond must be cut
+/// into pieces of at most `piece_s`, and the pieces together must do all the work.
+TEST_F(StreamTest, LongLaunchesAreCut) {
+    constexpr std::uint32_t kGroups = 1000, kThreads = 32, n = kGroups * kThreads - 5;
+    std::vector<glm::vec4> values(n);
+    for (std::uint32_t i = 0; i < n; ++i) values[i] = glm::vec4(float(i));
+    const Array<glm::vec4, shared::CopySource> from(device(), values, "source");
+    const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, kThreads}});
+    gpu::LaunchLimit& limit = impl_of(device()).launch_limit;
+    const double piece_s_before = limit.piece_s;
+    limit.piece_s = 0.1;
+    limit.add("gpu/copy", 1000, 1.0);
+    EXPECT_EQ(limit.groups_per_piece("gpu/copy"), 100u);
+    EXPECT_EQ(limit.groups_per_piece("unknown"), gpu::LaunchLimit::kUnknownGroups);
+    Stream stream(device(), true);
+    for (const bool in_strand : {false, true}) {
+        const Array<glm::vec4, shared::CopyTarget> to(device(), std::vector<glm::vec4>(n, glm::vec4(-1.0f)),
+                                                      "target");
+        const shared::CopyParams params{.from = from.address(), .to = to.address(), .n = n};
+        if (in_strand) {
+            Strands strands(stream, 1);
+            run(stream, copy, n, params);
+        } else run(stream, copy, n, params);
+        EXPECT_EQ(impl_of(stream).slots[impl_of(stream).current].n_buffers, in_strand ? 1u : 10u);
+        stream.finish();
+        EXPECT_EQ(to.download(), values);
+    }
+    limit.piece_s = piece_s_before;
+    if (!device().info().timestamps) return;
+    EXPECT_EQ(stream.times().totals.at("gpu/copy").launches, 11.0);
+}
+
+/// Slow launches of the past count less and less, so that one slow launch does not cut
+/// all later launches.
+TEST(LaunchLimit, ForgetsOldSpeeds) {
+    gpu::LaunchLimit limit;
+    EXPECT_FALSE(limit.is_set());
+    limit.piece_s = 1.0;
+    limit.add("kernel", 10, 10.0);
+    EXPECT_EQ(limit.groups_per_piece("kernel"), 1u);
+    for (int i = 0; i < 50; ++i) limit.add("kernel", 10, 0.1);
+    EXPECT_EQ(limit.groups_per_piece("kernel"), 100u);
+    EXPECT_DOUBLE_EQ(limit.expected_s("kernel", 200), 2.0);
+}
+
+/// Kernels that read the number of all workgroups must not be cut.
+TEST(LaunchLimit, CutsNoKernelThatCountsItsThreads) {
+    namespace fs = std::filesystem;
+    const fs::path shaders = fs::path(RELIDAR_SOURCE_DIR) / "shaders";
+    std::size_t n_found = 0;
+    for (const auto& entry : fs::recursive_directory_iterator(shaders)) {
+        if (entry.path().extension() != ".comp") continue;
+        std::ifstream file(entry.path());
+        const std::string text((std::istreambuf_iterator<char>(file)), {});
+        const bool counts = text.find("thread_count()") != std::string::npos ||
+                            text.find("gl_NumWorkGroups") != std::string::npos;
+        const std::string name = fs::relative(entry.path(), shaders).replace_extension().generic_string();
+        EXPECT_EQ(gpu::can_cut(name), !counts) << name;
+        n_found += counts;
+    }
+    EXPECT_GE(n_found, 4u);
+}
+
+struct Named {
+    std::vector<std::string> objects, labels;
+};
+Named* named = nullptr;
+VKAPI_ATTR VkResult VKAPI_CALL keep_name(VkDevice, const VkDebugUtilsObjectNameInfoEXT* info) {
+    named->objects.push_back(info->pObjectName);
+    return VK_SUCCESS;
+}
+VKAPI_ATTR void VKAPI_CALL keep_label(VkCommandBuffer, const VkDebugUtilsLabelEXT* label) {
+    named->labels.push_back(label->pLabelName);
+}
+
+/// Debuggers must see a name for each object and a label for each launch.
+TEST_F(StreamTest, ObjectsAndLaunchesHaveNames) {
+    Named kept;
+    named = &kept;
+    const auto set_name = std::exchange(vkSetDebugUtilsObjectNameEXT, keep_name);
+    const auto begin_label = std::exchange(vkCmdBeginDebugUtilsLabelEXT, keep_label);
+    const auto end_label = std::exchange(vkCmdEndDebugUtilsLabelEXT, nullptr);
+    const auto insert_label = std::exchange(vkCmdInsertDebugUtilsLabelEXT, keep_label);
+    {
+        const Array<glm::vec4, shared::CopySource> from(device(), 64, "vectors to copy");
+        const Array<glm::vec4, shared::CopyTarget> to(device(), 64, "copied vectors");
+        // No other test uses this workgroup size, so the pipeline is new.
+        const Kernel<shared::CopyParams> copy(device(), "gpu/copy", {{ConstantId::WORKGROUP_SIZE, 64u}});
+        Stream stream(device());
+        stream.fill(from);
+        run(stream, copy, 64, {.from = from.address(), .to = to.address(), .n = 64});
+        stream.finish();
+    }
+    vkSetDebugUtilsObjectNameEXT = set_name;
+    vkCmdBeginDebugUtilsLabelEXT = begin_label;
+    vkCmdEndDebugUtilsLabelEXT = end_label;
+    vkCmdInsertDebugUtilsLabelEXT = insert_label;
+    EXPECT_THAT(kept.labels,
+                testing::ElementsAre("fill", "gpu/copy", "vr-marker,frame_end,type,application"));
+    for (const char* name :
+         {"vectors to copy", "copied vectors", "gpu/copy", "commands of a stream", "submissions of a stream"})
+        EXPECT_THAT(kept.objects, testing::Contains(name));
+}
+
+VKAPI_ATTR VkResult VKAPI_CALL allocate_nothing(VkDevice, const VkMemoryAllocateInfo*,
+                                                const VkAllocationCallbacks*, VkDeviceMemory*) {
+    return VK_ERROR_OUT_OF_DEVICE_MEMORY;
+}
+
+/// An allocation of 100 MiB needs memory of the driver, because shared blocks are
+/// smaller.
+TEST_F(StreamTest, FailedAllocationNamesNeedAndBudget) {
+    const auto allocate = std::exchange(vkAllocateMemory, allocate_nothing);
+    std::string message;
+    try {
+        const Buffer buffer(device(), 100 << 20, "arrays of a test");
+    } catch (const DeviceError& error) {
+        message = error.what();
+    }
+    vkAllocateMemory = allocate;
+    EXPECT_THAT(message,
+                testing::MatchesRegex("cannot allocate 100.0 MiB for arrays of a test on .*: the driver "
+                                      "returned VK_ERROR_OUT_OF_DEVICE_MEMORY; relidar uses [0-9.]+ MiB, and "
+                                      "[0-9.]+ MiB of the budget of [1-9][0-9.]+ MiB are free; .*"));
 }
 
 }  // namespace

@@ -116,9 +116,14 @@ std::string judge(const std::string& from, const std::string& to) {
         const bool is_measurement =
             (part == "relidar_dev" && (to_part == "tools/relidar" || to_part == "tools/serve")) ||
             ((part == "relidar_dev" || part == "bench") && folder(to, 0) == "src");
+        // `relidar check` compares private kernels with the reference of the tests.
+        const bool is_check =
+            from.starts_with("tools/relidar/check/") &&
+            (folder(to, 0) == "src" || to_part == "tests/reference" || to_part == "tests/support");
         const bool is_sibling = to_part == "tools/" + part || to_part == "tools/network";
-        return is_public || is_sibling || is_command || is_measurement ? ""
-                                                                       : "tools see only include/relidar";
+        return is_public || is_sibling || is_command || is_measurement || is_check
+                   ? ""
+                   : "tools see only include/relidar";
     }
     if (top == "tests" && part == "reference") {
         const bool is_test = stem(from).ends_with("_test");

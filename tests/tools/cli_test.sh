@@ -16,7 +16,7 @@ source "$tests/checks.sh"
 
 help_tells() {
     good --help
-    commands="list convert info train refine render serve edit assets view eval export bench demo"
+    commands="list convert info train refine render serve edit assets view eval export check demo"
     for command in $commands; do says "^  $command "; done
     check "relidar --help is longer than a screen of 24 lines" test "$(wc -l <out)" -lt 24
     check "relidar --help is wider than 80 columns" test "$(wc -L <out)" -le 80
@@ -91,7 +91,8 @@ wrong_usage() {
     bad 2 "no subcommand is given; expected one of devices, sensors, settings" list
     bad 2 "unknown command sensor, did you mean sensors\?" list sensor
     bad 2 "unknown option --jso, did you mean --json\? .see .relidar list devices --help" list devices --jso
-    bad 3 "--json .: this is a folder" bench --json .
+    bad 3 "--json .: this is a folder" check --json .
+    bad 2 "--run needs --speed" check --run street
     absent x
 }
 
@@ -670,7 +671,7 @@ gaussians() {
     good edit thick --from-ply ply/thick.ply --out thick_again
     check "the imported model of 3D Gaussians differs" cmp thick/model.safetensors thick_again/model.safetensors
     good edit thick --out thick_actors --keep actors
-    good bench --run thick
+    good check --speed --run thick
     bad 2 "image.primitive=surfel: the scene consists of 3D Gaussians" render thick --out x --frames 5:6 --set image.primitive=surfel
     bad 3 "found 3D Gaussians and surfels" edit thick --out x --insert "run#0@$(start_of run 0)"
     cp run/model.safetensors thick_again/
@@ -877,10 +878,29 @@ stop_in_network() {
     check "interrupted $1 leaves no checkpoint of its network" compgen -G "$checkpoints/iteration_*.safetensors" >/dev/null
 }
 
+# Each forced fault must be found by its check and by no other one. The same faults at the
+# first use of the device must select other methods.
+checking() {
+    local faults wrong="compare-and-swap sums"
+    "$relidar" list devices --json >devices.json
+    faults=float_swaps,ray_query
+    if grep -q '"ray_query": true' devices.json; then wrong+=", tree of ray query"; fi
+    # A limit on memory, because writing 2 GiB takes long.
+    RELIDAR_MEMORY_LIMIT_MIB=512 RELIDAR_FAULTS=$faults bad 4 "checks of .* are wrong: $wrong\$" check --json check.json
+    for row in "subgroups +right" "sort +right" "tree of software +right" "gradients, software +right" "Adam +right" "points on the device +right"; do
+        says "^$row"
+    done
+    check "check.json lacks its wrong result" grep -q '"result": "wrong"' check.json
+    check "check.json lacks its device" grep -q '^ "driver": "' check.json
+    grep -q '"ray_query": true' devices.json || return
+    RELIDAR_FAULTS=ray_query good render run --out replaced --frames 10:11 --traversal ray_query
+    check "no line on the replaced ray queries" grep -q "find other surfels than a full search; the software tree is used$" err
+}
+
 # Tests the short report. The expected numbers come from the definition of the street and
 # from `relidar list devices`.
 bench() {
-    good bench --json numbers/bench.json
+    good check --speed --json numbers/bench.json
     says "^traversal +(software|ray_query)$"
     says "^scene +benchmark street, 100000 surfels, 65536 rays \(64 x 1024\)$"
     for row in "tree +build [0-9.]+ ms, refit [0-9.]+ ms" "forward +[0-9.]+ ms, [0-9.]+ Mrays/s" "backward +[0-9.]+ ms, [0-9.]+ Mrays/s" "iteration +[0-9.]+ ms"; do
@@ -889,7 +909,7 @@ bench() {
     check "bench without a run reports scans" test -z "$(grep '^scans' out)"
     "$relidar" list devices --json | grep -o '"name": ".*"' | cut -d'"' -f4 >names
     check "bench reports a device that is not listed" grep -qxF "$(sed -n 's/^ "device": "\(.*\)",$/\1/p' numbers/bench.json)" names
-    for row in '"format": "relidar bench"' '"surfels": 100000' '"rays": 65536'; do check "bench.json lacks $row" grep -q "^ $row" numbers/bench.json; done
+    for row in '"format": "relidar check --speed"' '"surfels": 100000' '"rays": 65536'; do check "bench.json lacks $row" grep -q "^ $row" numbers/bench.json; done
     for key in build refit forward backward iteration; do
         check "bench.json lacks ${key}_ms" grep -Eq "^ \"${key}_ms\": [0-9.]*[1-9]" numbers/bench.json
     done
@@ -897,12 +917,12 @@ bench() {
     # is 65536 rays divided by its time.
     check "bench.json: times or rates that contradict each other" awk -F '[:,]' '{gsub(/[" ]/, "", $1); v[$1] = $2}
         END {rate = 65.536 / v["forward_ms"]; exit !(v["iteration_ms"] > v["forward_ms"] / 2 && v["forward_mrays_per_s"] / rate > 0.999 && v["forward_mrays_per_s"] / rate < 1.001)}' numbers/bench.json
-    good bench --run run --json run.json
+    good check --speed --run run --json run.json
     says "^scans +[0-9.]+ per second$"
     check "bench --run: other rays than the run's 8 x 96" grep -q '"rays": 768' run.json
     check "bench --run: other surfels than the run's" grep -q "\"surfels\": $("$relidar" info run | sed -n 's/^surfels *\([0-9]*\).*/\1/p')," run.json
     check "run.json lacks scans_per_s" grep -Eq '"scans_per_s": [0-9.]*[1-9]' run.json
-    bad 3 "nowhere: no such folder" bench --run nowhere --json lost.json
+    bad 3 "nowhere: no such folder" check --speed --run nowhere --json lost.json
     absent lost.json
 }
 
@@ -946,6 +966,7 @@ if "$relidar" list devices >out 2>err; then
     resuming
     network_resuming
     bench
+    checking
     demo
 elif [[ ${RELIDAR_REQUIRE_GPU:-0} == 1 ]]; then
     fail "no Vulkan device, and RELIDAR_REQUIRE_GPU=1"

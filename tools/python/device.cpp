@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "device.hpp"
 
+#include <cstdio>
+
 #include <pybind11/stl.h>
 
 #include <fmt/format.h>
 
 #include <relidar/base/error.hpp>
+#include <relidar/diff/first_use.hpp>
 #include "module.hpp"
 
 namespace relidar::python {
@@ -59,6 +62,9 @@ DeviceUse::DeviceUse(OpenDevice& device) : device_(device) {
 DeviceUse::~DeviceUse() { device_.user = std::thread::id(); }
 
 void add_device(py::module_& module) {
+    set_first_use({check_first_use, [](const std::string& text) {
+                       std::fprintf(stderr, "relidar: note: %s\n", text.c_str());
+                   }});
     py::class_<DeviceInfo>(module, "DeviceInfo",
                            "A Vulkan device of this machine and the features that relidar can use.")
         .def_readonly("index", &DeviceInfo::index)

@@ -38,6 +38,6 @@ void add_eval(CLI::App& app, Call& call);
 void add_export(CLI::App& app, Call& call);
 void add_demo(CLI::App& app, Call& call);
 void add_view(CLI::App& app, Call& call);
-void add_bench(CLI::App& app, Call& call);
+void add_check(CLI::App& app, Call& call);
 
 }  // namespace relidar::cli

@@ -10,6 +10,7 @@
 #include <CLI/CLI.hpp>
 
 #include <relidar/base/error.hpp>
+#include <relidar/diff/first_use.hpp>
 #include <relidar/log/channels.hpp>
 #include <relidar/simulate/weather.hpp>
 #include <relidar/train/train.hpp>
@@ -50,6 +51,7 @@ DeviceOptions device_options(const DeviceChoice& choice) {
             "--device: found {}; expected a device number from `relidar list devices`", choice.index));
     options.index = choice.index;
     options.traversal = find_traversal(choice.traversal);
+    set_first_use({check_first_use, note});
     return from_environment(options);
 }
 

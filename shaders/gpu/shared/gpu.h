@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Parameters of general-purpose kernels: prefix sums, a stable radix sort and a copy.
-// Prefix sums and sort give the same result in every run. A workgroup of 256 threads
-// processes a tile of 4096 elements.
+// Parameters of general-purpose kernels: prefix sums, a stable radix sort, a copy and
+// checks of a device. Prefix sums and sort give the same result in every run. A workgroup
+// of 256 threads processes a tile of 4096 elements.
 #ifndef RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #define RELIDAR_INCLUDED_GPU_SHARED_GPU_H
 #include "relidar/base/lang.h"
@@ -55,6 +55,29 @@ struct CopyParams {
     RELIDAR_OF(Vec4s, CopyTarget) to;    // Output: copied vectors, [n].
     uint n;
 };
+
+#define RELIDAR_CHECK_AMOUNTS 7u   // Number of different values that check_atomics adds.
+#define RELIDAR_CHECK_RESULTS 11u  // Results per thread of check_subgroups.
+
+/// Sums that many threads add to (gpu/check_atomics.comp).
+struct CheckAtomicsParams {
+    Floats sums;  // Accumulated: thread i adds 1 + i % RELIDAR_CHECK_AMOUNTS to sum i % n_sums.
+    uint n;
+    uint n_sums;
+    uint fault;  // 1: adds without atomics, so that a test sees wrong sums.
+};
+
+/// Results of subgroup operations (gpu/check_subgroups.comp).
+struct CheckSubgroupsParams {
+    Uints results;  // Output, [threads,RELIDAR_CHECK_RESULTS].
+    uint fault;     // 1: a lane adds nothing, so that a test sees a wrong sum.
+};
+
+/// Returns the value of a thread in check_subgroups: a hash below 65536.
+RELIDAR_FUNCTION uint check_value(uint thread) {
+    uint x = thread * 747796405u + 2891336453u;
+    return (x ^ (x >> 15u)) >> 16u;
+}
 
 RELIDAR_SHARED_END
 #endif

@@ -35,6 +35,7 @@ struct Structure {
         info.type = type;
         gpu::check(vkCreateAccelerationStructureKHR(device->device, &info, nullptr, &handle),
                    "vkCreateAccelerationStructureKHR");
+        gpu::name_object(device->device, VK_OBJECT_TYPE_ACCELERATION_STRUCTURE_KHR, handle, what);
         VkAccelerationStructureDeviceAddressInfoKHR query{
             VK_STRUCTURE_TYPE_ACCELERATION_STRUCTURE_DEVICE_ADDRESS_INFO_KHR};
         query.accelerationStructure = handle;

@@ -4,10 +4,13 @@
 // tests all ways to find hits and sum gradients.
 #include <relidar/base/error.hpp>
 #include <relidar/diff/differentiable_renderer.hpp>
+#include <relidar/diff/first_use.hpp>
 #include <relidar/diff/optimizer.hpp>
 
 #include "../../support/surfels.hpp"
 #include "../backward/passes.hpp"
+#include "gpu/check_device.hpp"
+#include "gpu/trust.hpp"
 
 namespace relidar {
 namespace {
@@ -147,6 +150,66 @@ TEST_F(Differentiable, WhatIsOutOfOrderIsRefused) {
     EXPECT_THROW(renderer.forward(rays), UsageError) << "the structure is gone";
     place(renderer);
     EXPECT_EQ(renderer.forward(rays).size(), rays.size());
+}
+
+/// The check at the first use must accept this device, and find each forced fault.
+class FirstUseTest : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        if (IsSkipped() || HasFatalFailure()) return;
+        options = from_environment({.index = device().info().index, .traversal = device().traversal()});
+    }
+    void TearDown() override {
+        gpu::set_faults("");
+        set_first_use({});
+        test::DeviceTest::TearDown();
+    }
+
+    DeviceOptions options;
+};
+
+TEST_F(FirstUseTest, FindsWhatIsWrong) {
+    const Trust unforced = device().traversal() == Traversal::ray_query ? Trust::right : Trust::unknown;
+    const DeviceTrust right = check_first_use(options);
+    EXPECT_TRUE(right.float_atomics && right.float_swaps);
+    EXPECT_EQ(right.subgroup_size, 0);
+    EXPECT_EQ(right.ray_query, unforced);
+    gpu::set_faults("float_atomics,float_swaps,ray_query");
+    const DeviceTrust wrong = check_first_use(options);
+    EXPECT_EQ(wrong.float_atomics, !device().info().float_atomics);
+    EXPECT_FALSE(wrong.float_swaps);
+    EXPECT_EQ(wrong.ray_query, unforced == Trust::right ? Trust::wrong : Trust::unknown);
+    if (unforced == Trust::right) {
+        EXPECT_GT(count_wrong_rays(device()), 10);
+    }
+}
+
+/// On a device with several sizes, the largest other size must be chosen.
+TEST_F(FirstUseTest, ChoosesAnotherSubgroupSize) {
+    if (!device().info().software) GTEST_SKIP() << "no subgroups of a known size";
+    const std::vector<int> sizes = subgroup_sizes(device());
+    const int size = device().info().subgroup_size;
+    gpu::set_faults("subgroups:" + std::to_string(size));
+    if (sizes.size() == 1) {
+        EXPECT_THROW(check_first_use(options), DeviceError);
+        return;
+    }
+    const int other = sizes.back() == size ? sizes[sizes.size() - 2] : sizes.back();
+    EXPECT_EQ(check_first_use(options).subgroup_size, other);
+}
+
+TEST_F(FirstUseTest, WrongAtomicsLeadToGatheredGradients) {
+    std::vector<std::string> notes;
+    set_first_use({check_first_use, [&](const std::string& text) { notes.push_back(text); }});
+    gpu::set_faults("float_atomics");
+    Device opened(options);
+    const ImageModel model{.sh_direction = ShDirection::surfel};
+    Surfels surfels;
+    surfels.resize(1);
+    DifferentiableRenderer renderer(opened, make_background_scene(surfels), model);
+    EXPECT_NE(renderer.backward_pass().most_hits(), nullptr);
+    EXPECT_EQ(notes.size(), device().info().float_atomics ? 1u : 0u);
 }
 
 }  // namespace

@@ -1,13 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-// The command `relidar bench` measures how fast a device is on a benchmark street or on a
-// run. It prints a short report. `relidar-dev bench` measures each kernel.
+// Report of `relidar check --speed`. `relidar-dev bench` measures each kernel.
+#include "bench/bench.hpp"
+
 #include <algorithm>
 #include <chrono>
-#include <memory>
 #include <optional>
 
 #include <fmt/format.h>
-#include <CLI/CLI.hpp>
 #include <nlohmann/json.hpp>
 
 #include <relidar/base/files.hpp>
@@ -16,11 +15,8 @@
 
 #include "bench/case.hpp"
 #include "bench/training_step.hpp"
-#include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
-#include "options.hpp"
-#include "output_folder.hpp"
 #include "scene/benchmark_street.hpp"
 
 namespace relidar::cli {
@@ -31,11 +27,6 @@ using Clock = std::chrono::steady_clock;
 // Minimum and maximum number of repetitions, and number of scans that are rendered.
 constexpr int kLeast = 3, kMost = 10, kScans = 30;
 constexpr double kEnough_ms = 5000.0;
-
-struct BenchOptions {
-    std::string run, json;
-    DeviceChoice device;
-};
 
 /// Median wall times in milliseconds. Each time includes waiting until the device is
 /// done.
@@ -156,7 +147,7 @@ std::string report_text(const BenchCase& bench, const BenchTimes& t, const Devic
 
 std::string report_json(const BenchCase& bench, const BenchTimes& t, const Device& device) {
     const double krays = double(bench.rays.size()) / 1000.0;
-    nlohmann::ordered_json json = {{"format", "relidar bench"},
+    nlohmann::ordered_json json = {{"format", "relidar check --speed"},
                                    {"version", 2},
                                    {"relidar", RELIDAR_VERSION},
                                    {"device", device.info().name},
@@ -177,46 +168,18 @@ std::string report_json(const BenchCase& bench, const BenchTimes& t, const Devic
     return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
 }
 
-void run_bench(const BenchOptions& options) {
-    const std::filesystem::path json = options.json;
-    if (std::error_code failed; std::filesystem::is_directory(json, failed))
-        throw DataError(
-            fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
+}  // namespace
+
+void measure_speed(const BenchOptions& options) {
     std::optional<Run> run;
     if (!options.run.empty()) run = load_run(options.run);
-    std::optional<OutputFolder> folder;
-    if (!json.empty()) folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
     Device device(device_options(options.device));
-    catch_interrupts();
     const BenchCase bench = run ? make_run_case(*run)
                                 : make_street_case(100000, false, make_benchmark_rays(64, 1024, 2.0, -24.9));
     BenchTimes times = measure(device, bench);
     if (run) times.scans_per_s = scans_per_second(device, *run);
-    if (!json.empty()) write_text(json, report_json(bench, times, device));
+    if (!options.json.empty()) write_text(options.json, report_json(bench, times, device));
     print(report_text(bench, times, device));
-}
-
-constexpr const char* kBenchHelp =
-    R"(The street has 100000 surfels and 64 x 1024 rays. Times are wall times until the device has
-finished.
-Examples:
-  relidar bench
-  relidar bench --run run --json bench.json)";
-
-}  // namespace
-
-void add_bench(CLI::App& app, Call& call) {
-    CLI::App* command =
-        app.add_subcommand("bench", "measure the speed of a device on a fixed street or on a run");
-    const auto options = std::make_shared<BenchOptions>();
-    command
-        ->add_option("--run", options->run,
-                     "measure with the scene and the sensor of this run instead of the synthetic street")
-        ->type_name("RUN");
-    command->add_option("--json", options->json, "also write the report to this file")->type_name("FILE");
-    add_device_options(*command, options->device);
-    command->footer(kBenchHelp);
-    command->callback([&call, options] { call.run = [options] { run_bench(*options); }; });
 }
 
 }  // namespace relidar::cli

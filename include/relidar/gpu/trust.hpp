@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// Results of the check of a device at its first use, and the functions that request this
+// check.
+#pragma once
+
+#include <functional>
+#include <string>
+
+#include <relidar/gpu/device.hpp>
+
+namespace relidar {
+
+/// Result of a check.
+enum class Trust { unknown, right, wrong };
+
+/// Results of the check at the first use of a device. They select the methods that
+/// relidar uses on the device.
+struct DeviceTrust {
+    bool float_atomics = true;  ///< True if float atomics add correctly.
+    bool float_swaps = true;    ///< True if compare-and-swap loops add correctly.
+    /// Subgroup size with right results. 0 = the default of the driver.
+    int subgroup_size = 0;
+    /// States whether ray queries find the same surfels as a search without a tree.
+    Trust ray_query = Trust::unknown;
+};
+
+/// Functions that Device calls when it opens a device.
+struct FirstUse {
+    /// Checks a device at its first use with a driver. The results are stored in the
+    /// folder of the pipeline cache. Null = all methods are trusted.
+    std::function<DeviceTrust(const DeviceOptions&)> check;
+    /// Receives a line for each method that relidar replaces, because the check found
+    /// wrong results.
+    std::function<void(const std::string&)> note;
+};
+
+/// Sets the functions for all devices that this process opens later. A program calls it
+/// once, before it opens a device. check_first_use() in relidar/diff/first_use.hpp is the
+/// check of relidar.
+void set_first_use(FirstUse first_use);
+
+/// Scope object: while it exists, this thread opens devices with the given results
+/// instead of a check.
+class Trusting {
+public:
+    explicit Trusting(const DeviceTrust& trust);
+    ~Trusting();
+    Trusting(const Trusting&) = delete;
+    Trusting& operator=(const Trusting&) = delete;
+
+private:
+    const DeviceTrust* before_;
+    DeviceTrust trust_;
+};
+
+}  // namespace relidar

@@ -1,0 +1,113 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <relidar/diff/first_use.hpp>
+
+#include <algorithm>
+#include <cmath>
+#include <random>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/diff/forward.hpp>
+
+#include "gpu/check_device.hpp"
+#include "gpu/forced.hpp"
+#include "gpu/trust.hpp"
+
+namespace relidar {
+namespace {
+
+constexpr int kSurfels = 300, kRays = 256;
+
+/// Returns surfels in a ring around the origin. They overlap along most rays.
+Surfels ring_of_surfels() {
+    std::mt19937 random(1);
+    const auto uniform = [&](float low, float high) {
+        return low + (high - low) * float(random()) / 4294967296.0f;
+    };
+    Surfels surfels;
+    surfels.resize(kSurfels);
+    std::ranges::fill(surfels.sh, 0.0f);
+    for (std::size_t i = 0; i < kSurfels; ++i) {
+        const float angle = uniform(0.0f, 6.2831853f), range_m = uniform(3.0f, 30.0f);
+        surfels.mean[i] = {range_m * std::cos(angle), range_m * std::sin(angle), uniform(-2.0f, 2.0f)};
+        surfels.rotation[i] = {uniform(-1.0f, 1.0f), uniform(-1.0f, 1.0f), uniform(-1.0f, 1.0f),
+                               uniform(0.1f, 1.0f)};
+        surfels.log_scale[i] = {std::log(uniform(0.3f, 3.0f)), std::log(uniform(0.3f, 3.0f))};
+        surfels.opacity_logit[i] = uniform(-1.0f, 1.0f);
+    }
+    return surfels;
+}
+
+WorldRays rays_around() {
+    WorldRays rays;
+    for (int i = 0; i < kRays; ++i) {
+        const float angle = 6.2831853f * float(i) / kRays, up = 0.1f * float(i % 5 - 2);
+        rays.origin.emplace_back(0.0f);
+        rays.direction.push_back(glm::normalize(glm::vec3(std::cos(angle), std::sin(angle), up)));
+    }
+    return rays;
+}
+
+/// Renders the ring. If the trees are to be refitted, the surfels move 0.2 m after the
+/// build.
+Rendering render_ring(Device& device, const AccelOptions& accel, TreeState state) {
+    Surfels surfels = ring_of_surfels();
+    Renderer renderer(device, make_background_scene(surfels), {}, {.accel = accel});
+    renderer.place(glm::vec3(0.0f));
+    if (state == TreeState::refitted) {
+        for (std::size_t i = 0; i < surfels.mean.size(); ++i) surfels.mean[i].z += i % 2 == 0 ? 0.2f : -0.2f;
+        renderer.stream().finish();
+        renderer.upload(surfels);
+        renderer.place(glm::vec3(0.0f));
+    }
+    return renderer.forward(rays_around());
+}
+
+/// Returns the largest subgroup size with right results, except the driver's default.
+/// @param wrong wrong result with the default size
+int right_subgroup_size(const DeviceOptions& options, const Device& device, const std::string& wrong) {
+    const std::vector<int> sizes = subgroup_sizes(device);
+    for (auto lanes = sizes.rbegin(); lanes != sizes.rend(); ++lanes) {
+        if (*lanes == device.info().subgroup_size) continue;
+        const Trusting trusting(DeviceTrust{.subgroup_size = *lanes});
+        Device other(options);
+        if (wrong_subgroups(other).empty()) return *lanes;
+    }
+    throw DeviceError(fmt::format(
+        "cannot use {} ({}): subgroups of {} lanes give wrong results ({}), and no other size is right",
+        device.info().name, device.info().driver, device.info().subgroup_size, wrong));
+}
+
+}  // namespace
+
+int count_wrong_rays(Device& device, TreeState state) {
+    AccelOptions accel;
+    // The fault of a test: boxes that are too small for their surfels.
+    if (gpu::has_fault("ray_query") && device.traversal() == Traversal::ray_query) accel.margin_scale = 0.3f;
+    const Rendering found = render_ring(device, accel, state);
+    const Forced forced(device, {.brute_force = true});
+    const Rendering expected = render_ring(device, {}, state);
+    int n_wrong = 0;
+    for (std::size_t i = 0; i < kRays; ++i)
+        n_wrong += found.hits[i] != expected.hits[i] ||
+                   !(std::abs(found.depth[i] - expected.depth[i]) <= 1e-4f * (1.0f + expected.depth[i]));
+    return n_wrong;
+}
+
+DeviceTrust check_first_use(const DeviceOptions& options) {
+    const Trusting trusting(DeviceTrust{});
+    Device device(options);
+    DeviceTrust trust;
+    if (device.info().float_atomics) trust.float_atomics = sum_error(device, false) == 0.0;
+    trust.float_swaps = sum_error(device, true) == 0.0;
+    // Without a known subgroup size, no kernel relies on subgroups.
+    if (device.info().software)
+        if (const std::string wrong = wrong_subgroups(device); !wrong.empty())
+            trust.subgroup_size = right_subgroup_size(options, device, wrong);
+    if (device.traversal() == Traversal::ray_query)
+        trust.ray_query = count_wrong_rays(device) == 0 ? Trust::right : Trust::wrong;
+    return trust;
+}
+
+}  // namespace relidar

@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bindings of the kernels gpu/check_atomics and gpu/check_subgroups.
+#include "gpu/check_device.hpp"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+#include <utility>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "gpu/context.hpp"
+#include "gpu/radix_sort.hpp"
+#include "gpu/stream.hpp"
+#include "gpu/trust.hpp"
+
+namespace relidar {
+namespace {
+
+using Words = std::vector<std::uint32_t>;
+
+/// Returns the largest relative error of `n_sums` sums to which `n` threads add.
+double error_of_sums(Stream& stream, const Kernel<shared::CheckAtomicsParams>& kernel, std::uint32_t n,
+                     std::uint32_t n_sums, bool fault) {
+    std::vector<double> expected(n_sums, 0.0);
+    for (std::uint32_t i = 0; i < n; ++i) expected[i % n_sums] += 1.0 + i % RELIDAR_CHECK_AMOUNTS;
+    const Array<float> sums(stream.device(), std::vector<float>(n_sums, 0.0f), "sums");
+    run(stream, kernel, n, {.sums = sums.address(), .n = n, .n_sums = n_sums, .fault = fault});
+    stream.finish();
+    const std::vector<float> actual = sums.download();
+    double worst = 0.0;
+    for (std::uint32_t i = 0; i < n_sums; ++i) {
+        const double error = std::abs(double(actual[i]) - expected[i]) / expected[i];
+        worst = std::isfinite(error) ? std::max(worst, error) : HUGE_VAL;
+    }
+    return worst;
+}
+
+constexpr std::array<const char*, RELIDAR_CHECK_RESULTS> kOperations = {
+    "gl_SubgroupSize",         "subgroupAdd",
+    "subgroupExclusiveAdd",    "subgroupMax",
+    "subgroupBallot",          "subgroupShuffle",
+    "subgroupAny and All",     "subgroupBroadcast",
+    "subgroupAdd in a branch", "prefix sum of workgroup",
+    "sum of the workgroup",
+};
+constexpr std::uint32_t kCheckWorkgroup = 256;
+
+/// Returns the right results of the thread `lane` of a subgroup with these values.
+/// @param before sum of all earlier subgroups of the workgroup
+/// @param total sum of the workgroup
+std::array<std::uint32_t, RELIDAR_CHECK_RESULTS> right_results(const Words& values, std::size_t lane,
+                                                               std::uint32_t before, std::uint32_t total) {
+    std::uint32_t sum = 0, earlier = 0, largest = 0, n_odd = 0, odd_sum = 0;
+    for (std::size_t i = 0; i < values.size(); ++i) {
+        const std::uint32_t x = values[i];
+        sum += x;
+        if (i < lane) earlier += x;
+        largest = std::max(largest, x);
+        if (x & 1u) ++n_odd, odd_sum += x;
+    }
+    const auto size = static_cast<std::uint32_t>(values.size());
+    return {size,
+            sum,
+            earlier,
+            largest,
+            n_odd,
+            values[lane ^ 1u],
+            (n_odd > 0 ? 1u : 0u) + (n_odd == size ? 2u : 0u),
+            values.front(),
+            values[lane] & 1u ? odd_sum : 0u,
+            before + earlier,
+            total};
+}
+
+std::string wrong_operations(Device& device) {
+    const Kernel<shared::CheckSubgroupsParams> kernel(
+        device, "gpu/check_subgroups", {{ConstantId::WORKGROUP_SIZE, kCheckWorkgroup}}, Subgroups::full);
+    constexpr std::uint32_t kThreads = 16 * kCheckWorkgroup;
+    const Array<std::uint32_t> results(device, kThreads * RELIDAR_CHECK_RESULTS, "results of subgroups");
+    Stream stream(device);
+    const bool fault = gpu::has_fault(fmt::format("subgroups:{}", device.info().subgroup_size));
+    run(stream, kernel, kThreads, {.results = results.address(), .fault = fault});
+    stream.finish();
+    const Words actual = results.download();
+    const auto lanes = static_cast<std::uint32_t>(device.info().subgroup_size);
+    for (std::uint32_t group = 0; group < kThreads; group += kCheckWorkgroup) {
+        std::uint32_t total = 0, before = 0;
+        for (std::uint32_t i = 0; i < kCheckWorkgroup; ++i) total += shared::check_value(group + i);
+        for (std::uint32_t first = group; first < group + kCheckWorkgroup; first += lanes) {
+            Words values;
+            for (std::uint32_t i = 0; i < lanes; ++i) values.push_back(shared::check_value(first + i));
+            for (std::uint32_t lane = 0; lane < lanes; ++lane) {
+                const auto expected = right_results(values, lane, before, total);
+                const std::uint32_t* found = actual.data() + (first + lane) * RELIDAR_CHECK_RESULTS;
+                for (std::size_t k = 0; k < expected.size(); ++k)
+                    if (found[k] != expected[k])
+                        return fmt::format("{}: found {} in lane {}, expected {}", kOperations[k], found[k],
+                                           lane, expected[k]);
+            }
+            before = std::accumulate(values.begin(), values.end(), before);
+        }
+    }
+    return {};
+}
+
+/// Sorts 5000 keys. Returns an empty text if the order is right.
+std::string wrong_sort(Device& device) {
+    if (!device.info().known_subgroups) return {};
+    constexpr std::uint32_t kKeys = 5000;
+    Words keys(kKeys);
+    for (std::uint32_t i = 0; i < kKeys; ++i) keys[i] = shared::check_value(i);
+    const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
+        second(device, kKeys, "keys");
+    const Array<std::uint32_t, shared::SortOrder> first_order(device, kKeys, "order"),
+        second_order(device, kKeys, "order");
+    const RadixSort sort(device, kKeys, 1);
+    Stream stream(device);
+    sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()},
+             16);
+    stream.finish();
+    std::ranges::sort(keys);
+    static_assert(kKeys > RELIDAR_TILE_SIZE);
+    const Words actual = first.download();
+    const auto [found, expected] = std::ranges::mismatch(actual, keys);
+    if (found == actual.end()) return {};
+    return fmt::format("sort of {} keys: found key {} at position {}, expected {}", kKeys, *found,
+                       found - actual.begin(), *expected);
+}
+
+}  // namespace
+
+double sum_error(Device& device, bool swaps) {
+    const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics",
+                                                    KernelVariant(swaps ? "@_swap" : "@_atomics"));
+    const bool fault = gpu::has_fault(swaps ? "float_swaps" : "float_atomics");
+    Stream stream(device);
+    return std::max(error_of_sums(stream, kernel, 1u << 18, 1024, fault),
+                    error_of_sums(stream, kernel, 1u << 14, 1, fault));
+}
+
+double sum_error_of(Device& device, std::uint32_t n_threads) {
+    const Kernel<shared::CheckAtomicsParams> kernel(device, "gpu/check_atomics", KernelVariant("@_swap"));
+    Stream stream(device);
+    const double piece_s = std::exchange(impl_of(device).launch_limit.piece_s, 0.0);
+    const double error = error_of_sums(stream, kernel, n_threads, 1024, false);
+    impl_of(device).launch_limit.piece_s = piece_s;
+    return error;
+}
+
+std::vector<int> subgroup_sizes(const Device& device) {
+    VkPhysicalDeviceSubgroupSizeControlProperties sizes{
+        VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_SUBGROUP_SIZE_CONTROL_PROPERTIES};
+    VkPhysicalDeviceProperties2 properties{VK_STRUCTURE_TYPE_PHYSICAL_DEVICE_PROPERTIES_2, &sizes};
+    vkGetPhysicalDeviceProperties2(impl_of(device).physical, &properties);
+    if (!impl_of(device).optional.subgroup_size) return {device.info().subgroup_size};
+    std::vector<int> result;
+    for (std::uint32_t lanes = 4; lanes <= 64; lanes *= 2)
+        if (lanes >= sizes.minSubgroupSize && lanes <= sizes.maxSubgroupSize)
+            result.push_back(static_cast<int>(lanes));
+    return result;
+}
+
+std::string wrong_subgroups(Device& device) {
+    const std::string wrong = wrong_operations(device);
+    return wrong.empty() ? wrong_sort(device) : wrong;
+}
+
+}  // namespace relidar

@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "gpu/trust.hpp"
+
+#include <fstream>
+#include <optional>
+#include <sstream>
+#include <utility>
+
+#include <fmt/format.h>
+
+#include "gpu/pipeline_cache.hpp"
+
+namespace relidar {
+namespace {
+
+FirstUse& first_use() {
+    static FirstUse functions;
+    return functions;
+}
+
+std::string& all_faults() {
+    static std::string faults;
+    return faults;
+}
+
+/// Results that a Trusting object sets for this thread, or null.
+thread_local const DeviceTrust* fixed_trust = nullptr;
+
+/// Returns the content of the file. A file is used only if it equals this text, so that
+/// damaged files are ignored.
+std::string trust_text(const std::string& driver, const DeviceTrust& trust) {
+    return fmt::format(
+        "relidar {} checked this device at its first use. Delete this file to repeat the check.\n"
+        "driver {}\nfloat_atomics {}\nfloat_swaps {}\nsubgroup_size {}\nray_query {}\n",
+        RELIDAR_VERSION, driver, int(trust.float_atomics), int(trust.float_swaps), trust.subgroup_size,
+        int(trust.ray_query));
+}
+
+std::optional<DeviceTrust> read_trust(const std::filesystem::path& path, const std::string& driver) {
+    std::ifstream file(path);
+    std::stringstream content;
+    content << file.rdbuf();
+    const std::string text = content.str();
+    const std::size_t values = text.find("\nfloat_atomics ");
+    if (values == std::string::npos) return std::nullopt;
+    DeviceTrust trust;
+    int atomics = 0, swaps = 0, ray_query = 0;
+    std::string name;
+    std::istringstream(text.substr(values)) >> name >> atomics >> name >> swaps >> name >>
+        trust.subgroup_size >> name >> ray_query;
+    if (ray_query < 0 || ray_query > int(Trust::wrong)) return std::nullopt;
+    trust.float_atomics = atomics != 0;
+    trust.float_swaps = swaps != 0;
+    trust.ray_query = Trust(ray_query);
+    return text == trust_text(driver, trust) ? std::optional(trust) : std::nullopt;
+}
+
+}  // namespace
+
+void set_first_use(FirstUse functions) { first_use() = std::move(functions); }
+
+Trusting::Trusting(const DeviceTrust& trust) : before_(fixed_trust), trust_(trust) { fixed_trust = &trust_; }
+Trusting::~Trusting() { fixed_trust = before_; }
+
+namespace gpu {
+
+void set_faults(const std::string& faults) { all_faults() = faults; }
+bool has_fault(const std::string& fault) {
+    return ("," + all_faults() + ",").find("," + fault + ",") != std::string::npos;
+}
+
+DeviceTrust find_trust(const Device::Impl& device, const DeviceOptions& options) {
+    if (fixed_trust) return *fixed_trust;
+    if (!first_use().check || options.compile_only) return {};
+    VkPhysicalDeviceProperties properties;
+    vkGetPhysicalDeviceProperties(device.physical, &properties);
+    std::filesystem::path path;
+    // Faults that a test has forced must not affect later runs.
+    if (!options.pipeline_cache.empty() && all_faults().empty())
+        path = options.pipeline_cache / ("check_" + device_key(properties) + ".txt");
+    const std::optional<DeviceTrust> known = read_trust(path, device.info.driver);
+    if (known && (known->ray_query != Trust::unknown || device.traversal != Traversal::ray_query))
+        return *known;
+    DeviceOptions checked = options;
+    checked.index = device.info.index;
+    checked.traversal = device.traversal;
+    const DeviceTrust trust = first_use().check(checked);
+    if (!path.empty()) replace_file(path, trust_text(device.info.driver, trust));
+    return trust;
+}
+
+void distrust(Device::Impl& device, const DeviceTrust& trust) {
+    DeviceInfo& info = device.info;
+    const auto note = [&](const std::string& text) {
+        if (first_use().note && !fixed_trust) first_use().note(fmt::format("{}: {}", info.name, text));
+    };
+    if (!trust.float_atomics && info.float_atomics) {
+        info.float_atomics = false;
+        note("its float atomics give wrong sums; gradients are gathered without them");
+    }
+    if (!trust.float_swaps && !info.float_atomics) {
+        device.wrong_sums = true;
+        note("it gives wrong sums of floats with every method; relidar renders on it, but does not train");
+    }
+    if (trust.subgroup_size != 0 && trust.subgroup_size != info.subgroup_size) {
+        note(fmt::format("its subgroups of {} lanes give wrong results; subgroups of {} lanes are used",
+                         info.subgroup_size, trust.subgroup_size));
+        info.subgroup_size = trust.subgroup_size;
+        device.forced_lanes = true;
+    }
+    if (trust.ray_query != Trust::wrong || device.traversal != Traversal::ray_query) return;
+    note(fmt::format("its ray queries find other surfels than a full search; {}",
+                     info.software ? "the software tree is used" : "the results on it are wrong"));
+    if (info.software) device.traversal = Traversal::software;
+}
+
+}  // namespace gpu
+}  // namespace relidar

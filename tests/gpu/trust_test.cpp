@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests the check of float sums and subgroups (gpu/check_atomics, gpu/check_subgroups),
+// with forced faults, and the methods that a device uses after a check. Another test of
+// the renderer covers ray queries.
+#include <filesystem>
+#include <fstream>
+
+#include <gmock/gmock.h>
+
+#include <relidar/base/error.hpp>
+
+#include "../support/device.hpp"
+#include "gpu/check_device.hpp"
+#include "gpu/kernel.hpp"
+#include "gpu/trust.hpp"
+
+namespace relidar {
+namespace {
+
+using testing::ElementsAre, testing::HasSubstr, testing::IsEmpty;
+
+class TrustTest : public test::DeviceTest {
+protected:
+    void SetUp() override {
+        test::DeviceTest::SetUp();
+        std::filesystem::remove_all(folder);
+        if (IsSkipped() || HasFatalFailure()) return;
+        options.index = device().info().index;
+        options.traversal = device().traversal();
+        options.pipeline_cache = folder;
+    }
+    void TearDown() override {
+        gpu::set_faults("");
+        set_first_use({});
+        std::filesystem::remove_all(folder);
+        test::DeviceTest::TearDown();
+    }
+    /// Sets a check that returns `result` and counts its calls.
+    void check_gives(const DeviceTrust& result) {
+        set_first_use({[this, result](const DeviceOptions&) {
+                           ++n_checks;
+                           return result;
+                       },
+                       [this](const std::string& text) { notes.push_back(text); }});
+    }
+    std::filesystem::path file() const {
+        for (const auto& entry : std::filesystem::directory_iterator(folder))
+            if (entry.path().filename().string().starts_with("check_")) return entry.path();
+        return {};
+    }
+
+    const std::filesystem::path folder = std::filesystem::temp_directory_path() / "relidar_trust_test";
+    DeviceOptions options;
+    int n_checks = 0;
+    std::vector<std::string> notes;
+};
+
+TEST_F(TrustTest, SumsAndSubgroupsOfThisDeviceAreRight) {
+    if (device().info().float_atomics) {
+        EXPECT_EQ(sum_error(device(), false), 0.0);
+    }
+    EXPECT_EQ(sum_error(device(), true), 0.0);
+    EXPECT_EQ(wrong_subgroups(device()), "");
+    EXPECT_THAT(subgroup_sizes(device()), testing::Contains(device().info().subgroup_size));
+}
+
+/// Additions without atomics must lose some of the 256 additions to each sum.
+TEST_F(TrustTest, ForcedFaultsAreFound) {
+    gpu::set_faults("float_atomics");
+    if (device().info().float_atomics) {
+        EXPECT_GT(sum_error(device(), false), 0.1);
+    }
+    EXPECT_EQ(sum_error(device(), true), 0.0);
+    gpu::set_faults("float_swaps,subgroups:" + std::to_string(device().info().subgroup_size));
+    EXPECT_GT(sum_error(device(), true), 0.1);
+    EXPECT_THAT(wrong_subgroups(device()), HasSubstr("subgroupAdd: found"));
+    gpu::set_faults("subgroups:128");
+    EXPECT_EQ(wrong_subgroups(device()), "");
+}
+
+TEST_F(TrustTest, DeviceIsCheckedOncePerDriver) {
+    check_gives({.ray_query = Trust::right});
+    { const Device first(options), second(options); }
+    EXPECT_EQ(n_checks, 1);
+    std::ofstream(file(), std::ios::app) << "damaged";
+    { const Device third(options); }
+    EXPECT_EQ(n_checks, 2);
+    std::ifstream in(file());
+    std::string text((std::istreambuf_iterator<char>(in)), {});
+    const std::size_t driver = text.find(device().info().driver);
+    ASSERT_NE(driver, std::string::npos);
+    std::ofstream(file()) << text.insert(driver, "older ");
+    { const Device fourth(options); }
+    EXPECT_EQ(n_checks, 3);
+    EXPECT_THAT(notes, IsEmpty());
+}
+
+TEST_F(TrustTest, WrongAtomicsAreReplacedAndReported) {
+    if (!device().info().float_atomics) GTEST_SKIP() << "no float atomics";
+    check_gives({.float_atomics = false, .ray_query = Trust::right});
+    const Device opened(options);
+    EXPECT_FALSE(opened.info().float_atomics);
+    EXPECT_EQ(accumulating_variant(opened).suffix, "@_swap");
+    EXPECT_THAT(notes, ElementsAre(HasSubstr("float atomics give wrong sums; gradients are gathered")));
+}
+
+TEST_F(TrustTest, WrongSumsAllowNoTraining) {
+    check_gives({.float_atomics = false, .float_swaps = false, .ray_query = Trust::right});
+    const Device opened(options);
+    EXPECT_THROW(accumulating_variant(opened), DeviceError);
+    EXPECT_THAT(notes.back(), HasSubstr("renders on it, but does not train"));
+}
+
+TEST_F(TrustTest, AnotherSubgroupSizeIsUsed) {
+    const int other = device().info().subgroup_size == 8 ? 16 : 8;
+    check_gives({.subgroup_size = other, .ray_query = Trust::right});
+    const Device opened(options);
+    EXPECT_EQ(opened.info().subgroup_size, other);
+    EXPECT_THAT(notes, ElementsAre(HasSubstr("subgroups of " + std::to_string(other) + " lanes are used")));
+}
+
+TEST_F(TrustTest, WrongRayQueriesAreReplaced) {
+    if (!device().info().ray_query || !device().info().software) GTEST_SKIP() << "only one traversal";
+    check_gives({.ray_query = Trust::wrong});
+    options.traversal = Traversal::ray_query;
+    const Device opened(options);
+    EXPECT_EQ(opened.traversal(), Traversal::software);
+    EXPECT_THAT(notes,
+                ElementsAre(HasSubstr("find other surfels than a full search; the software tree is used")));
+}
+
+}  // namespace
+}  // namespace relidar

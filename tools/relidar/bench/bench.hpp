@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+// Measures how fast a device is on a benchmark street or on a run.
+#pragma once
+
+#include <string>
+
+#include "options.hpp"
+
+namespace relidar::cli {
+
+struct BenchOptions {
+    std::string run;   ///< Folder of the run. Empty = benchmark street.
+    std::string json;  ///< File for the report. Empty = none.
+    DeviceChoice device;
+};
+
+/// Measures the speed and prints a report.
+void measure_speed(const BenchOptions& options);
+
+}  // namespace relidar::cli

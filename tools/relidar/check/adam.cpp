@@ -1,0 +1,49 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks three steps of the optimiser Adam.
+#include <algorithm>
+#include <cmath>
+#include <random>
+#include <vector>
+
+#include <relidar/diff/optimizer.hpp>
+#include "check/checks.hpp"
+
+namespace relidar::cli {
+
+Finding check_adam(CheckedDevice& checked) {
+    constexpr std::size_t kValues = 1000;
+    constexpr double kRate = 1e-2;
+    const AdamOptions options;
+    std::mt19937 random(3);
+    std::normal_distribution<float> normal;
+    std::vector<float> start(kValues), gradient(kValues);
+    for (float& x : start) x = normal(random);
+    std::vector<double> expected(start.begin(), start.end()), m(kValues, 0.0), v(kValues, 0.0);
+    Device& device = checked.device();
+    ArrayAdam adam(device, kValues, options);
+    const Array<float> values(device, std::span<const float>(start), "values");
+    Array<float> gradients(device, kValues, "gradients");
+    Stream stream(device);
+    for (int step = 1; step <= 3; ++step) {
+        for (float& x : gradient) x = normal(random);
+        gradients.upload(gradient);
+        adam.step(stream, values, gradients, kRate, step);
+        stream.finish();
+        for (std::size_t i = 0; i < kValues; ++i) {
+            const double g = gradient[i];
+            m[i] = options.beta1 * m[i] + (1.0 - options.beta1) * g;
+            v[i] = options.beta2 * v[i] + (1.0 - options.beta2) * g * g;
+            expected[i] -= kRate * (m[i] / (1.0 - std::pow(options.beta1, step))) /
+                           (std::sqrt(v[i] / (1.0 - std::pow(options.beta2, step))) + options.epsilon);
+        }
+    }
+    const std::vector<float> actual = values.download();
+    double error = 0.0;
+    for (std::size_t i = 0; i < kValues; ++i) {
+        const double difference = std::abs(actual[i] - expected[i]);
+        error = std::isfinite(difference) ? std::max(error, difference) : HUGE_VAL;
+    }
+    return judge(error, 1e-6);
+}
+
+}  // namespace relidar::cli

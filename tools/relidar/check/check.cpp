@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: Apache-2.0
+// The command `relidar check` checks that a device gives right results. With --speed, it
+// measures how fast the device is.
+#include <chrono>
+#include <ctime>
+#include <filesystem>
+#include <memory>
+
+#include <fmt/chrono.h>
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+#include <CLI/CLI.hpp>
+#include <nlohmann/json.hpp>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/gpu/trust.hpp>
+#include "bench/bench.hpp"
+#include "check/checks.hpp"
+#include "command.hpp"
+#include "console.hpp"
+#include "interrupt.hpp"
+#include "options.hpp"
+#include "output_folder.hpp"
+
+namespace relidar::cli {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+struct CheckOptions {
+    std::string json, run;
+    bool speed = false;
+    DeviceChoice device;
+};
+
+/// A check that was run.
+struct CheckRow {
+    std::string name;
+    Finding finding;
+    double seconds = 0.0;
+};
+
+const char* word_of(Finding::Kind kind) {
+    switch (kind) {
+        case Finding::Kind::right:
+            return "right";
+        case Finding::Kind::wrong:
+            return "WRONG";
+        default:
+            return "not supported";
+    }
+}
+
+/// Runs a check. An error of the driver is a wrong result.
+/// @param is_lost output: true if the driver has lost the device
+CheckRow run_check(const Check& check, CheckedDevice& checked, bool& is_lost) {
+    CheckRow row{check.name, {}, 0.0};
+    const Clock::time_point start = Clock::now();
+    try {
+        row.finding = check.run(checked);
+    } catch (const DeviceLost& error) {
+        is_lost = true;
+        row.finding = wrong(one_line(error.what()));
+    } catch (const DeviceError& error) {
+        row.finding = wrong(one_line(error.what()));
+    }
+    row.seconds = std::chrono::duration<double>(Clock::now() - start).count();
+    return row;
+}
+
+std::string check_json(const DeviceInfo& info, const std::vector<CheckRow>& rows) {
+    nlohmann::ordered_json json = {{"format", "relidar check"},
+                                   {"version", 1},
+                                   {"relidar", RELIDAR_VERSION},
+                                   {"date", fmt::format("{:%Y-%m-%d}", fmt::gmtime(std::time(nullptr)))},
+                                   {"device", info.name},
+                                   {"type", info.type},
+                                   {"driver", info.driver},
+                                   {"api_version", info.api_version},
+                                   {"memory_bytes", info.memory_bytes}};
+    for (const CheckRow& row : rows)
+        json["checks"].push_back(
+            {{"name", row.name},
+             {"result", row.finding.kind == Finding::Kind::wrong ? "wrong" : word_of(row.finding.kind)},
+             {"text", row.finding.text},
+             {"seconds", row.seconds}});
+    return json.dump(1, ' ', false, nlohmann::ordered_json::error_handler_t::replace) + "\n";
+}
+
+void run_checks(const CheckOptions& options) {
+    // The checks show the results of the driver, so relidar replaces no methods.
+    const Trusting trusting(DeviceTrust{});
+    CheckedDevice checked(device_options(options.device));
+    const DeviceInfo& info = checked.device().info();
+    print(fmt::format("device   {}\ndriver   {}\nrelidar  {}\n\n", info.name, info.driver, RELIDAR_VERSION));
+    std::vector<CheckRow> rows;
+    std::vector<std::string> wrong_names;
+    bool is_lost = false;
+    for (const Check& check : all_checks()) {
+        stop_if_interrupted();
+        rows.push_back(run_check(check, checked, is_lost));
+        const CheckRow& row = rows.back();
+        print(fmt::format("{:<22} {:<13} {:6.2f} s  {}\n", row.name, word_of(row.finding.kind), row.seconds,
+                          row.finding.text));
+        if (row.finding.kind == Finding::Kind::wrong) wrong_names.push_back(row.name);
+        if (is_lost) break;
+    }
+    if (!options.json.empty()) write_text(options.json, check_json(info, rows));
+    if (wrong_names.empty()) return;
+    throw DeviceError(fmt::format("{} of {} checks of {} ({}) are wrong: {}{}", wrong_names.size(),
+                                  rows.size(), info.name, info.driver, fmt::join(wrong_names, ", "),
+                                  is_lost ? "; the device was lost, so the other checks did not run" : ""));
+}
+
+void check_device(const CheckOptions& options) {
+    if (std::error_code failed; std::filesystem::is_directory(options.json, failed))
+        throw DataError(
+            fmt::format("--json {}: this is a folder; expected the name of a file to write", options.json));
+    if (!options.run.empty() && !options.speed)
+        throw UsageError("--run needs --speed; the checks use no run");
+    std::optional<OutputFolder> folder;
+    if (const std::filesystem::path json = options.json; !json.empty())
+        folder.emplace(json.has_parent_path() ? json.parent_path() : ".");
+    catch_interrupts();
+    if (options.speed) measure_speed({options.run, options.json, options.device});
+    else run_checks(options);
+}
+
+constexpr const char* kCheckHelp =
+    R"(Each check compares kernels with results that the host knows exactly or computes in
+double precision. If a check is wrong, the exit code is 4. docs/devices.md says how to report
+the results of your device.
+--speed measures a street of 100000 surfels and 64 x 1024 rays, or a run. Times are wall
+times until the device has finished.
+Examples:
+  relidar check
+  relidar check --device 1 --json check.json
+  relidar check --speed --run run --json speed.json)";
+
+}  // namespace
+
+void add_check(CLI::App& app, Call& call) {
+    CLI::App* command =
+        app.add_subcommand("check", "check that a device gives right results, or measure its speed");
+    const auto options = std::make_shared<CheckOptions>();
+    command->add_flag("--speed", options->speed, "measure the speed of the device instead");
+    command
+        ->add_option("--run", options->run,
+                     "with --speed: measure on the scene and sensor of this run instead of the street")
+        ->type_name("RUN");
+    command->add_option("--json", options->json, "also write the results to this file")->type_name("FILE");
+    add_device_options(*command, options->device);
+    command->footer(kCheckHelp);
+    command->callback([&call, options] { call.run = [options] { check_device(*options); }; });
+}
+
+}  // namespace relidar::cli

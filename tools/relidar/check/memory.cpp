@@ -1,0 +1,78 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks large allocations. A tenth of the free memory stays free for the remaining
+// programs. On a CPU, the checks use at most an eighth, because the host needs memory.
+#include <algorithm>
+#include <cstring>
+#include <memory>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "check/checks.hpp"
+#include "console.hpp"
+#include "gpu/context.hpp"
+#include "gpu/memory.hpp"
+
+namespace relidar::cli {
+namespace {
+
+constexpr std::uint64_t kMiB = std::uint64_t(1) << 20;
+
+/// Returns the number of bytes that the checks may allocate.
+std::uint64_t allowed_bytes(const Device& device) {
+    std::uint64_t n_free = gpu::memory_budget(impl_of(device).physical).n_free();
+    if (const std::uint64_t limit = impl_of(device).memory_limit_bytes; limit > 0)
+        n_free = std::min(n_free, limit - std::min(limit, device.allocated_bytes()));
+    return device.info().type == "CPU" ? std::min(n_free / 8, 2048 * kMiB) : n_free / 10 * 9;
+}
+
+/// Returns true if the first and the last words of a buffer have a value.
+bool holds(const Buffer& buffer, std::uint32_t value) {
+    for (const std::size_t offset : {std::size_t(0), buffer.size_bytes() - 64}) {
+        std::uint32_t words[16];
+        buffer.download(words, sizeof words, offset);
+        if (std::ranges::any_of(words, [&](std::uint32_t word) { return word != value; })) return false;
+    }
+    return true;
+}
+
+}  // namespace
+
+Finding check_large_buffer(CheckedDevice& checked) {
+    Device& device = checked.device();
+    const std::uint64_t limit = impl_of(device).largest_buffer.n_bytes,
+                        n_bytes = std::min(limit, allowed_bytes(device)) / 64 * 64;
+    if (n_bytes < kMiB) return unsupported("less than 1 MiB is free");
+    const Buffer buffer(device, n_bytes, "the largest buffer");
+    Stream stream(device);
+    stream.fill(buffer, 0x5a5a1234u);
+    stream.finish();
+    if (!holds(buffer, 0x5a5a1234u))
+        return wrong(fmt::format("{}: other values than written", byte_size(n_bytes)));
+    return {Finding::Kind::right,
+            fmt::format("{}{}", byte_size(n_bytes),
+                        n_bytes < limit / 64 * 64 ? fmt::format(" of at most {}", byte_size(limit))
+                                                  : ", the limit of the device")};
+}
+
+Finding check_memory(CheckedDevice& checked) {
+    Device& device = checked.device();
+    constexpr std::uint64_t kPiece = 256 * kMiB;
+    const std::uint64_t allowed = allowed_bytes(device);
+    std::vector<std::unique_ptr<Buffer>> pieces;
+    Stream stream(device);
+    while ((pieces.size() + 1) * kPiece <= allowed) {
+        pieces.push_back(std::make_unique<Buffer>(device, kPiece, "memory of the check"));
+        stream.fill(*pieces.back(), static_cast<std::uint32_t>(pieces.size()));
+    }
+    stream.finish();
+    if (pieces.empty()) return unsupported("less than 256 MiB may be used");
+    for (std::size_t i = 0; i < pieces.size(); ++i)
+        if (!holds(*pieces[i], static_cast<std::uint32_t>(i + 1)))
+            return wrong(fmt::format("piece {} of {}: other values than written", i + 1, pieces.size()));
+    return {Finding::Kind::right,
+            fmt::format("{} of a budget of {}", byte_size(pieces.size() * kPiece),
+                        byte_size(gpu::memory_budget(impl_of(device).physical).n_bytes))};
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks the prefix sum and the sort. Sizes are close to the limits of workgroups and
+// tiles.
+#include <algorithm>
+#include <numeric>
+#include <random>
+#include <vector>
+
+#include <fmt/format.h>
+
+#include "check/checks.hpp"
+#include "gpu/prefix_sum.hpp"
+#include "gpu/radix_sort.hpp"
+#include "gpu/stream.hpp"
+
+namespace relidar::cli {
+namespace {
+
+using Words = std::vector<std::uint32_t>;
+
+Words random_words(std::size_t n) {
+    std::mt19937 random(7);
+    Words words(n);
+    for (std::uint32_t& x : words) x = static_cast<std::uint32_t>(random());
+    return words;
+}
+
+/// Sorts keys by their low 24 bits on the device.
+/// @return true if keys and order equal those of a stable sort on the host
+bool sorts(Device& device, std::uint32_t n_keys, std::uint32_t capacity) {
+    const Words keys = random_words(capacity);
+    const Array<std::uint32_t, shared::SortCount> count(device, Words{n_keys}, "number of keys");
+    const Array<std::uint32_t, shared::SortKeys> first(device, std::span<const std::uint32_t>(keys), "keys"),
+        second(device, capacity, "sorted keys");
+    const Array<std::uint32_t, shared::SortOrder> first_order(device, capacity, "order"),
+        second_order(device, capacity, "sorted order");
+    const RadixSort sort(device, capacity, 1);
+    Stream stream(device);
+    sort.run(stream, {first.address(), first_order.address()}, {second.address(), second_order.address()}, 24,
+             count.address());
+    stream.finish();
+    Words order(n_keys);
+    std::iota(order.begin(), order.end(), 0u);
+    std::ranges::stable_sort(order, {}, [&](std::uint32_t i) { return keys[i] & 0xffffffu; });
+    const Words sorted = second.download(), sorted_order = second_order.download();
+    for (std::uint32_t i = 0; i < n_keys; ++i)
+        if (sorted_order[i] != order[i] || sorted[i] != keys[order[i]]) return false;
+    return true;
+}
+
+}  // namespace
+
+Finding check_prefix_sum(CheckedDevice& checked) {
+    Device& device = checked.device();
+    PrefixSum prefix_sum(device);
+    Stream stream(device);
+    for (const std::uint32_t n : {1u, 255u, 4096u, 4097u, 1'000'003u}) {
+        Words counts = random_words(n);
+        for (std::uint32_t& x : counts) x %= 1000u;
+        const Array<std::uint32_t, shared::ScanCounts> in(device, std::span<const std::uint32_t>(counts),
+                                                          "counts");
+        const Array<std::uint32_t, shared::ScanPrefix> out(device, n, "prefix sums");
+        prefix_sum.reserve(device, n);
+        prefix_sum.run(stream, {in.address()}, out.address(), n);
+        stream.finish();
+        std::exclusive_scan(counts.begin(), counts.end(), counts.begin(), 0u);
+        if (out.download() != counts) return wrong(fmt::format("{} counts", n));
+    }
+    return {Finding::Kind::right, "exact"};
+}
+
+Finding check_sort(CheckedDevice& checked) {
+    Device& device = checked.device();
+    if (!device.info().known_subgroups) return unsupported("no subgroups of a known size");
+    const std::uint32_t most = device.info().type == "CPU" ? 1'000'000u : 10'000'000u;
+    for (const auto& [n_keys, capacity] :
+         {std::pair{0u, 10u}, {1u, 1u}, {4097u, 4097u}, {12'345u, 30'000u}, {most, most}})
+        if (!sorts(device, n_keys, capacity)) return wrong(fmt::format("{} keys", n_keys));
+    return {Finding::Kind::right, fmt::format("exact, up to {} keys", most)};
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks points that the device computes against points that the host computes.
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/log/dataset.hpp>
+#include <relidar/simulate/place_points.hpp>
+#include "check/checks.hpp"
+
+namespace relidar::cli {
+
+Finding check_points(CheckedDevice& checked) {
+    const DeviceInfo& info = checked.device().info();
+    if (!info.software && !info.ray_query) return unsupported("no traversal");
+    const Sequence log = make_synthetic_street({.n_frames = 3, .rows = 16, .columns = 128});
+    const Scene scene = initialise_scene(log, {0, 1, 2}, {});
+    const Config config;
+    ScanRenderer renderer(checked.device(), scene, config, log);
+    const SensorChoice sensor = choose_sensor("VLP-16:128x10", config, log);
+    const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
+    const double time_s = log.frames[1].time_s;
+    renderer.ask_points(sensor, {time_s, track}, time_s);
+    const Points actual = renderer.take_points().points;
+    const Points expected = place_points(renderer.render(sensor, {time_s, track}), config, track.at(time_s));
+    if (actual.size() != expected.size() || actual.size() == 0)
+        return wrong(fmt::format("{} points, expected {}", actual.size(), expected.size()));
+    double error_m = 0.0;
+    for (std::size_t i = 0; i < actual.size(); ++i) {
+        const double distance_m = glm::distance(actual.position_m[i], expected.position_m[i]);
+        error_m = std::isfinite(distance_m) ? std::max(error_m, distance_m) : HUGE_VAL;
+    }
+    return judge(error_m, 1e-4);
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// Checks sums of floats by many threads, and subgroup operations.
+#include <fmt/format.h>
+#include <fmt/ranges.h>
+
+#include <relidar/gpu/trust.hpp>
+#include "check/checks.hpp"
+#include "gpu/check_device.hpp"
+
+namespace relidar::cli {
+namespace {
+
+/// Sums of small integers must be exact.
+Finding judge_sums(double error) {
+    if (error == 0.0) return {Finding::Kind::right, "exact"};
+    return wrong(fmt::format("a sum is off by {:.3g} times its value", error));
+}
+
+}  // namespace
+
+Finding check_float_atomics(CheckedDevice& checked) {
+    if (!checked.device().info().float_atomics) return unsupported("no VK_EXT_shader_atomic_float");
+    return judge_sums(sum_error(checked.device(), false));
+}
+
+Finding check_float_swaps(CheckedDevice& checked) { return judge_sums(sum_error(checked.device(), true)); }
+
+Finding check_subgroups(CheckedDevice& checked) {
+    const DeviceInfo& info = checked.device().info();
+    if (!info.known_subgroups) return unsupported("no subgroups of a known size");
+    const std::vector<int> sizes = subgroup_sizes(checked.device());
+    for (const int lanes : sizes) {
+        const Trusting trusting(DeviceTrust{.subgroup_size = lanes});
+        Device device(checked.options());
+        const std::string text = wrong_subgroups(device);
+        if (!text.empty()) return wrong(fmt::format("{} lanes, {}", lanes, text));
+    }
+    return {Finding::Kind::right, fmt::format("{} lanes", fmt::join(sizes, ", "))};
+}
+
+}  // namespace relidar::cli
