@@ -15,9 +15,9 @@ constexpr double kBoxPatch_m = 0.3;
 // it.
 constexpr double kHiddenHeight = 0.2;
 /// A return observes a side only if the cosine between the ray and the normal of the side
-/// is at least kGrazingSide. At smaller angles the returns form separate streaks. The limit
-/// for the top is lower. A LiDAR on a car hits the roofs of other cars only at grazing
-/// angles.
+/// is at least kGrazingSide. At smaller angles the returns form separate streaks. The
+/// limit for the top is lower. A LiDAR on a car hits the roofs of other cars only at
+/// grazing angles.
 constexpr double kGrazingSide = 0.2, kGrazingTop = 0.02;
 // maximum number of pairs of patches along an axis, for a box of 120 m
 constexpr double kMostPairs = 200.0;

@@ -280,7 +280,8 @@ struct GroundMotion {
     }
 };
 
-/// Returns the times of the log's frames. LiDARs that sweep at the same time share a time.
+/// Returns the times of the log's frames. LiDARs that sweep at the same time share a
+/// time.
 std::vector<double> frame_times(const Sequence& sequence) {
     std::vector<double> times_s;
     for (const Frame& frame : sequence.frames)

@@ -71,8 +71,8 @@ float read_stride(const JsonField& model) {
     return model.has("stride_m") ? static_cast<float>(model.at("stride_m").number(1e-3, 1e3)) : 0.0f;
 }
 
-/// Reads the share of each side of a model's box that the log has seen. Returns nothing if
-/// the file does not have the shares.
+/// Reads the share of each side of a model's box that the log has seen. Returns nothing
+/// if the file does not have the shares.
 std::optional<SideShares> read_seen_sides(const JsonField& model) {
     if (!model.has("seen_sides")) return {};
     SideShares shares{};

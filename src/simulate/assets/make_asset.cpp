@@ -82,6 +82,16 @@ Sequence frames_of(const Sequence& log, const BoxTrack& box) {
     return sequence;
 }
 
+/// Returns the share of each side that has surfels: the observed share, and for vehicles
+/// the share that was completed from the other side.
+SideShares known_sides(const BoxSurface& surface, ObjectKind kind) {
+    SideShares shares{};
+    for (std::size_t s = 0; s < kBoxSides; ++s)
+        shares[s] = float(surface.seen(BoxSide(s)) +
+                          (kind == ObjectKind::vehicle ? surface.mirrored(BoxSide(s)) : 0.0));
+    return shares;
+}
+
 }  // namespace
 
 BoxSurface seen_surface(const glm::dvec3& size_m, const ActorSightings& sightings) {
@@ -149,15 +159,11 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
 
     BoxTrack named = *box;
     named.id = facts.name;
-    SideShares shares{};
-    for (std::size_t s = 0; s < kBoxSides; ++s)
-        shares[s] = float(facts.seen_sides[s] +
-                          (facts.kind == ObjectKind::vehicle ? surface.mirrored(BoxSide(s)) : 0.0));
     model = {.name = facts.name,
              .first = 0,
              .count = std::uint32_t(surfels.size()),
              .half_size_m = model.half_size_m,
-             .seen_sides = shares};
+             .seen_sides = known_sides(surface, facts.kind)};
     alone.scene.models[0].first = 0;
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};

@@ -10,8 +10,8 @@ namespace {
 
 constexpr double kOffset_m = 500.0;
 
-/// Returns a scene with a van of 4 x 2 x 1.6 m, 10 m ahead of the origin. The log has seen
-/// its rear by the given share, and all other sides.
+/// Returns a scene with a van of 4 x 2 x 1.6 m, 10 m ahead of the origin. The log has
+/// seen its rear by the given share, and all other sides.
 Scene van_scene(float rear_share) {
     Scene scene;
     scene.models = {{"background", 0, 0, {}}, {"van", 0, 0, {2.0f, 1.0f, 0.8f}}};
