@@ -7,14 +7,10 @@
 
 #include <relidar/base/error.hpp>
 
-#include "simulate/render/resident_scene.hpp"
-
 namespace relidar {
 
 RenderLanes::RenderLanes(Device& device, ResidentScene& scene)
     : device_(device), scene_(scene), first_(device), most_(ScanRenderer::default_side_by_side(device)) {}
-
-Renderer& RenderLanes::renderer(const RenderLane& lane) { return lane.copy ? *lane.copy : scene_.renderer(); }
 
 RenderLane& RenderLanes::next() {
     if (!batch_) {

@@ -14,7 +14,6 @@
 #include <relidar/simulate/render.hpp>
 
 #include "simulate/render/render_lanes.hpp"
-#include "simulate/render/resident_scene.hpp"
 #include "simulate/render/scan_plan.hpp"
 #include "simulate/render/seen.hpp"
 #include "simulate/render/sweep.hpp"
