@@ -12,6 +12,7 @@
 #include <relidar/simulate/place_points.hpp>
 
 #include "base/parallel.hpp"
+#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 
 namespace relidar {
@@ -41,9 +42,9 @@ void copy_points(std::span<const shared::ReturnedPoint> from, const IntensitySca
 /// Records GPU commands that render a sweep and compute its points.
 PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& dataset_from_points,
                                                 const ScanPlan& plan, Send when) {
-    const int side_by_side = sweeps.layout().blocks.empty() ? lanes.most() : 1;
-    const bool joins = side_by_side > 1 && (lanes.has_batch() || when == Send::with_next);
-    RenderLane& lane = joins ? lanes.next() : lanes.first();
+    const int side_by_side = sweeps.layout().blocks.empty() ? lanes->most() : 1;
+    const bool joins = side_by_side > 1 && (lanes->has_batch() || when == Send::with_next);
+    RenderLane& lane = joins ? lanes->next() : lanes->first();
     load_scene(lane, sweep);
     const bool corrects_drops = plan.network == ScanPlan::Network::device;
     PendingPoints scan{
@@ -53,7 +54,7 @@ PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& 
         .time_s = sweep.time_s,
         .max_range_m = seen_by_log(sweep.sensor).max_range_m,
         .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
-        .renderer = &lanes.renderer(lane)};
+        .renderer = &lanes->renderer(lane)};
     const PoseTrack points_from_sensor = seen_from(scan.dataset_from_sensor, dataset_from_points);
     scan.points = lane.points.record(scan.renderer->stream(), *scan.rays,
                                      {.points_from_sensor = points_from_sensor,
@@ -62,14 +63,14 @@ PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& 
                                       .refined = corrects_drops},
                                      scan.renderer->forward_pass().pass_cap_count());
     if (!joins) scan.renderer->stream().submit();
-    else if (when == Send::now) lanes.submit_batch();
+    else if (when == Send::now) lanes->submit_batch();
     return scan;
 }
 
 /// Waits for the points of a requested scan.
 RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
     if (scan.ready) return std::move(*scan.ready);
-    lanes.submit_batch();
+    lanes->submit_batch();
     const PointsOnDevice::Gathered gathered = PointsOnDevice::wait(scan.renderer->stream(), *scan.points);
     if (gathered.n_capped > 0) scan.renderer->check_passes();
     const RayTable& rays = scan.rays->table();
@@ -96,8 +97,8 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
 void ScanRenderer::Impl::finish_pending() {
     // If a request failed after recording had begun, its scan is not pending. Therefore
     // this also waits for the device.
-    if (lanes.has_batch()) {
-        lanes.submit_batch();
+    if (lanes->has_batch()) {
+        lanes->submit_batch();
         scene.renderer().stream().finish();
     }
     for (PendingPoints& scan : pending) scan.ready = collect(scan);
@@ -136,7 +137,7 @@ ScanRenderer::~ScanRenderer() {
     const auto in_flight = [](const PendingPoints& scan) { return !scan.ready; };
     if (std::ranges::none_of(impl_->pending, in_flight)) return;
     try {
-        impl_->lanes.submit_batch();
+        impl_->lanes->submit_batch();
         // the device may still write to memory that this object frees
         impl_->scene.renderer().stream().finish();
     } catch (const DeviceError&) {  // a lost device no longer writes

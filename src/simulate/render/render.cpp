@@ -20,6 +20,7 @@
 #include "simulate/render/channel_makers.hpp"
 #include "simulate/render/empty_scan.hpp"
 #include "simulate/render/footprint.hpp"
+#include "simulate/render/render_lanes.hpp"
 #include "simulate/render/scan_renderer.hpp"
 #include "simulate/weather/air.hpp"
 
@@ -130,7 +131,12 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
       settings{.channels = wanted_channels(config.render.channels),
                .scatter = std::vector<IntensityScatter>(sequence.lidars.size())},
       sweeps(config, all, sequence),
-      scene(device, all, settings_of_run, {.accel = {}, .trace = traced_with(config)}) {}
+      scene(device, all, settings_of_run, {.accel = {}, .trace = traced_with(config)}),
+      lanes(std::make_unique<RenderLanes>(device, scene)) {}
+
+ScanPlan ScanRenderer::Impl::plan(const Sweep& sweep, bool is_sampled) const {
+    return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes->network(), is_sampled);
+}
 
 bool ScanRenderer::Impl::has_channel(const std::string& name) const {
     return std::ranges::find(settings.channels, name, &ChannelInfo::name) != settings.channels.end();
@@ -148,7 +154,7 @@ void ScanRenderer::Impl::load_scene(const RenderLane& lane, const Sweep& sweep) 
     if (!sweeps.layout().blocks.empty()) finish_pending();
     const glm::vec3 sensor_m(sweep.pose.translation);
     scene.bring(sensor_m, sweeps.limits_of(sweep.sensor).max_m);
-    lanes.renderer(lane).move(sweep.instances, sensor_m);
+    lanes->renderer(lane).move(sweep.instances, sensor_m);
 }
 
 /// Records GPU commands that trace rays and compute the measurements. load_scene() must
@@ -160,14 +166,14 @@ std::shared_ptr<SensorRays> ScanRenderer::Impl::record(RenderLane& lane, const S
     const std::shared_ptr<SensorRays> recorded = lane.upload(device, sensor, rays, [&](std::size_t i) {
         return sweeps.never_seen(sensor, rays.channel[i], rays.direction[i]);
     });
-    Renderer& renderer = lanes.renderer(lane);
+    Renderer& renderer = lanes->renderer(lane);
     recorded->fire(renderer.stream(), sweep.world_from_sensor, sweep.time_s);
     renderer.record_forward(recorded->batch());
     recorded->measure(
         renderer.stream(), renderer.rendered(),
         {config.render.range, sensor.beams, sweeps.log().intensity_response, sensor.limits, kMinWeight});
     if (corrects_drops)
-        recorded->refine(renderer.stream(), lanes.refiner(lane).pass(),
+        recorded->refine(renderer.stream(), lanes->refiner(lane).pass(),
                          glm::vec3(sweep.pose.translation + sweeps.log().world_offset_m - first_origin_m));
     return recorded;
 }
@@ -178,7 +184,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
                                                          bool corrects_drops) {
     Renderer& renderer = scene.renderer();
     const auto start = std::chrono::steady_clock::now();
-    const std::shared_ptr<SensorRays> rays = record(lanes.first(), sweep, table, corrects_drops);
+    const std::shared_ptr<SensorRays> rays = record(lanes->first(), sweep, table, corrects_drops);
     const std::span<const shared::MeasuredRay> measured = rays->wait(renderer.stream());
     renderer.check_passes();
 
@@ -192,7 +198,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
     scan.time_s = sweep.time_s;
     // The host computes the inputs of a network from these channels.
     std::vector<ChannelInfo> channels = settings.channels;
-    if (lanes.network() && !has_channel(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
+    if (lanes->network() && !has_channel(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
     add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{},
                      channels);
     return {std::move(scan), corrects_drops ? rays->refined(renderer.stream()) : std::span<const float>{}};
@@ -220,7 +226,8 @@ RenderedScan ScanRenderer::Impl::trace_beams(const Sweep& sweep, SensorConfig be
 /// Runs the ray-drop network on the host.
 void ScanRenderer::Impl::correct_drops(RenderedScan& scan) {
     replace_drops(
-        scan, lanes.refiner(lanes.first()).refine(drop_image(scan, lanes.network()->inputs, first_origin_m)));
+        scan,
+        lanes->refiner(lanes->first()).refine(drop_image(scan, lanes->network()->inputs, first_origin_m)));
 }
 
 /// Converts expected values to measured values. Samples the returns, adds weather, and
@@ -257,8 +264,8 @@ RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::u
     using Network = ScanPlan::Network;
     const SensorChoice& sensor = sweep.sensor;
     const ScanPlan plan = this->plan(sweep, sample.has_value());
-    lanes.submit_batch();
-    load_scene(lanes.first(), sweep);
+    lanes->submit_batch();
+    load_scene(lanes->first(), sweep);
     auto [scan, drops] = plan.splits_beams() ? TracedScan{trace_beams(sweep, plan.beams), {}}
                                              : trace(sweep, sweep.rays(), plan.network == Network::device);
     add_scan_channels(scan, seen_by_log(sensor), settings.channels);
@@ -287,7 +294,7 @@ void ScanRenderer::show_only(const std::vector<bool>& shown) { impl_->sweeps.sho
 void ScanRenderer::refine_drops(const DropNetwork& network) {
     drop_channels(network.inputs);  // throws an error if the network has inputs that cannot be rendered
     impl_->finish_pending();
-    impl_->lanes.set_network(network);
+    impl_->lanes->set_network(network);
 }
 
 void ScanRenderer::want_channels(const std::string& names) {
@@ -303,7 +310,7 @@ void ScanRenderer::side_by_side(int n) {
         throw UsageError(fmt::format(
             "cannot render several scans at the same time: found {} scans, expected at least 1", n));
     impl_->finish_pending();
-    impl_->lanes.set_most(n);
+    impl_->lanes->set_most(n);
 }
 
 int ScanRenderer::default_side_by_side(const Device& device) {
@@ -311,7 +318,7 @@ int ScanRenderer::default_side_by_side(const Device& device) {
 }
 
 int ScanRenderer::side_by_side() const {
-    return impl_->sweeps.layout().blocks.empty() ? impl_->lanes.most() : 1;
+    return impl_->sweeps.layout().blocks.empty() ? impl_->lanes->most() : 1;
 }
 
 void ScanRenderer::compare_with(const Coverage& coverage) { impl_->settings.coverage = coverage; }
@@ -331,7 +338,7 @@ void ScanRenderer::set_weather(const Weather& weather) {
 }
 
 bool ScanRenderer::refines(const SensorChoice& sensor) const {
-    return corrects_drops(impl_->lanes.network(), sensor);
+    return corrects_drops(impl_->lanes->network(), sensor);
 }
 
 const KernelTimes& ScanRenderer::times() const { return impl_->scene.times(); }

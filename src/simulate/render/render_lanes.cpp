@@ -7,6 +7,8 @@
 
 #include <relidar/base/error.hpp>
 
+#include "simulate/render/resident_scene.hpp"
+
 namespace relidar {
 
 RenderLanes::RenderLanes(Device& device, ResidentScene& scene)
@@ -36,6 +38,8 @@ void RenderLanes::submit_batch() {
     batch_.reset();
     scene_.renderer().stream().submit();
 }
+
+Renderer& RenderLanes::renderer(const RenderLane& lane) { return lane.copy ? *lane.copy : scene_.renderer(); }
 
 void RenderLanes::set_network(const DropNetwork& network) {
     first_.refiner.reset();

@@ -10,14 +10,16 @@
 #include <string>
 #include <vector>
 
+#include <relidar/diff/forward.hpp>
 #include <relidar/simulate/render.hpp>
 
 #include "simulate/render/points_on_device.hpp"
-#include "simulate/render/resident_scene.hpp"
 #include "simulate/render/sensor_rays.hpp"
 #include "simulate/render/sweep.hpp"
 
 namespace relidar {
+
+class ResidentScene;
 
 /// Resources that one scan uses exclusively while it is being rendered. Each of the scans
 /// that are rendered in parallel has a lane.
@@ -51,7 +53,7 @@ public:
     bool has_batch() const { return batch_.has_value(); }
     /// Submits the GPU commands of all scans of the batch.
     void submit_batch();
-    Renderer& renderer(const RenderLane& lane) { return lane.copy ? *lane.copy : scene_.renderer(); }
+    Renderer& renderer(const RenderLane& lane);
 
     /// Sets the network that corrects the ray-drop. An empty network switches it off.
     void set_network(const DropNetwork& network);

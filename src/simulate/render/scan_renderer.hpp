@@ -13,12 +13,17 @@
 #include <relidar/diff/forward.hpp>
 #include <relidar/simulate/render.hpp>
 
-#include "simulate/render/render_lanes.hpp"
+#include "simulate/render/points_on_device.hpp"
+#include "simulate/render/resident_scene.hpp"
 #include "simulate/render/scan_plan.hpp"
 #include "simulate/render/seen.hpp"
 #include "simulate/render/sweep.hpp"
 
 namespace relidar {
+
+class RenderLanes;
+class SensorRays;
+struct RenderLane;
 
 /// Points of a requested scan that were not collected yet.
 struct PendingPoints {
@@ -40,7 +45,7 @@ struct ScanRenderer::Impl {
     ScanSettings settings;
     SweepMaker sweeps;
     ResidentScene scene;
-    RenderLanes lanes{device, scene};
+    std::unique_ptr<RenderLanes> lanes;
     std::deque<PendingPoints> pending = {};  ///< requested scans, the oldest first
 
     Impl(Device& on, const Scene& all, const Config& settings_of_run, const Sequence& sequence);
@@ -51,9 +56,7 @@ struct ScanRenderer::Impl {
         std::span<const float> drops;
     };
     /// Plans the steps of a sweep.
-    ScanPlan plan(const Sweep& sweep, bool is_sampled) const {
-        return plan_scan(sweep.sensor, sweep.rays(), config, settings, lanes.network(), is_sampled);
-    }
+    ScanPlan plan(const Sweep& sweep, bool is_sampled) const;
     void load_scene(const RenderLane& lane, const Sweep& sweep);
     std::shared_ptr<SensorRays> record(RenderLane& lane, const Sweep& sweep, const RayTable& rays,
                                        bool corrects_drops);
