@@ -290,14 +290,16 @@ private:
     /// Sets the rings of samples without rings. Returns false if their order and their
     /// elevations show no rings.
     bool find_rings(std::size_t l, std::vector<Points>& samples) {
-        if (const FileOrder order(samples); order.shows_rings()) {
-            for (Points& sample : samples) order.set_rings(sample);
-            plans_[l].order = order;
+        // The elevations come first, because the rings of an Ouster begin at different
+        // azimuths.
+        if (const std::vector<Beam> beams = find_beams(samples); !beams.empty()) {
+            for (Points& sample : samples) recover_rings(sample, beams);
             return true;
         }
-        const std::vector<Beam> beams = find_beams(samples);
-        if (beams.empty()) return false;
-        for (Points& sample : samples) recover_rings(sample, beams);
+        const FileOrder order(samples);
+        if (!order.shows_rings()) return false;
+        for (Points& sample : samples) order.set_rings(sample);
+        plans_[l].order = order;
         return true;
     }
 
