@@ -159,11 +159,8 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
 
     BoxTrack named = *box;
     named.id = facts.name;
-    model = {.name = facts.name,
-             .first = 0,
-             .count = std::uint32_t(surfels.size()),
-             .half_size_m = model.half_size_m,
-             .seen_sides = known_sides(surface, facts.kind)};
+    model = {facts.name,        0,    std::uint32_t(surfels.size()),
+             model.half_size_m, 0.0f, known_sides(surface, facts.kind)};
     alone.scene.models[0].first = 0;
     alone.scene.instances[1].track = facts.name;
     alone.scene.sensor_drop = {};
