@@ -14,8 +14,8 @@ std::string shortest_text(T value) {
     std::array<char, 32> buffer;          // The longest text has 24 characters: -2.2250738585072014e-308.
     const std::to_chars_result end = std::to_chars(buffer.data(), buffer.data() + buffer.size(), value);
     const std::string text(buffer.data(), end.ptr);
-    const bool looks_integer = std::isfinite(value) && text.find_first_of(".e") == std::string::npos;
-    return looks_integer ? text + ".0" : text;
+    const bool is_integer_text = std::isfinite(value) && text.find_first_of(".e") == std::string::npos;
+    return is_integer_text ? text + ".0" : text;
 }
 
 }  // namespace

@@ -17,7 +17,8 @@ namespace relidar {
 /// the finished fraction before each of its items. At the end it reports 1, because other
 /// threads may process the last items. The loop stops if `progress` throws.
 template <class Task>
-void for_each_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
+void for_each_with_progress(std::size_t n, const Progress& progress, std::string_view what,
+                            const Task& task) {
     if (progress) progress(what, 0.0);
     const std::thread::id caller = std::this_thread::get_id();
     std::atomic<std::size_t> done{0};
@@ -38,9 +39,10 @@ void for_each_told(std::size_t n, const Progress& progress, std::string_view wha
 
 /// Runs task(i) for every i in [0, n) in parallel, block by block, and reports progress.
 template <class Task>
-void for_each_block_told(std::size_t n, const Progress& progress, std::string_view what, const Task& task) {
+void for_each_block_with_progress(std::size_t n, const Progress& progress, std::string_view what,
+                                  const Task& task) {
     const std::size_t size = block_size(n);
-    for_each_told((n + size - 1) / size, progress, what, [&](std::size_t block) {
+    for_each_with_progress((n + size - 1) / size, progress, what, [&](std::size_t block) {
         for (std::size_t i = block * size; i < std::min(n, (block + 1) * size); ++i) task(i);
     });
 }

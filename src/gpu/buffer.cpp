@@ -88,7 +88,7 @@ Buffer::Impl::Impl(Device::Impl& owner, std::size_t size, gpu::MemoryUse used, c
 Buffer::Impl::~Impl() {
     if (!handle) return;
     vkDestroyBuffer(device->device, handle, nullptr);
-    device->memory->give_back(memory);
+    device->memory->release(memory);
     if (use == gpu::MemoryUse::device) device->allocated -= memory.n_bytes;
 }
 

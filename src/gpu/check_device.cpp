@@ -108,7 +108,7 @@ std::string wrong_operations(Device& device) {
 
 /// Sorts 5000 keys. Returns an empty text if the order is right.
 std::string wrong_sort(Device& device) {
-    if (!device.info().known_subgroups) return {};
+    if (!device.info().has_known_subgroups) return {};
     constexpr std::uint32_t kKeys = 5000;
     Words keys(kKeys);
     for (std::uint32_t i = 0; i < kKeys; ++i) keys[i] = shared::check_value(i);

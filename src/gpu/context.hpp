@@ -90,8 +90,8 @@ OptionalFeatures optional_features(VkPhysicalDevice physical);
 
 /// Returns true if kernels can run in full subgroups of exactly DeviceInfo::subgroup_size
 /// lanes.
-bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                     const OptionalFeatures& optional);
+bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                         const OptionalFeatures& optional);
 /// Returns a text with the missing features that the software traversal needs. Returns an
 /// empty text if none is missing.
 std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgroup,

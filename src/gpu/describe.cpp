@@ -97,8 +97,8 @@ OptionalFeatures optional_features(VkPhysicalDevice physical) {
     return optional;
 }
 
-bool known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
-                     const OptionalFeatures& optional) {
+bool has_known_subgroups(const VkPhysicalDeviceSubgroupSizeControlProperties& sizes,
+                         const OptionalFeatures& optional) {
     return sizes.minSubgroupSize == sizes.maxSubgroupSize ||
            (optional.subgroup_size && optional.full_subgroups);
 }
@@ -127,7 +127,7 @@ std::string missing_for_software(const VkPhysicalDeviceSubgroupProperties& subgr
     groups.need(operations(VK_SUBGROUP_FEATURE_ARITHMETIC_BIT), "subgroup arithmetic in compute");
     groups.need(operations(VK_SUBGROUP_FEATURE_SHUFFLE_BIT), "subgroup shuffles in compute");
     groups.need(sizes.minSubgroupSize >= 4 && sizes.maxSubgroupSize <= 64, "subgroups with 4 to 64 lanes");
-    groups.need(known_subgroups(sizes, optional),
+    groups.need(has_known_subgroups(sizes, optional),
                 "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
@@ -138,7 +138,7 @@ std::string missing_for_networks(const VkPhysicalDeviceSubgroupProperties& subgr
     Missing groups;
     groups.need(subgroup.supportedOperations & VK_SUBGROUP_FEATURE_SHUFFLE_BIT,
                 "subgroup shuffles in compute");
-    groups.need(known_subgroups(sizes, optional),
+    groups.need(has_known_subgroups(sizes, optional),
                 "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     return groups.text;
 }
@@ -225,7 +225,7 @@ DeviceInfo describe(VkPhysicalDevice physical, int index) {
     info.why_not_usable = missing_for_kernels(properties.properties, driver, v12, v13, subgroup);
     info.why_not_ray_query = missing_for_ray_query(extensions, accel, query);
     info.ray_query = info.why_not_ray_query.empty() && info.why_not_usable.empty();
-    info.known_subgroups = known_subgroups(sizes, optional);
+    info.has_known_subgroups = has_known_subgroups(sizes, optional);
     info.why_not_software =
         is_swiftshader(info) ? kNoCompiler : missing_for_software(subgroup, sizes, optional);
     info.software = info.why_not_software.empty() && info.why_not_usable.empty();

@@ -52,10 +52,10 @@ std::vector<std::uint32_t> module_words(const Device::Impl& device, std::string_
     std::map<std::uint32_t, std::uint32_t> values;
     for (const Constant& c : constants) values[static_cast<std::uint32_t>(c.id)] = c.value;
     std::vector<std::uint32_t> words =
-        gpu::with_read_only_parameters(gpu::with_branches_taken(find_words(name), values));
+        gpu::make_parameters_read_only(gpu::resolve_branches(find_words(name), values));
     if (device.info.driver.starts_with("llvmpipe")) {
         if (!loads_by_mask(device.info.driver)) words = gpu::with_indices_by_lane(words);
-        words = gpu::with_parameters_first(words);
+        words = gpu::move_parameters_first(words);
     }
     if (std::find(kReconverging.begin(), kReconverging.end(), stem) != kReconverging.end()) {
         if (device.optional.maximal_reconvergence)

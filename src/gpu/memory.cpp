@@ -67,7 +67,7 @@ std::optional<std::uint64_t> FreeRanges::take(std::uint64_t n_bytes, std::uint64
     return std::nullopt;
 }
 
-void FreeRanges::give_back(std::uint64_t offset, std::uint64_t n_bytes) {
+void FreeRanges::release(std::uint64_t offset, std::uint64_t n_bytes) {
     const auto next = ranges_.lower_bound(offset);
     if (next != ranges_.end() && next->first == offset + n_bytes) {
         n_bytes += next->second;
@@ -119,7 +119,8 @@ std::vector<std::uint32_t> MemoryPools::types(const VkMemoryRequirements& needs,
     return suitable_types;
 }
 
-bool MemoryPools::take_of_type(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece) {
+bool MemoryPools::allocate_of_type(const VkMemoryRequirements& needs, std::uint32_t type,
+                                   MemoryPiece& piece) {
     for (const std::unique_ptr<MemoryBlock>& block : blocks_[type])
         if (const auto offset = block->free.take(needs.size, std::max(needs.alignment, kAlignment))) {
             piece = {block.get(), *offset, needs.size};
@@ -132,11 +133,11 @@ VkResult MemoryPools::take(const VkMemoryRequirements& needs, MemoryUse use, Mem
     const std::lock_guard lock(mutex_);
     VkResult result = VK_ERROR_FEATURE_NOT_PRESENT;  // No suitable memory type.
     for (const std::uint32_t type : types(needs, use)) {
-        result = take_of_type(needs, type, piece) ? VK_SUCCESS : grow(needs, type, piece);
+        result = allocate_of_type(needs, type, piece) ? VK_SUCCESS : grow(needs, type, piece);
         if (result != VK_SUCCESS) continue;
         if (use != MemoryUse::device) result = map(*piece.block);
         if (result == VK_SUCCESS) break;
-        piece.block->free.give_back(piece.offset, piece.n_bytes);
+        piece.block->free.release(piece.offset, piece.n_bytes);
     }
     return result;
 }
@@ -147,7 +148,7 @@ VkResult MemoryPools::grow(const VkMemoryRequirements& needs, std::uint32_t type
     // The second attempt allocates only the required size.
     for (const std::uint64_t n_bytes : {needs.size > shared / 2 ? needs.size : shared, needs.size}) {
         result = add_block(type, n_bytes);
-        if (result == VK_SUCCESS && take_of_type(needs, type, piece)) return VK_SUCCESS;
+        if (result == VK_SUCCESS && allocate_of_type(needs, type, piece)) return VK_SUCCESS;
         release_empty(type, 0);
     }
     return result;
@@ -179,9 +180,9 @@ VkResult MemoryPools::map(MemoryBlock& block) {
 
 /// Releases the memory of a buffer. Keeps one empty block of each memory type. Otherwise
 /// short-lived arrays would allocate and free a block each time.
-void MemoryPools::give_back(const MemoryPiece& piece) {
+void MemoryPools::release(const MemoryPiece& piece) {
     const std::lock_guard lock(mutex_);
-    piece.block->free.give_back(piece.offset, piece.n_bytes);
+    piece.block->free.release(piece.offset, piece.n_bytes);
     if (piece.block->free.all_free()) release_empty(piece.block->type, 1);
 }
 

@@ -50,7 +50,7 @@ public:
     /// @param alignment a power of two
     /// @return offset of the range, or nullopt if no range is large enough
     std::optional<std::uint64_t> take(std::uint64_t n_bytes, std::uint64_t alignment);
-    void give_back(std::uint64_t offset, std::uint64_t n_bytes);
+    void release(std::uint64_t offset, std::uint64_t n_bytes);
     bool all_free() const { return ranges_.size() == 1 && ranges_.begin()->second == n_bytes_; }
 
 private:
@@ -89,7 +89,7 @@ public:
     /// @param piece output: the memory, set if the result is VK_SUCCESS
     /// @return result of the driver for the last memory type that was tried
     VkResult take(const VkMemoryRequirements& needs, MemoryUse use, MemoryPiece& piece);
-    void give_back(const MemoryPiece& piece);
+    void release(const MemoryPiece& piece);
     std::size_t n_blocks() const;
 
 private:
@@ -102,7 +102,7 @@ private:
 
     std::vector<std::uint32_t> types(const VkMemoryRequirements& needs, MemoryUse use) const;
     std::uint64_t shared_bytes(std::uint32_t type) const;
-    bool take_of_type(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece);
+    bool allocate_of_type(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece);
     VkResult grow(const VkMemoryRequirements& needs, std::uint32_t type, MemoryPiece& piece);
     VkResult map(MemoryBlock& block);
     VkResult add_block(std::uint32_t type, std::uint64_t n_bytes);

@@ -35,7 +35,7 @@ RadixSort::RadixSort(Device& device, std::uint32_t capacity, std::uint32_t key_w
         throw DeviceError(
             fmt::format("cannot create a sort on {}: it has subgroups with {} lanes, expected 4 to 64",
                         device.info().name, lanes));
-    if (!device.info().known_subgroups)
+    if (!device.info().has_known_subgroups)
         throw DeviceError(fmt::format(
             "cannot create a sort on {}: its subgroup size varies, and it lacks subgroupSizeControl "
             "and computeFullSubgroups",

@@ -43,7 +43,7 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
     return result;
 }
 
-std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words) {
+std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     // Id of the struct type of the parameter block. In a module, names precede
     // decorations, so the id is known in time.

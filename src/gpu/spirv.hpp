@@ -33,18 +33,18 @@ std::vector<std::uint32_t> with_execution_mode(std::span<const std::uint32_t> wo
 
 /// Decorates the parameter block of a module (RELIDAR_PARAMS) as NonWritable. Returns the
 /// edited module.
-std::vector<std::uint32_t> with_read_only_parameters(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> make_parameters_read_only(std::span<const std::uint32_t> words);
 
 /// Copies the parameters of a kernel to private variables at its start. Returns the
 /// edited module. Used for Mesa's lavapipe, which otherwise performs a uniform load lane
 /// by lane behind a branch or in a loop. A GPU chooses better when to read parameters.
-std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words);
+std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> words);
 
 /// Returns the module with array indices that the compiler cannot prove uniform. For
 /// Mesa's lavapipe after 25.0, which executes a uniform load even in a branch that no
 /// lane takes. The index is then arbitrary, and the load may crash. A load with an
 /// address per lane is executed only for active lanes. Use it before
-/// with_parameters_first(), which moves parameters.
+/// move_parameters_first(), which moves parameters.
 std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> words);
 
 /// Replaces each branch that the specialisation constants decide by an unconditional
@@ -52,8 +52,8 @@ std::vector<std::uint32_t> with_indices_by_lane(std::span<const std::uint32_t> w
 /// also removes them, but only after it has inlined all functions, so lavapipe compiles
 /// large kernels faster with this edit.
 /// @param constants values by id. Other constants keep the default of the module.
-std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
-                                               const std::map<std::uint32_t, std::uint32_t>& constants);
+std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words,
+                                            const std::map<std::uint32_t, std::uint32_t>& constants);
 
 /// Returns the byte offsets of all device addresses in the module's parameter block.
 std::vector<std::uint32_t> parameter_addresses(std::span<const std::uint32_t> words);

@@ -169,8 +169,8 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> with_branches_taken(std::span<const std::uint32_t> words,
-                                               const std::map<std::uint32_t, std::uint32_t>& constants) {
+std::vector<std::uint32_t> resolve_branches(std::span<const std::uint32_t> words,
+                                            const std::map<std::uint32_t, std::uint32_t>& constants) {
     std::vector<std::uint32_t> result(words.begin(), words.begin() + kHeaderWords);
     Values values(constants);
     const Blocks blocks(words);

@@ -240,7 +240,7 @@ private:
 
 }  // namespace
 
-std::vector<std::uint32_t> with_parameters_first(std::span<const std::uint32_t> words) {
+std::vector<std::uint32_t> move_parameters_first(std::span<const std::uint32_t> words) {
     const Module module(words);
     ParametersFirst result(module);
     Words code;

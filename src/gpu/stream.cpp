@@ -107,7 +107,7 @@ void Stream::Impl::end_concurrent() {
 }
 
 void Stream::Impl::keep(const std::string& name, Command command) {
-    Strand& chosen = strands[strand];
+    StreamLane& chosen = lanes[lane];
     if (chosen.empty() || chosen.back().closed) chosen.push_back({name, {}});
     chosen.back().commands.push_back(std::move(command));
     barrier();
@@ -116,27 +116,27 @@ void Stream::Impl::keep(const std::string& name, Command command) {
 /// Records the commands of all concurrent sequences. Each step has one pair of
 /// timestamps, because timestamps inside a step would make its commands wait for each
 /// other.
-void Stream::Impl::record_strands() {
+void Stream::Impl::record_lanes() {
     std::size_t n_steps = 0;
-    for (const Strand& one : strands) n_steps = std::max(n_steps, one.size());
+    for (const StreamLane& one : lanes) n_steps = std::max(n_steps, one.size());
     for (std::size_t k = 0; k < n_steps; ++k) {
-        const auto has_step = [k](const Strand& one) { return k < one.size(); };
-        const std::string& name = std::ranges::find_if(strands, has_step)->at(k).name;
+        const auto has_step = [k](const StreamLane& one) { return k < one.size(); };
+        const std::string& name = std::ranges::find_if(lanes, has_step)->at(k).name;
         begin_timing(name);
         begin_label(name);
-        for (const Strand& one : strands)
+        for (const StreamLane& one : lanes)
             if (has_step(one))
                 for (const Command& command : one[k].commands) command(commands());
         end_label();
         end_timing();
         record_barrier();
     }
-    for (Strand& one : strands) one.clear();
+    for (StreamLane& one : lanes) one.clear();
 }
 
 void Stream::Impl::barrier() {
     if (n_concurrent > 0) owes_barrier = true;
-    else if (!strands.empty()) strands[strand].back().closed = true;
+    else if (!lanes.empty()) lanes[lane].back().closed = true;
     else record_barrier();
 }
 
@@ -265,8 +265,8 @@ void Stream::Impl::launch(const KernelBase& kernel, std::uint32_t n_threads, con
     const bool limited = device->launch_limit.is_set() && gpu::can_cut(name);
     const Dispatch dispatch = make_dispatch(pipeline, pushed, n_groups,
                                             limited ? device->launch_limit.groups_per_piece(name) : n_groups);
-    // The commands of strands are recorded later, and all in one submission.
-    if (limited && strands.empty()) return record_pieces(name, dispatch);
+    // The commands of lanes are recorded later, and all in one submission.
+    if (limited && lanes.empty()) return record_pieces(name, dispatch);
     record(name, [layout = device->pipeline_layout, dispatch](VkCommandBuffer c) {
         for (std::uint32_t row = 0; row < dispatch.rows; row += dispatch.rows_per_piece)
             dispatch.record(c, layout, row);
@@ -342,32 +342,32 @@ void Stream::copy(const Buffer& from, const Buffer& to, std::size_t n_bytes) {
 Concurrent::Concurrent(Stream& stream) : stream_(stream) { ++impl_of(stream).n_concurrent; }
 Concurrent::~Concurrent() { impl_of(stream_).end_concurrent(); }
 
-Strands::Strands(Stream& stream, std::size_t n) : stream_(stream) {
+StreamLanes::StreamLanes(Stream& stream, std::size_t n) : stream_(stream) {
     Stream::Impl& s = impl_of(stream);
-    if (n == 0 || !s.strands.empty() || s.n_concurrent > 0)
+    if (n == 0 || !s.lanes.empty() || s.n_concurrent > 0)
         throw Error(ExitCode::bug,
                     "cannot record in strands: expected at least one strand, no other strands and no open "
                     "Concurrent scope");
-    s.strands.resize(n);
-    s.strand = 0;
+    s.lanes.resize(n);
+    s.lane = 0;
 }
 
-Strands::~Strands() {
+StreamLanes::~StreamLanes() {
     Stream::Impl& s = impl_of(stream_);
-    s.record_strands();
-    s.strands.clear();
+    s.record_lanes();
+    s.lanes.clear();
 }
 
-void Strands::choose(std::size_t strand) {
+void StreamLanes::choose(std::size_t lane) {
     Stream::Impl& s = impl_of(stream_);
-    if (strand >= s.strands.size() || s.n_concurrent > 0)
+    if (lane >= s.lanes.size() || s.n_concurrent > 0)
         throw Error(
             ExitCode::bug,
             fmt::format(
                 "cannot choose strand {} of {}: expected the index of a strand and no open Concurrent "
                 "scope",
-                strand, s.strands.size()));
-    s.strand = strand;
+                lane, s.lanes.size()));
+    s.lane = lane;
 }
 
 std::uint64_t Stream::submit() {
@@ -375,7 +375,7 @@ std::uint64_t Stream::submit() {
     if (s.device->compile_only) return 0;
     if (s.n_concurrent > 0)
         throw Error(ExitCode::bug, "cannot submit commands: a Concurrent scope is still open");
-    s.record_strands();
+    s.record_lanes();
     VkCommandBuffer commands = s.commands();
     // RenderDoc and GFXReconstruct treat a command buffer with this label as a frame, so
     // that they can capture a program without a window.

@@ -67,13 +67,13 @@ struct Stream::Impl {
     };
 
     using Command = std::function<void(VkCommandBuffer)>;
-    /// Commands between two barriers in one of several concurrent sequences ("strands").
+    /// Commands between two barriers in one of several concurrent sequences ("lanes").
     struct Step {
         std::string name;  ///< Name of the first command.
         std::vector<Command> commands;
         bool closed = false;
     };
-    using Strand = std::vector<Step>;
+    using StreamLane = std::vector<Step>;
 
     Device* owner = nullptr;
     Device::Impl* device = nullptr;
@@ -85,9 +85,9 @@ struct Stream::Impl {
     /// True if commands were recorded in the current scope, so that a barrier is needed
     /// at its end.
     bool owes_barrier = false;
-    std::vector<Strand> strands = {};  ///< Concurrent sequences of commands of the current Strands scope.
-    std::size_t strand = 0;            ///< Index of the selected strand.
-    bool timed = false;                ///< True if timestamps measure the launch that is being recorded.
+    std::vector<StreamLane> lanes = {};  ///< Concurrent sequences of commands of the current Strands scope.
+    std::size_t lane = 0;                ///< Index of the selected lane.
+    bool timed = false;                  ///< True if timestamps measure the launch that is being recorded.
     /// True if the next barrier must also make device writes visible to the host.
     bool host_reads = false;
     VkSemaphore timeline = VK_NULL_HANDLE;
@@ -105,10 +105,10 @@ struct Stream::Impl {
     VkCommandBuffer commands();
     /// Records a command, timestamps and a barrier after it. `name` identifies the
     /// command in the measured times. In a Strands scope, the command is stored until
-    /// record_strands() is called.
+    /// record_lanes() is called.
     template <class Recorded>
     void record(const std::string& name, Recorded command) {
-        if (!strands.empty()) return keep(name, std::move(command));
+        if (!lanes.empty()) return keep(name, std::move(command));
         begin_timing(name);
         begin_label(name);
         command(commands());
@@ -117,10 +117,10 @@ struct Stream::Impl {
         barrier();
     }
     void end_concurrent();
-    /// Records the stored commands of several sequences ("strands"). Step n of one
+    /// Records the stored commands of several sequences ("lanes"). Step n of one
     /// sequence may run concurrently with step n of the others. Afterwards the sequences
     /// are empty.
-    void record_strands();
+    void record_lanes();
     /// Location of host values until the submission is done.
     struct Stored {
         VkBuffer buffer;

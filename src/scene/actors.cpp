@@ -34,7 +34,7 @@ constexpr std::string_view kEveryClass = "all";
 /// Adds the returns of one frame that lie inside boxes. Stores each point in the frame of
 /// its box.
 void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<BoxTrack>& boxes,
-               bool second_returns, const std::vector<WalkedWay>& walks,
+               bool second_returns, const std::vector<WalkedDistance>& walks,
                std::vector<std::vector<Sample>>& samples) {
     std::vector<std::size_t> present;
     for (std::size_t b = 0; b < boxes.size(); ++b)
@@ -59,12 +59,12 @@ void add_frame(const Sequence& sequence, const Frame& frame, const std::vector<B
 std::vector<std::vector<Sample>> box_samples(const Sequence& sequence, const std::vector<int>& train,
                                              const std::vector<BoxTrack>& boxes,
                                              const InitialiseOptions& options, const Progress& progress) {
-    std::vector<WalkedWay> walks;
+    std::vector<WalkedDistance> walks;
     for (const BoxTrack& box : boxes) walks.emplace_back(box.world_from_box);
     std::vector<std::vector<Sample>> samples(boxes.size());
     std::vector<std::vector<std::vector<Sample>>> of_frame(train.size(),
                                                            std::vector<std::vector<Sample>>(boxes.size()));
-    for_each_told(train.size(), progress, "points of actors", [&](std::size_t i) {
+    for_each_with_progress(train.size(), progress, "points of actors", [&](std::size_t i) {
         add_frame(sequence, sequence.frames[std::size_t(train[i])], boxes, options.second_returns, walks,
                   of_frame[i]);
     });
@@ -173,7 +173,7 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
                const ActorStart& start) {
     const auto& [options, incidence, notes, progress] = start;
     const std::optional<StrideRange> range = bends(box, options) ? stride_range(kind_in(box)) : std::nullopt;
-    const FoundStride found = range ? find_stride(samples, *range) : FoundStride{};
+    const StrideEstimate found = range ? find_stride(samples, *range) : StrideEstimate{};
     std::vector<Sample> rigid = actor_samples(samples, box, options);
     if (rigid.size() < std::size_t(options.actor_min_points)) return;
     if (notes && range)
@@ -197,20 +197,21 @@ void add_actor(Scene& scene, const BoxTrack& box, const std::vector<Sample>& sam
 /// the nearest pose on the actor's recorded track. Adds the distance by which the new
 /// pose is ahead of that pose. This keeps the steps in phase with the position if a
 /// caller moves the actor to another track.
-double begins_at_m(const BoxTrack& own, const PoseTrack& track) {
+double start_distance_m(const BoxTrack& own, const PoseTrack& track) {
     const Pose& at = track.pose.front();
     const auto place_m = [&](const Pose& pose) { return glm::distance(pose.translation, at.translation); };
     const auto nearest = std::ranges::min_element(own.world_from_box.pose, {}, place_m);
     const double time_s = own.world_from_box.time_s[std::size_t(nearest - own.world_from_box.pose.begin())];
     const glm::dvec3 ahead = at.rotation * glm::dvec3(1.0, 0.0, 0.0);
-    return WalkedWay(own.world_from_box).at(time_s) + glm::dot(at.translation - nearest->translation, ahead);
+    return WalkedDistance(own.world_from_box).at(time_s) +
+           glm::dot(at.translation - nearest->translation, ahead);
 }
 
 /// Returns the poses of the background and of all actors. `track_of` returns the track
 /// for the name of an actor. If `track_of` returns null, the actor is absent.
 template <class TrackOf>
-std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence, const SweepMoment& sweep,
-                                   const TrackOf& track_of) {
+std::vector<InstancePose> place_instances_by(const Scene& scene, const Sequence& sequence,
+                                             const SweepMoment& sweep, const TrackOf& track_of) {
     std::vector<InstancePose> placed;
     for (const Instance& instance : scene.instances) {
         if (instance.track.empty()) {
@@ -226,8 +227,8 @@ std::vector<InstancePose> place_by(const Scene& scene, const Sequence& sequence,
         const BoxTrack* own = find_box(sequence, instance.track);
         const bool is_own = own && &own->world_from_box == track;
         const double before_m =
-            own && !is_own && !own->world_from_box.pose.empty() ? begins_at_m(*own, *track) : 0.0;
-        placed.back().phase = (before_m + WalkedWay(*track).at(placed.back().time_s)) / stride_m;
+            own && !is_own && !own->world_from_box.pose.empty() ? start_distance_m(*own, *track) : 0.0;
+        placed.back().phase = (before_m + WalkedDistance(*track).at(placed.back().time_s)) / stride_m;
     }
     return placed;
 }
@@ -271,13 +272,13 @@ std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
     return boxes;
 }
 
-std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options) {
+std::vector<BoxTrack> unselected_boxes(const Sequence& sequence, const InitialiseOptions& options) {
     std::vector<BoxTrack> boxes = separate_boxes(sequence, options);
     std::erase_if(boxes, [&](const BoxTrack& box) { return is_wanted(box, options); });
     return boxes;
 }
 
-std::string names_of(const std::vector<BoxTrack>& boxes) {
+std::string list_boxes(const std::vector<BoxTrack>& boxes) {
     constexpr std::size_t kMost = 8;
     std::vector<std::string> names;
     for (std::size_t i = 0; i < std::min(kMost, boxes.size()); ++i)
@@ -292,7 +293,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
     std::unordered_map<std::string_view, const PoseTrack*> tracks;
     for (const BoxTrack& box : sequence.boxes)
         if (box.present(sweep.time_s)) tracks.emplace(box.id, &box.world_from_box);
-    return place_by(scene, sequence, sweep, [&](const std::string& name) {
+    return place_instances_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = tracks.find(name);
         return track == tracks.end() ? nullptr : track->second;
     });
@@ -308,7 +309,7 @@ std::vector<InstancePose> place_instances(const Scene& scene, const Sequence& se
             throw UsageError(fmt::format(
                 "cannot place actors: found a pose of \"{}\", expected a track of the scene{}", track,
                 tracks.empty() ? ", which has no actors" : did_you_mean(track, tracks, "\"")));
-    return place_by(scene, sequence, sweep, [&](const std::string& name) {
+    return place_instances_by(scene, sequence, sweep, [&](const std::string& name) {
         const auto track = world_from_actor.find(name);
         return track == world_from_actor.end() ? nullptr : &track->second;
     });

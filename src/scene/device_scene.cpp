@@ -290,7 +290,7 @@ void DeviceScene::set_models(const std::vector<Model>& models) {
     impl_->more_rows.upload(impl_->placements.more);
 }
 
-bool DeviceScene::bends_otherwise(const std::vector<InstancePose>& placed) const {
+bool DeviceScene::has_new_gait_phases(const std::vector<InstancePose>& placed) const {
     if (!impl_->parameters.bends) return false;
     for (std::size_t i = 0; i < std::min(placed.size(), impl_->poses.size()); ++i) {
         const bool bends = impl_->layout.models[impl_->layout.instances[i].model].stride_m > 0.0f;

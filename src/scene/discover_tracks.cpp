@@ -74,12 +74,12 @@ bool is_plausible(const BoxTrack& box) {
 /// remaining returns of the track. Returns nothing if other frames do not prove that the
 /// track moved.
 std::optional<BoxTrack> proven_box(const Visibility& visibility, MoverTrack& track) {
-    Testimony sum;
+    EvidenceSum sum;
     const BoxTrack box = box_of(track);
     for (Observation& o : track.seen) sum += sift(visibility, o.cluster, box);
-    if (!sum.says_moved()) return std::nullopt;
+    if (!sum.proves_motion()) return std::nullopt;
     std::erase_if(track.seen, [](const Observation& o) { return o.cluster.points_m.size() < kFewestPoints; });
-    if (!comes_far(track)) return std::nullopt;
+    if (!moves_far(track)) return std::nullopt;
     BoxTrack result = box_of(track);
     if (!is_plausible(result)) return std::nullopt;
     complete_size(result, track);
@@ -93,13 +93,13 @@ std::optional<BoxTrack> proven_continuation(const Visibility& visibility, MoverT
                                             const BoxTrack& label) {
     const BoxTrack box = continued_box(track, label);
     const double first_s = label.world_from_box.time_s.front();
-    Testimony before, after;
+    EvidenceSum before, after;
     const auto is_labelled = [](const Observation& o) { return o.cluster.label != kNoLabel; };
     for (Observation& o : track.seen)
         if (!is_labelled(o)) (o.frame_time_s < first_s ? before : after) += sift(visibility, o.cluster, box);
     std::erase_if(track.seen, [&](const Observation& o) {
         return !is_labelled(o) && (o.cluster.points_m.size() < kFewestPoints ||
-                                   !(o.frame_time_s < first_s ? before : after).says_moved());
+                                   !(o.frame_time_s < first_s ? before : after).proves_motion());
     });
     if (std::ranges::all_of(track.seen, is_labelled)) return std::nullopt;
     return continued_box(track, label);
@@ -161,7 +161,7 @@ std::vector<BoxTrack> proven_boxes(Visibility& visibility, std::vector<MoverTrac
     for (std::size_t i = share.begin; i < share.end; ++i)
         for (const Observation& o : tracks[i].seen) visibility.announce(o.cluster.points_m);
     std::vector<std::optional<BoxTrack>> found(share.end - share.begin);
-    for_each_told(found.size(), progress, "paths of movers", [&](std::size_t i) {
+    for_each_with_progress(found.size(), progress, "paths of movers", [&](std::size_t i) {
         MoverTrack& track = tracks[share.begin + i];
         found[i] = track.label == kNoLabel
                        ? proven_box(visibility, track)
@@ -204,8 +204,8 @@ std::vector<BoxTrack> without_parts(std::vector<BoxTrack> boxes) {
 
 /// Returns true if a box should be fitted to a track. The track must either move by
 /// itself, or extend a labelled track beyond its labels.
-bool is_worth_boxing(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
-    if (track.label == kNoLabel) return comes_far(track) && !rides_along(track, world_from_vehicle);
+bool should_add_box(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
+    if (track.label == kNoLabel) return moves_far(track) && !is_fixed_to_vehicle(track, world_from_vehicle);
     return !std::ranges::all_of(track.seen, [](const Observation& o) { return o.cluster.label != kNoLabel; });
 }
 
@@ -219,9 +219,8 @@ std::vector<BoxTrack> discovered_by(int lidar, const Sequence& sequence, std::ve
     Visibility visibility(sequence, positions);
     std::vector<MoverTrack> tracks =
         link_clusters(find_mover_clusters(sequence, positions, visibility, progress, group), times, sequence);
-    std::erase_if(tracks, [&](const MoverTrack& track) {
-        return !is_worth_boxing(track, sequence.world_from_vehicle);
-    });
+    std::erase_if(
+        tracks, [&](const MoverTrack& track) { return !should_add_box(track, sequence.world_from_vehicle); });
     join_parts(tracks);
     return without_parts(proven_boxes(visibility, tracks, sequence, progress, group));
 }

@@ -72,7 +72,7 @@ double apart(double a, double b) { return b - a - std::round(b - a); }
 
 }  // namespace
 
-WalkedWay::WalkedWay(const PoseTrack& track) : time_s_(track.time_s) {
+WalkedDistance::WalkedDistance(const PoseTrack& track) : time_s_(track.time_s) {
     const auto average = [&](double t_s) {
         const double half = std::min({0.5 * kAverage_s, t_s - time_s_.front(), time_s_.back() - t_s});
         constexpr int kSteps = 5;  // number of steps to each side
@@ -91,7 +91,7 @@ WalkedWay::WalkedWay(const PoseTrack& track) : time_s_(track.time_s) {
     }
 }
 
-double WalkedWay::at(double t_s) const {
+double WalkedDistance::at(double t_s) const {
     if (time_s_.size() < 2) return 0.0;
     const auto after = std::upper_bound(time_s_.begin() + 1, time_s_.end() - 1, t_s);
     const std::size_t i = std::size_t(after - time_s_.begin());
@@ -183,7 +183,7 @@ double misfit_share(const FrameGaps& gaps, double stride_m) {
 
 }  // namespace
 
-FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
+StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange& range) {
     // With fewer samples or frames, a wrong stride can fit by chance.
     constexpr std::size_t kFewest = 200, kFewestFrames = 24;
     constexpr double kClearly = 0.9, kStep = 1.01;
@@ -300,7 +300,7 @@ std::vector<glm::vec3> velocities(const Phases& phases, const std::vector<char>&
     constexpr std::size_t kMost = 9;
     const int n = int(wanted.size());
     std::vector<glm::vec3> each(wanted.size(), glm::vec3(0.0f)), middle = each;
-    for_each_block_told(wanted.size(), progress, "steps of actors", [&](std::size_t i) {
+    for_each_block_with_progress(wanted.size(), progress, "steps of actors", [&](std::size_t i) {
         if (wanted[i]) each[i] = velocity_at(phases, i);
     });
     parallel_for(n, [&](int number) {

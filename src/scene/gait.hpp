@@ -15,9 +15,9 @@ namespace relidar {
 
 /// Computes the distance that an actor has walked along its track. Averages the positions
 /// over one second, because labels jitter. Motion slower than 0.2 m/s counts as standing.
-class WalkedWay {
+class WalkedDistance {
 public:
-    explicit WalkedWay(const PoseTrack& world_from_box);
+    explicit WalkedDistance(const PoseTrack& world_from_box);
     /// Returns the distance walked since the first pose, in metres. Before and after the
     /// track, extrapolates with the speed at that end of the track.
     double at(double t_s) const;
@@ -35,14 +35,14 @@ struct StrideRange {
 std::optional<StrideRange> stride_range(ObjectKind kind);
 
 /// Stride of an actor, or the reason why no stride was found.
-struct FoundStride {
+struct StrideEstimate {
     double stride_m = 0.0;  ///< 0 if no stride was found
     std::string why_none = {};
 };
 /// Finds the stride length of an actor. Chooses the length for which points of the same
 /// phase, but of different strides, are nearest to each other.
 /// @param samples points in the frame of the box, with the distance walked so far
-FoundStride find_stride(const std::vector<Sample>& samples, const StrideRange& range);
+StrideEstimate find_stride(const std::vector<Sample>& samples, const StrideRange& range);
 
 /// Makes the surfels of a walking actor. Points that are present at every phase become
 /// static surfels. Every other point becomes a surfel that is visible only around the

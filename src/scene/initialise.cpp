@@ -69,7 +69,7 @@ std::vector<Sample> frame_samples(const Sequence& sequence, const Frame& frame,
 
 /// Returns the sensor position at each of the given frames.
 /// @return [positions] world
-std::vector<glm::vec3> sensor_places(const Sequence& sequence, const std::vector<int>& positions) {
+std::vector<glm::vec3> sensor_positions(const Sequence& sequence, const std::vector<int>& positions) {
     std::vector<glm::vec3> places;
     for (const int position : positions) {
         const Frame& frame = sequence.frames[std::size_t(position)];
@@ -106,9 +106,9 @@ struct Placed {
 constexpr std::size_t kParts = 32;
 using PlacedByPart = std::array<std::vector<Placed>, kParts>;
 
-PlacedByPart placed_samples(const Sequence& sequence, const Frame& frame,
-                            const std::vector<BoxTrack>& separate, const NearestPlace<float>& sensors,
-                            const InitialiseOptions& options) {
+PlacedByPart collect_samples(const Sequence& sequence, const Frame& frame,
+                             const std::vector<BoxTrack>& separate, const NearestPlace<float>& sensors,
+                             const InitialiseOptions& options) {
     PlacedByPart placed;
     std::uint32_t number = 0;
     for (const Sample& s : frame_samples(sequence, frame, separate, options)) {
@@ -141,15 +141,15 @@ std::vector<Sample> voxel_means(const Sequence& sequence, const std::vector<int>
                                 const InitialiseOptions& options, const Progress& progress) {
     constexpr std::size_t kFrames = 16;
     const std::vector<BoxTrack> separate = separate_boxes(sequence, options);
-    const NearestPlace<float> sensors(sensor_places(sequence, train));
+    const NearestPlace<float> sensors(sensor_positions(sequence, train));
     std::vector<Voxels> parts(kParts);
     for (std::size_t begin = 0; begin < train.size(); begin += kFrames) {
         if (progress) progress("points of the background", double(begin) / double(train.size()));
         std::vector<PlacedByPart> frames(std::min(kFrames, train.size() - begin));
         parallel_for(static_cast<int>(frames.size()), [&](int i) {
             frames[std::size_t(i)] =
-                placed_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])],
-                               separate, sensors, options);
+                collect_samples(sequence, sequence.frames[std::size_t(train[begin + std::size_t(i)])],
+                                separate, sensors, options);
         });
         parallel_for(kParts, [&](int part) {
             for (std::size_t i = 0; i < frames.size(); ++i)
@@ -180,7 +180,7 @@ std::vector<Sample> without_movers(const std::vector<Sample>& samples, const Seq
     for (const Sample& sample : samples) points.push_back(sample.position);
     visibility.announce(points);
     std::vector<char> keep(samples.size());
-    for_each_block_told(samples.size(), progress, "removing moving points", [&](std::size_t i) {
+    for_each_block_with_progress(samples.size(), progress, "removing moving points", [&](std::size_t i) {
         keep[i] = !visibility.votes(samples[i].position).is_seen_through(kGoneShare);
     });
     std::vector<Sample> kept;

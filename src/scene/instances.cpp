@@ -20,7 +20,7 @@ std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model
     return static_cast<std::uint32_t>(scene.models.size() - 1);
 }
 
-Scene own_models(Scene scene) {
+Scene copy_shared_models(Scene scene) {
     std::vector<bool> owned(scene.models.size(), false);
     for (Instance& instance : scene.instances) {
         if (!owned[instance.model]) {

@@ -59,7 +59,7 @@ std::vector<glm::dvec3> positions_of(const std::vector<PathState>& path) {
     return positions;
 }
 
-std::vector<Placement> placed_along(const std::vector<glm::dvec3>& path) {
+std::vector<Placement> find_placements_along(const std::vector<glm::dvec3>& path) {
     const std::vector<double> yaw = headings_along(path);
     std::vector<Placement> placed;
     for (std::size_t k = 0; k < path.size(); ++k) placed.push_back({path[k], yaw[k]});
@@ -67,11 +67,12 @@ std::vector<Placement> placed_along(const std::vector<glm::dvec3>& path) {
 }
 
 /// Returns the position and heading of the object at the reference time of each frame.
-std::vector<Placement> placed_at_frames(const MoverTrack& track, const std::vector<PathState>& path) {
+std::vector<Placement> find_placements_at_frames(const MoverTrack& track,
+                                                 const std::vector<PathState>& path) {
     std::vector<glm::dvec3> positions;
     for (std::size_t k = 0; k < path.size(); ++k)
         positions.push_back(path[k].after(track.seen[k].frame_time_s - track.seen[k].cluster.time_s));
-    return placed_along(positions);
+    return find_placements_along(positions);
 }
 
 /// Returns the interval that the points of an observation cover along an axis. Ignores
@@ -89,7 +90,7 @@ Extent extent_along(const MoverCluster& cluster, const glm::dvec3& axis) {
 
 /// Returns half the visible length of an object along the axes. Uses the 90th percentile
 /// over all observations.
-double half_shown(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
+double visible_half_length_m(const MoverTrack& track, const std::vector<glm::dvec3>& axes) {
     std::vector<double> lengths;
     for (std::size_t k = 0; k < axes.size(); ++k) {
         const auto [low, high] = extent_along(track.seen[k].cluster, axes[k]);
@@ -129,14 +130,14 @@ std::vector<double> tops(const MoverTrack& track) {
 /// Returns the position of the object in each observation. The horizontal position is
 /// computed from the end near the sensor. The height is the height of the object's top.
 /// @param size_m length and width; if null, the visible size is used
-std::vector<glm::dvec3> near_end_places(const MoverTrack& track, const std::vector<Placement>& placed,
-                                        const glm::dvec3* size_m) {
+std::vector<glm::dvec3> near_end_positions(const MoverTrack& track, const std::vector<Placement>& placed,
+                                           const glm::dvec3* size_m) {
     std::vector<glm::dvec3> along, across, places;
     for (const Placement& p : placed) along.push_back(p.along()), across.push_back(p.across());
     const std::vector<double> x =
-        centres_along(track, along, size_m ? 0.5 * size_m->x : half_shown(track, along));
+        centres_along(track, along, size_m ? 0.5 * size_m->x : visible_half_length_m(track, along));
     const std::vector<double> y =
-        centres_along(track, across, size_m ? 0.5 * size_m->y : half_shown(track, across));
+        centres_along(track, across, size_m ? 0.5 * size_m->y : visible_half_length_m(track, across));
     const std::vector<double> top = tops(track);
     for (std::size_t k = 0; k < placed.size(); ++k)
         places.push_back(x[k] * along[k] + y[k] * across[k] + glm::dvec3(0.0, 0.0, top[k]));
@@ -240,7 +241,7 @@ Offset offset_of(const MoverTrack& track, const std::vector<std::size_t>& member
 struct NearLabels {
     std::vector<std::size_t> first, last;
 };
-NearLabels near_labels(const MoverTrack& track) {
+NearLabels collect_near_labels(const MoverTrack& track) {
     std::vector<std::size_t> all;
     for (std::size_t k = 0; k < track.seen.size(); ++k)
         if (is_labelled(track.seen[k])) all.push_back(k);
@@ -256,9 +257,10 @@ BoxTrack box_of(const MoverTrack& track) {
     for (const Observation& o : track.seen) places.push_back(o.cluster.centre_m);
     std::vector<PathState> path = smooth_path(times, places);
     for (int round = 0; round < kRounds; ++round)
-        path = smooth_path(times, near_end_places(track, placed_along(positions_of(path)), nullptr));
-    const auto [low, high] = corners_of(track, placed_along(positions_of(path)));
-    const std::vector<Placement> at_frames = placed_at_frames(track, path);
+        path =
+            smooth_path(times, near_end_positions(track, find_placements_along(positions_of(path)), nullptr));
+    const auto [low, high] = corners_of(track, find_placements_along(positions_of(path)));
+    const std::vector<Placement> at_frames = find_placements_at_frames(track, path);
     BoxTrack box;
     box.category = kDiscoveredCategory;
     box.size_m = high - low;
@@ -287,15 +289,15 @@ void complete_size(BoxTrack& box, const MoverTrack& track) {
 
 BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
     const std::vector<double> times = track.times();
-    const NearLabels near = near_labels(track);
+    const NearLabels near = collect_near_labels(track);
     const auto is_before = [&](std::size_t k) { return k < near.first.front(); };
     std::vector<glm::dvec3> places;
     for (const Observation& o : track.seen) places.push_back(o.cluster.centre_m);
     std::vector<PathState> path = smooth_path(times, places);
     Offset before, after;
     for (int round = 0; round < kRounds; ++round) {
-        const std::vector<Placement> placed = placed_along(positions_of(path));
-        places = near_end_places(track, placed, &label.size_m);
+        const std::vector<Placement> placed = find_placements_along(positions_of(path));
+        places = near_end_positions(track, placed, &label.size_m);
         before = offset_of(track, near.first, placed, places, label),
         after = offset_of(track, near.last, placed, places, label);
         for (std::size_t k = 0; k < places.size(); ++k)
@@ -305,7 +307,7 @@ BoxTrack continued_box(const MoverTrack& track, const BoxTrack& label) {
                     : Placement{places[k], placed[k].yaw}.to_world((is_before(k) ? before : after).local_m);
         path = smooth_path(times, places);
     }
-    const std::vector<Placement> at_frames = placed_at_frames(track, path);
+    const std::vector<Placement> at_frames = find_placements_at_frames(track, path);
     BoxTrack box = label;
     PoseTrack poses[2];  // [0] poses before the labels, [1] poses after the labels
     for (std::size_t k = 0; k < at_frames.size(); ++k) {

@@ -126,7 +126,7 @@ Returns returns_of(const Sequence& sequence, const Frame& frame) {
 
 /// Assigns each return to a cell of a world grid.
 /// @return [cells] mean position of the returns in each cell
-std::vector<glm::vec3> put_into_cells(std::vector<Returns>& frames) {
+std::vector<glm::vec3> merge_into_cells(std::vector<Returns>& frames) {
     std::vector<Return*> all;
     for (Returns& frame : frames)
         for (Return& r : frame.others) all.push_back(&r);
@@ -212,7 +212,7 @@ std::vector<MoverCluster> group(const std::vector<Return>& returns) {
 
 }  // namespace
 
-void MoverCluster::take_in(const MoverCluster& other) {
+void MoverCluster::merge(const MoverCluster& other) {
     const double n = double(points_m.size()), m = double(other.points_m.size());
     time_s = (n * time_s + m * other.time_s) / (n + m);
     centre_m = (n * centre_m + m * other.centre_m) / (n + m);
@@ -230,7 +230,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
         frames[std::size_t(i)] =
             returns_of(sequence, sequence.frames[std::size_t(positions[std::size_t(i)])]);
     });
-    const std::vector<glm::vec3> cells = put_into_cells(frames);
+    const std::vector<glm::vec3> cells = merge_into_cells(frames);
     visibility.announce(cells);
     std::vector<Motion> motion(cells.size());
     for_each_block(cells.size(), [&](std::size_t i) {
@@ -251,7 +251,7 @@ Clusters clusters_of(const Sequence& sequence, std::span<const int> positions, V
 }
 
 /// Collects the clusters of all frames from all processes of the group.
-Clusters joined_clusters(const ProcessGroup& group, const Clusters& own) {
+Clusters join_clusters(const ProcessGroup& group, const Clusters& own) {
     if (group.size == 1) return own;
     struct Head {
         double time_s;
@@ -303,7 +303,7 @@ std::vector<std::vector<MoverCluster>> find_mover_clusters(const Sequence& seque
         Clusters found = clusters_of(sequence, stretch, visibility);
         std::move(found.begin(), found.end(), std::back_inserter(own));
     }
-    return joined_clusters(group, own);
+    return join_clusters(group, own);
 }
 
 }  // namespace relidar

@@ -24,7 +24,7 @@ struct MoverCluster {
     int label = kNoLabel;
 
     /// Adds the returns of another cluster of the same frame.
-    void take_in(const MoverCluster& other);
+    void merge(const MoverCluster& other);
 };
 
 /// Finds the clusters of moved returns in all given frames. Splits a long log into

@@ -23,10 +23,10 @@ constexpr double kProvenShare = 0.5;  // motion must be proven in at least this 
 
 }  // namespace
 
-Evidence look_back(const Visibility& visibility, const glm::dvec3& point_m, const BoxTrack& box) {
+Evidence collect_evidence(const Visibility& visibility, const glm::dvec3& point_m, const BoxTrack& box) {
     const std::vector<double>& times = box.world_from_box.time_s;
     Evidence evidence;
-    for (const std::uint32_t view : visibility.views_near(point_m)) {
+    for (const std::uint32_t view : visibility.find_views_near(point_m)) {
         if (box.holds(point_m, std::clamp(visibility.time_s(view), times.front(), times.back()), kClear_m))
             continue;
         if (visibility.has_return_at(view, point_m, kSamePlace_m)) ++evidence.stayed;
@@ -35,30 +35,30 @@ Evidence look_back(const Visibility& visibility, const glm::dvec3& point_m, cons
     return evidence;
 }
 
-void Testimony::operator+=(const Testimony& other) {
+void EvidenceSum::operator+=(const EvidenceSum& other) {
     looks += other.looks;
     returns += other.returns, told += other.told, moved += other.moved;
     frames += other.frames, frames_moved += other.frames_moved;
 }
 
-bool Testimony::says_moved() const {
-    return looks.says_moved() && double(moved) >= kToldShare * double(returns) &&
+bool EvidenceSum::proves_motion() const {
+    return looks.proves_motion() && double(moved) >= kToldShare * double(returns) &&
            double(moved) >= kLeftShare * double(told) &&
            double(frames_moved) >= kProvenShare * double(frames);
 }
 
-Testimony sift(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box) {
-    Testimony sum;
+EvidenceSum sift(const Visibility& visibility, MoverCluster& cluster, const BoxTrack& box) {
+    EvidenceSum sum;
     std::vector<glm::dvec3> kept;
     for (const glm::dvec3& p : cluster.points_m) {
-        const Evidence evidence = look_back(visibility, p, box);
+        const Evidence evidence = collect_evidence(visibility, p, box);
         sum.looks += evidence;
         sum.told += evidence.is_any();
-        sum.moved += evidence.says_moved();
-        if (!evidence.says_stayed()) kept.push_back(p);
+        sum.moved += evidence.proves_motion();
+        if (!evidence.proves_rest()) kept.push_back(p);
     }
     sum.returns = cluster.points_m.size();
-    sum.frames = 1, sum.frames_moved = sum.looks.says_moved();
+    sum.frames = 1, sum.frames_moved = sum.looks.proves_motion();
     cluster.points_m = std::move(kept);
     cluster.centre_m = glm::dvec3(0.0);
     for (const glm::dvec3& p : cluster.points_m) cluster.centre_m += p / double(cluster.points_m.size());

@@ -93,14 +93,14 @@ public:
 
     void add(double frame_time_s, const std::vector<MoverCluster>& clusters) {
         std::erase_if(open_, [&](std::size_t t) { return is_over(tracks_[t], frame_time_s); });
-        std::vector<char> track_taken(tracks_.size(), 0), cluster_taken(clusters.size(), 0);
+        std::vector<char> track_is_used(tracks_.size(), 0), cluster_is_used(clusters.size(), 0);
         for (const Fit& fit : fits(frame_time_s, clusters)) {
-            if (track_taken[fit.track] || cluster_taken[fit.cluster]) continue;
-            track_taken[fit.track] = cluster_taken[fit.cluster] = 1;
+            if (track_is_used[fit.track] || cluster_is_used[fit.cluster]) continue;
+            track_is_used[fit.track] = cluster_is_used[fit.cluster] = 1;
             take(tracks_[fit.track], frame_time_s, clusters[fit.cluster]);
         }
         for (std::size_t c = 0; c < clusters.size(); ++c) {
-            if (cluster_taken[c]) continue;
+            if (cluster_is_used[c]) continue;
             open_.push_back(tracks_.size());
             take(tracks_.emplace_back(), frame_time_s, clusters[c]);
         }
@@ -143,7 +143,7 @@ private:
 };
 
 /// Returns the longer side of the rectangle around a cluster, seen from above.
-double width_seen(const MoverCluster& cluster) {
+double visible_width_m(const MoverCluster& cluster) {
     glm::dvec2 low(1e30), high(-1e30);
     for (const glm::dvec3& p : cluster.points_m)
         low = glm::min(low, glm::dvec2(p)), high = glm::max(high, glm::dvec2(p));
@@ -176,7 +176,8 @@ bool move_as_one(const MoverTrack& whole, const MoverTrack& part) {
     const auto common = in_common(whole, part);
     if (2 * common.size() < part.seen.size() || common.size() < 4) return false;
     const auto& [i, j] = common[common.size() / 2];
-    if (std::min(width_seen(whole.seen[i].cluster), width_seen(part.seen[j].cluster)) < kVehiclePart_m ||
+    if (std::min(visible_width_m(whole.seen[i].cluster), visible_width_m(part.seen[j].cluster)) <
+            kVehiclePart_m ||
         gap_between(whole.seen[i].cluster, part.seen[j].cluster) > kBesides_m)
         return false;
     glm::dvec3 sum(0.0), squares(0.0);
@@ -232,7 +233,7 @@ std::vector<GapFit> fits_over_gaps(const std::vector<MoverTrack>& tracks) {
 
 /// Joins tracks of the same object across gaps. Does not join tracks with different
 /// labels.
-std::vector<MoverTrack> joined_across_gaps(std::vector<MoverTrack> tracks) {
+std::vector<MoverTrack> join_across_gaps(std::vector<MoverTrack> tracks) {
     std::vector<std::size_t> next(tracks.size(), tracks.size());
     std::vector<char> follows(tracks.size(), 0);
     for (const GapFit& fit : fits_over_gaps(tracks))
@@ -267,10 +268,10 @@ std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster
                                       const std::vector<double>& frame_times_s, const Sequence& sequence) {
     OpenTracks open(sequence);
     for (std::size_t f = 0; f < clusters.size(); ++f) open.add(frame_times_s[f], clusters[f]);
-    return joined_across_gaps(std::move(open).all());
+    return join_across_gaps(std::move(open).all());
 }
 
-bool comes_far(const MoverTrack& track) {
+bool moves_far(const MoverTrack& track) {
     if (track.seen.size() < kMinObservations) return false;
     std::vector<glm::dvec3> centres;
     for (const Observation& o : track.seen) centres.push_back(o.cluster.centre_m * glm::dvec3(1.0, 1.0, 0.0));
@@ -282,7 +283,7 @@ bool comes_far(const MoverTrack& track) {
     return net > kMinPath_m && net > kMinStraightness * length;
 }
 
-bool rides_along(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
+bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle) {
     std::vector<glm::dvec3> places;
     for (const Observation& o : track.seen)
         places.push_back(inverse(world_from_vehicle.at(o.cluster.time_s)) * o.cluster.centre_m);
@@ -300,7 +301,7 @@ void join_parts(std::vector<MoverTrack>& tracks) {
         for (std::size_t b = a + 1; b < tracks.size(); ++b) {
             if (!move_as_one(tracks[a], tracks[b])) continue;
             for (const auto& [i, j] : in_common(tracks[a], tracks[b]))
-                tracks[a].seen[i].cluster.take_in(tracks[b].seen[j].cluster);
+                tracks[a].seen[i].cluster.merge(tracks[b].seen[j].cluster);
             tracks.erase(tracks.begin() + std::ptrdiff_t(b--));
         }
 }

@@ -38,11 +38,11 @@ std::vector<MoverTrack> link_clusters(const std::vector<std::vector<MoverCluster
 
 /// Returns true if a track is observed in enough frames and moves far enough and fairly
 /// straight.
-bool comes_far(const MoverTrack& track);
+bool moves_far(const MoverTrack& track);
 
 /// Returns true if a track stays close to the recording vehicle and keeps its position
 /// relative to it. Such a track is a part of the vehicle.
-bool rides_along(const MoverTrack& track, const PoseTrack& world_from_vehicle);
+bool is_fixed_to_vehicle(const MoverTrack& track, const PoseTrack& world_from_vehicle);
 
 /// Merges tracks that are parts of one object. Adds their returns to the longest track of
 /// the object.

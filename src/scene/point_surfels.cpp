@@ -258,8 +258,9 @@ Surfels surfels_from_points(const std::vector<Sample>& samples, const Initialise
     Surfels surfels;
     surfels.resize(samples.size());
     std::fill(surfels.sh.begin(), surfels.sh.end(), 0.0f);
-    for_each_block_told(samples.size(), progress, "normals",
-                        [&](std::size_t i) { fill_surfel(surfels, i, samples, tree, options, incidence); });
+    for_each_block_with_progress(samples.size(), progress, "normals", [&](std::size_t i) {
+        fill_surfel(surfels, i, samples, tree, options, incidence);
+    });
     const std::vector<std::uint32_t> sorted = kd_order(surfels.mean);
     if (order) *order = sorted;
     return surfels.permuted(sorted);

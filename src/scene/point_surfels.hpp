@@ -15,7 +15,7 @@ struct Sample {
     glm::vec3 position;
     float intensity;
     glm::vec3 view;         ///< unit vector from the sensor to the point
-    float walked_m = 0.0f;  ///< distance that the actor had walked (WalkedWay)
+    float walked_m = 0.0f;  ///< distance that the actor had walked (WalkedDistance)
     int frame = 0;          ///< index in the log of the point's frame; used only for actors
 };
 

@@ -279,13 +279,13 @@ std::string header_of(const Surfels& surfels, const std::vector<Property>& list,
     const PrimitiveKind& kind = kind_of(surfels.primitive);
     text += fmt::format("{}: metres, {}{}\n", kind.label, frame,
                         kind.third_scale ? "" : "; scale_2 only makes them flat");
-    for (const auto& note : notes) text += fmt::format("comment {}\n", export_detail::note_line(note));
+    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::note_line(note));
     text += fmt::format("element vertex {}\n", surfels.size());
     for (const Property& p : list) text += fmt::format("property float {}\n", p.name);
     return text + "end_header\n";
 }
 
-void write_records(export_detail::OutputFile& file, const Surfels& surfels, const std::vector<Property>& list,
+void write_records(report_detail::OutputFile& file, const Surfels& surfels, const std::vector<Property>& list,
                    const Model& model, std::size_t number) {
     std::vector<float> record(list.size());
     for (std::size_t i = model.first; i < std::size_t(model.first) + model.count; ++i) {
@@ -314,7 +314,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Scene& scene) {
         scene.surfels.check_shapes();
         check_models(scene);
         const std::vector<Property> list = properties(scene.surfels.parameters());
-        export_detail::OutputFile file(temporary);
+        report_detail::OutputFile file(temporary);
         file.write(header_of(scene.surfels, list, "frame of each model"));
         for (std::size_t model = 0; model < scene.models.size(); ++model)
             write_records(file, scene.surfels, list, scene.models[model], model);
@@ -327,7 +327,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
         surfels.check_shapes();
         std::vector<Property> list = properties(surfels.parameters());
         std::erase_if(list, [](const Property& p) { return p.kind == Property::model; });
-        export_detail::OutputFile file(temporary);
+        report_detail::OutputFile file(temporary);
         file.write(header_of(surfels, list, "world", notes));
         write_records(file, surfels, list, {"", 0, static_cast<std::uint32_t>(surfels.size())}, 0);
         file.close();
@@ -335,7 +335,7 @@ void write_surfel_ply(const std::filesystem::path& path, const Surfels& surfels,
 }
 
 Scene read_surfel_ply(const std::filesystem::path& path, const Scene& layout, Primitive primitive) {
-    const std::vector<std::byte> file = export_detail::read_file(path);
+    const std::vector<std::byte> file = report_detail::read_file(path);
     try {
         const bool walks =
             std::ranges::any_of(layout.models, [](const Model& m) { return m.stride_m > 0.0f; });

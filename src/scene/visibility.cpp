@@ -154,7 +154,7 @@ void Visibility::want(const glm::dvec3& point_m) {
         if (views_[view].sensor_from_world.empty()) wanted_.push_back(view);
 }
 
-void Visibility::make_wanted() {
+void Visibility::make_requested_images() {
     std::sort(wanted_.begin(), wanted_.end());
     wanted_.erase(std::unique(wanted_.begin(), wanted_.end()), wanted_.end());
     parallel_for(static_cast<int>(wanted_.size()), [&](int i) {
@@ -205,7 +205,7 @@ void Visibility::sort_by_tile() {
     }
 }
 
-const std::vector<std::uint32_t>& Visibility::views_near(const glm::dvec3& point_m) const {
+const std::vector<std::uint32_t>& Visibility::find_views_near(const glm::dvec3& point_m) const {
     static const std::vector<std::uint32_t> none;
     const auto tile = tiles_.find(cell_key(tile_centre(point_m), kTile_m));
     return tile == tiles_.end() ? none : tile->second.views;
@@ -247,7 +247,7 @@ bool Visibility::has_return_at(std::uint32_t view, const glm::dvec3& point_m, do
 
 Visibility::Votes Visibility::votes(const glm::vec3& point_m) const {
     Votes votes;
-    for (const std::uint32_t view : views_near(glm::dvec3(point_m))) {
+    for (const std::uint32_t view : find_views_near(glm::dvec3(point_m))) {
         const Sight sight = look(view, glm::dvec3(point_m));
         votes.seen += sight == Sight::seen;
         votes.seen_through += sight == Sight::seen_through;

@@ -65,7 +65,7 @@ public:
     template <class Points>
     void announce(const Points& points_m) {
         for (const auto& point_m : points_m) want(glm::dvec3(point_m));
-        make_wanted();
+        make_requested_images();
     }
 
     struct Votes {
@@ -85,7 +85,7 @@ public:
     /// Returns the frames in which a point is looked up, ascending.
     /// @param point_m [3] world
     /// @return indices into the positions given to the constructor
-    const std::vector<std::uint32_t>& views_near(const glm::dvec3& point_m) const;
+    const std::vector<std::uint32_t>& find_views_near(const glm::dvec3& point_m) const;
     /// Returns what one frame observes at a point: a return, an empty space, or nothing.
     /// Allows an error of decimetres.
     /// @param point_m [3] world
@@ -126,7 +126,7 @@ private:
     std::vector<std::uint32_t> wanted_;  ///< views whose images are pending; can contain duplicates
 
     void want(const glm::dvec3& point_m);
-    void make_wanted();
+    void make_requested_images();
     void make(View& view, const Frame& frame) const;
     void sort_by_tile();
     Surroundings around(const View& view, const glm::dvec3& point_m) const;

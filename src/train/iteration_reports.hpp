@@ -68,7 +68,7 @@ public:
     std::optional<Report> take(Stream& stream, int last);
     /// Returns the log lines of the reports that take() has returned. Clears the list of
     /// lines.
-    std::vector<LogLine> take_lines() { return std::exchange(lines_, {}); }
+    std::vector<LogLine> collect_lines() { return std::exchange(lines_, {}); }
 
     template <class Visitor>
     void visit_state(Visitor&& visit) {

@@ -20,7 +20,7 @@
 
 namespace relidar {
 
-Sequence load_log(const Config& config, const Progress& progress, int most_scans) {
+Sequence load_log(const Config& config, const Progress& progress, int max_scans) {
     DatasetOptions options;
     options.sequence = config.dataset.sequence;
     options.lidars = words_of(config.dataset.lidars);
@@ -33,7 +33,7 @@ Sequence load_log(const Config& config, const Progress& progress, int most_scans
     options.bag.poses_from = config.dataset.poses_from;
     options.waymo.clamp_intensity = config.dataset.waymo_intensity == "clamp";
     options.progress = progress;
-    options.most_scans = most_scans;
+    options.max_scans = max_scans;
     std::error_code failed;
     const std::filesystem::path folder = std::filesystem::temp_directory_path(failed);
     limit_scan_memory(std::uint64_t(config.dataset.memory_mib) << 20, failed ? "/tmp" : folder);
@@ -90,7 +90,7 @@ struct PoseCorrections {
     }
 };
 
-std::string way_text(const PoseTrack& track) {
+std::string path_text(const PoseTrack& track) {
     double metres = 0.0;
     for (std::size_t k = 1; k < track.pose.size(); ++k)
         metres += glm::distance(track.pose[k].translation, track.pose[k - 1].translation);
@@ -98,11 +98,11 @@ std::string way_text(const PoseTrack& track) {
 }
 
 std::string loops_text(const Registration& registration) {
-    if (registration.places_again == 0) return "";
+    if (registration.n_loop_closures == 0) return "";
     return fmt::format(
         "; {} loops closed, where the vehicle returned to the same position, with corrections of "
         "up to {:.2f} m",
-        registration.places_again, registration.loops_off_m);
+        registration.n_loop_closures, registration.largest_loop_error_m);
 }
 
 // maximum fraction of scans that could not be registered; one such scan is always allowed
@@ -155,7 +155,7 @@ Registration register_log(Sequence& sequence, const Split& split, const Config& 
         "scans registered: {:.0f} % of the points are on planes that several scans have "
         "observed, with a mean distance of {:.3f} m from these planes; {}{}",
         100.0 * registration.on_planes, registration.rounds.back().residual_m,
-        has_poses(sequence, config) ? corrections.text() : way_text(registration.world_from_vehicle),
+        has_poses(sequence, config) ? corrections.text() : path_text(registration.world_from_vehicle),
         loops_text(registration)));
     if (const std::string warning = corrections.warning(); has_poses(sequence, config) && !warning.empty()) {
         session.tell(warning);
@@ -318,11 +318,11 @@ void register_boxes(Sequence& sequence, const Split& split, const PrepareSession
 
 RegisterOptions register_options(const Sequence& sequence, const Config& config) {
     RegisterOptions options;
-    options.given_motion = has_poses(sequence, config);
+    options.use_pose_motion = has_poses(sequence, config);
     // Without vehicle poses, it is unknown which boxes move, so all boxes count as
     // moving.
     for (const BoxTrack& box : sequence.boxes)
-        if (!options.given_motion || box.moves()) options.movers.push_back(box);
+        if (!options.use_pose_motion || box.moves()) options.movers.push_back(box);
     return options;
 }
 

@@ -54,16 +54,16 @@ void report_masked_boxes(const Scene& scene, const Sequence& sequence, const Con
     session.note(
         fmt::format("points and losses in {} moving boxes are ignored: {}. Only classes in "
                     "init.actor_classes with at least init.actor_min_points points become actors",
-                    masked.size(), names_of(masked)));
+                    masked.size(), list_boxes(masked)));
 }
 
 /// Prints how many training frames stay on the device, unless all of them do.
 void report_sent_frames(const TrainingFrames& frames, const Config& config, const TrainSession& session) {
-    if (frames.n_staying() == frames.all().size() || !session.note) return;
+    if (frames.n_resident() == frames.all().size() || !session.note) return;
     session.note(
         fmt::format("{} of {} training frames fit into the device memory for frames "
                     "(train.frame_memory_mib={}); the others are uploaded whenever a step uses them",
-                    frames.n_staying(), frames.all().size(), config.train.frame_memory_mib));
+                    frames.n_resident(), frames.all().size(), config.train.frame_memory_mib));
 }
 
 /// Returns the settings, but disables pose refinement where poses cannot be determined.
@@ -141,8 +141,8 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     const double trained_before_s = result.train_s;
     const auto trained_s = [&] { return trained_before_s + seconds_since(start); };
     bool stop = false;
-    const auto take_lines = [&] {
-        for (const LogLine& line : loop.take_lines()) {
+    const auto collect_lines = [&] {
+        for (const LogLine& line : loop.collect_lines()) {
             add_line(result.log, line, config, trained_s());
             stop = !progress(result.log.back()) || stop;
         }
@@ -150,15 +150,15 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     while (result.iterations < config.train.iterations && !stop) {
         const int step = ++result.iterations;
         loop.iterate(step, logs_at(step, config.train));
-        take_lines();
+        collect_lines();
         stop = stop || (session.stop && session.stop());
         if (!stop && !checkpoints.due(step)) continue;
         loop.settle();
-        take_lines();  // A checkpoint includes the log lines.
+        collect_lines();  // A checkpoint includes the log lines.
         checkpoints.save(loop, result, trained_s());
     }
     loop.finish();
-    take_lines();
+    collect_lines();
     read_scene(loop, device, sequence, split, config, session, result);
     result.train_s = trained_s();
     result.times = loop.times();
@@ -166,7 +166,7 @@ TrainResult train(Device& device, const Sequence& sequence, const Split& split, 
     return result;
 }
 
-void take_result(Run& run, TrainResult& result) {
+void move_result(Run& run, TrainResult& result) {
     run.scene = std::move(result.scene);
     run.coverage = std::move(result.coverage);
     if (!result.poses) return;

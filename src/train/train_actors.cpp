@@ -41,13 +41,13 @@ struct Sight {
     /// Returns true if a ray hits the box of the actor, enlarged by kBeside_m.
     /// @param after_s  firing time of the ray, relative to the reference time of the
     /// sweep
-    bool is_met_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
+    bool is_hit_by(const WorldRay& ray, double after_s) const { return meets(ray, after_s, kBeside_m); }
     /// Returns true if a sphere may be hit by a ray that also hits the actor's box. The
     /// sphere may be in front of the actor or behind it.
     bool may_show(const glm::dvec3& point_m, double reach_m) const {
-        const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
+        const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
         return meets({sensor_m, glm::normalize(point_m - sensor_m)}, placed.motion.middle_s,
-                     kBeside_m + kSweep_m + way_m + reach_m);
+                     kBeside_m + kSweep_m + driven_length_m + reach_m);
     }
 
 private:
@@ -125,8 +125,8 @@ std::vector<Stretch> stretches_of(const Run& run, const std::vector<PoseTrack>& 
 
 /// Returns the rays of a scan that pass near an actor, without image order. Skips rays
 /// that the sensor itself drops with a high probability.
-Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
-               const std::vector<Sight>& sights) {
+Scan select_rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_sensor,
+                      const std::vector<Sight>& sights) {
     const Scan& all = frame.scan;
     std::vector<std::size_t> near;
     Scan scan;
@@ -135,7 +135,7 @@ Scan rays_near(const Run& run, const Frame& frame, const PoseTrack& world_from_s
             world_ray(world_from_sensor, frame.time_s, all.rays, i, run.sequence.rolling_shutter);
         const double after_s = run.sequence.rolling_shutter ? double(all.rays.time_offset_s[i]) : 0.0;
         if (std::none_of(sights.begin(), sights.end(),
-                         [&](const Sight& sight) { return sight.is_met_by(ray, after_s); }))
+                         [&](const Sight& sight) { return sight.is_hit_by(ray, after_s); }))
             continue;
         const auto beam = run.sequence.beam_number(frame.lidar, all.rays.channel[i]);
         if (beam && run.scene.sensor_drop.at(*beam, all.rays.direction[i]) > kBlind) continue;
@@ -155,7 +155,7 @@ Sequence log_of(const Run& run, const Stretch& stretch, const std::vector<PoseTr
         const Frame& from = run.sequence.frames[std::size_t(sighted.position)];
         const PoseTrack& world_from_sensor = tracks[std::size_t(from.lidar)];
         frames[std::size_t(i)] = {from.index, from.time_s,
-                                  rays_near(run, from, world_from_sensor, sighted.sights), from.lidar,
+                                  select_rays_near(run, from, world_from_sensor, sighted.sights), from.lidar,
                                   from.start};
     });
     Sequence log = without_frames(run.sequence);
@@ -213,7 +213,7 @@ Config settings_of(const Config& config, std::size_t n_frames) {
         std::min<std::size_t>(std::size_t(config.blocks.actor_epochs) * n_frames, 1'000'000'000));
     t.rays_per_iteration = 0;
     t.only_touched = true;
-    t.sensor_drop = false;  // unnecessary, because rays_near() has already removed such rays
+    t.sensor_drop = false;  // unnecessary, because select_rays_near() has already removed such rays
     t.refine_poses = "none";
     t.sh_degree_start = c.image.sh_degree;
     c.densify.strategy = DensifyStrategy::none;

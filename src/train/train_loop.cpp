@@ -108,7 +108,7 @@ TreeFits tree_fits(const Config& config, std::uint32_t n_fixed) {
 
 /// Returns true if the acceleration structures are refitted in a step. They are refitted
 /// in every step as long as surfels could outgrow the margin between two refits.
-bool is_fit_due(const TreeFits& fits, const TrainConfig& config, int step) {
+bool should_fit_tree(const TreeFits& fits, const TrainConfig& config, int step) {
     // Fraction of the margin that growing scales may use. The remainder is left for
     // growing opacities, which also enlarge surfels.
     constexpr double kShare = 0.9;
@@ -119,7 +119,7 @@ bool is_fit_due(const TreeFits& fits, const TrainConfig& config, int step) {
 RendererOptions renderer_options(const Config& config, const TrainingFrames& frames, std::uint32_t n_fixed) {
     return {.accel = tree_fits(config, n_fixed).accel,
             .trace = training_trace_options(config),
-            .n_rays = most_rays(frames.all()),
+            .n_rays = max_rays(frames.all()),
             .keep_hits = static_cast<std::uint32_t>(config.trace.keep_hits)};
 }
 
@@ -152,9 +152,9 @@ Unknown unknown(const Sequence& sequence, const Split& split, const Scene& scene
 /// @throws UsageError if another setting requires the sensor's rays
 std::optional<RangeGrid> trained_grid(const Config& config) {
     if (config.train.grid == "native") return std::nullopt;
-    const std::pair<bool, const char*> of_own_rays[] = {{config.train.sensor_drop, "train.sensor_drop"},
-                                                        {config.blocks.length_m > 0.0, "blocks.length_m"}};
-    for (const auto& [is_set, setting] : of_own_rays)
+    const std::pair<bool, const char*> needs_sensor_rays[] = {
+        {config.train.sensor_drop, "train.sensor_drop"}, {config.blocks.length_m > 0.0, "blocks.length_m"}};
+    for (const auto& [is_set, setting] : needs_sensor_rays)
         if (is_set)
             throw UsageError(fmt::format(
                 "the setting train.grid={} cannot be combined with {}, which needs the rays of the "
@@ -166,7 +166,7 @@ std::optional<RangeGrid> trained_grid(const Config& config) {
 FrameUse frame_use(const Sequence& sequence, const Split& split, const Scene& scene, const Config& config) {
     return {.unknown = unknown(sequence, split, scene, config),
             .moves_rays = config.train.refines("sensor"),
-            .stay_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
+            .resident_bytes = std::uint64_t(config.train.frame_memory_mib) << 20,
             .grid = trained_grid(config)};
 }
 
@@ -182,7 +182,7 @@ TrainLoop::TrainLoop(Device& device, const Sequence& sequence, const Split& spli
       renderer_(device, initial, config.image, renderer_options(config, frames_, n_fixed),
                 {backward_options(config), refiner_.wanted(), all_have_gradients(config)}),
       stream_(renderer_.stream()),
-      losses_(make_losses(device, config.loss, most_rays(frames_.all()))),
+      losses_(make_losses(device, config.loss, max_rays(frames_.all()))),
       adam_(device, n_surfels(), {.only_touched = config.train.only_touched, .n_fixed = n_fixed},
             initial.surfels.parameters()),
       densifier_(device, initial, config.densify, config.image.alpha_min,
@@ -219,7 +219,7 @@ const FrameData& TrainLoop::bring(std::size_t frame_index, bool surfels_changed)
 
 const FrameData& TrainLoop::place(std::size_t frame_index, int step) {
     renderer_.set_sh_degree(sh_degree_at(config_.train, step));
-    return bring(frame_index, is_fit_due(tree_fits(config_, n_fixed_), config_.train, step));
+    return bring(frame_index, should_fit_tree(tree_fits(config_, n_fixed_), config_.train, step));
 }
 
 void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, const TermRow& terms) {
@@ -232,7 +232,7 @@ void TrainLoop::learn_from(const RayBatch& rays, const TargetBatch& targets, con
 
 void TrainLoop::iterate(int step, bool ends_line) {
     look_at_reports(step - kReadbackLag);
-    refiner_.take_steps(stream_, step - kReadbackLag);
+    refiner_.apply_steps(stream_, step - kReadbackLag);
     const std::size_t frame_index = sampler_.next();
     DeviceScene& scene = renderer_.scene();
 
@@ -247,10 +247,10 @@ void TrainLoop::iterate(int step, bool ends_line) {
         loss->regularise(stream_, scene,
                          {&gradients.surfels, config_.train.only_touched ? &gradients.touched : nullptr},
                          terms);
-    const bool whole_frame = batch.rays.n_rays == frame.n_rays;
+    const bool is_full_frame = batch.rays.n_rays == frame.n_rays;
     densifier_.observe(
         stream_, scene,
-        {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), whole_frame});
+        {&gradients.surfels, &gradients.touched, static_cast<std::uint32_t>(frame_index), is_full_frame});
     LearningRates rates = rates_at(config_.train, extent_m_, step);
     if (config_.densify.strategy == DensifyStrategy::adaptive)
         rates.models = &scene.models(), rates.mean_factors = mean_factors(scene.layout(), extent_m_);
@@ -311,7 +311,7 @@ void TrainLoop::check_room(const IterationReports::Report& report) {
 void TrainLoop::keep_more_hits(const IterationReports::Report& report) {
     // Ignores a report from before the last increase.
     if (report.kept_hits != renderer_.kept_hits() || no_room_to_keep_more_) return;
-    const std::uint32_t n_hits = kept_hits_wanted(report.kept_hits, report.overfull);
+    const std::uint32_t n_hits = recommended_kept_hits(report.kept_hits, report.overfull);
     if (n_hits == report.kept_hits) return;
     // finishes the report of the iterations with the current number of stored hits
     close_report(last_step_, false);
@@ -328,7 +328,7 @@ void TrainLoop::settle() {
 
 void TrainLoop::finish() {
     settle();
-    refiner_.take_steps(stream_, last_step_);
+    refiner_.apply_steps(stream_, last_step_);
 }
 
 void TrainLoop::save(Checkpoint& checkpoint) {
@@ -346,7 +346,7 @@ void TrainLoop::restore(const Checkpoint& checkpoint) {
             fmt::format("cannot resume from iteration {}: the stored frame order and loss sums do not fit {} "
                         "frames and {} loss terms",
                         checkpoint.iteration, frames_.all().size(), kLossTerms));
-    if (!refiner_.take_over())
+    if (!refiner_.restore())
         throw DataError(
             fmt::format("cannot resume from iteration {}: the stored pose corrections do not fit this log",
                         checkpoint.iteration));

@@ -72,7 +72,7 @@ public:
     void iterate(int step, bool ends_line = false);
     /// Returns the log lines that became available since the last call. A line becomes
     /// available kReadbackLag iterations late, or after settle().
-    std::vector<LogLine> take_lines() { return reports_.take_lines(); }
+    std::vector<LogLine> collect_lines() { return reports_.collect_lines(); }
     /// Waits for all submitted iterations and evaluates their reports.
     /// @throws DataError like iterate()
     void settle();

@@ -191,7 +191,7 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
     const std::thread::id caller = std::this_thread::get_id();
     double last = -1.0;
     std::atomic<int> n{0};
-    for_each_told(
+    for_each_with_progress(
         200,
         [&](std::string_view what, double done) {
             EXPECT_EQ(what, "counting");
@@ -210,7 +210,7 @@ TEST(ForEachTold, TellsFromTheCallingThreadAndEndsWhereThatThrows) {
         ++n;
         std::this_thread::sleep_for(std::chrono::microseconds(100));
     };
-    EXPECT_THROW(for_each_told(1000000, stop, "counting", count_slowly), std::runtime_error);
+    EXPECT_THROW(for_each_with_progress(1000000, stop, "counting", count_slowly), std::runtime_error);
     EXPECT_LT(n, 1000000);
 }
 

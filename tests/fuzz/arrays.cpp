@@ -50,7 +50,7 @@ std::vector<std::byte> bytes_of(std::string_view input) {
 std::vector<std::string> npy_seeds(const fs::path&) {
     std::vector<std::string> seeds;
     for (const NamedArray& array : some_arrays())
-        seeds.push_back(export_detail::npy_header(array) +
+        seeds.push_back(report_detail::npy_header(array) +
                         std::string(reinterpret_cast<const char*>(array.bytes.data()), array.bytes.size()));
     return seeds;
 }
@@ -83,7 +83,7 @@ std::vector<Harness> array_harnesses() {
              read_as_file(input, folder, [](const fs::path& file) { read_npz(file); });
          }},
         {"npy", npy_seeds,
-         [](std::string_view input, const fs::path&) { export_detail::parse_npy("a", bytes_of(input)); }},
+         [](std::string_view input, const fs::path&) { report_detail::parse_npy("a", bytes_of(input)); }},
         {"safetensors", safetensors_seeds,
          [](std::string_view input, const fs::path& folder) {
              read_as_file(input, folder, [](const fs::path& file) { read_safetensors(file); });

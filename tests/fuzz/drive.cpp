@@ -100,7 +100,7 @@ void read_texts(const Drive& drive, unsigned options) {
                  [&] { kitti::read_tracklets(drive.folder() / "tracklet_labels.xml", frames, track); }});
 }
 
-void read_whole(const Drive& drive, unsigned options) {
+void read_all_frames(const Drive& drive, unsigned options) {
     DatasetOptions dataset;
     if (options & kPosesFile) dataset.poses_file = drive.poses();
     if (options & kNone) dataset.poses_file = kNoPoses;
@@ -184,7 +184,7 @@ std::vector<Harness> drive_harnesses() {
          [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_texts); },
          false},
         {"drive", drive_seeds,
-         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_whole); },
+         [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_all_frames); },
          false},
         {"odometry", drive_seeds,
          [](std::string_view input, const fs::path& folder) { read_changed(input, folder, read_odometry); },

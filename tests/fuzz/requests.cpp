@@ -17,7 +17,7 @@
 #endif
 #ifdef RELIDAR_FUZZ_SERVE
 #include "../../tools/serve/answer_messages.hpp"
-#include "../../tools/serve/asset_shelf.hpp"
+#include "../../tools/serve/asset_catalogue.hpp"
 #include "../../tools/serve/refusal.hpp"
 #include "../../tools/serve/request_messages.hpp"
 #include "../../tools/serve/sensorsim_messages.hpp"
@@ -29,7 +29,7 @@ namespace {
 
 namespace fs = std::filesystem;
 
-std::vector<std::string> wish_seeds(const fs::path&) {
+std::vector<std::string> request_seeds(const fs::path&) {
     const std::string edits =
         R"({"copies": [{"of": "7", "at": [1, 2, 0, 90, 5]}], "moves": {"8": [1, 0, 0, 10]},
         "removed": ["9"], "hidden": ["7"]})";
@@ -41,7 +41,7 @@ std::vector<std::string> wish_seeds(const fs::path&) {
         R"({"do": "save", "name": "run2", "edits": )" + edits + "}"};
 }
 
-void read_wish(std::string_view input, const fs::path&) { (void)view::parse_request(std::string(input)); }
+void read_request(std::string_view input, const fs::path&) { (void)view::parse_request(std::string(input)); }
 
 #ifdef RELIDAR_FUZZ_VIEW
 
@@ -59,8 +59,8 @@ void read_head(std::string_view input, const fs::path&) {
         line = input.substr(0, input.find('\n'));
         input.remove_prefix(std::min(input.size(), line.size() + 1));
     }
-    (void)view::is_own_host(lines[0], "machine");
-    (void)view::is_own_origin(lines[1], lines[0]);
+    (void)view::is_local_host(lines[0], "machine");
+    (void)view::is_same_origin(lines[1], lines[0]);
     const bool shown =
         view::shows_token({lines[0], lines[1], lines[2], lines[3]}, "0123456789abcdef", "relidar_8080");
     const bool there =
@@ -76,7 +76,7 @@ void read_head(std::string_view input, const fs::path&) {
 struct Served {
     std::vector<Run> outlines;
     std::vector<serve::SceneSource> sources;
-    serve::AssetShelf assets{{}};
+    serve::AssetCatalogue assets{{}};
     serve::SpawnedActors spawned{1};
 
     explicit Served(const fs::path& folder) : sources{{"town", folder}} {
@@ -231,7 +231,7 @@ std::vector<std::string> call_seeds(const fs::path&) {
 }  // namespace
 
 std::vector<Harness> request_harnesses() {
-    return {{"wish", wish_seeds, read_wish},
+    return {{"wish", request_seeds, read_request},
 #ifdef RELIDAR_FUZZ_VIEW
             {"head", head_seeds, read_head},
 #endif

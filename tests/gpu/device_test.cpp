@@ -175,7 +175,7 @@ TEST_F(Gpu, SubgroupsOfVaryingSizeMustBeControlled) {
     EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional),
               "subgroupSizeControl and computeFullSubgroups for subgroups of varying size");
     optional.subgroup_size = true;
-    EXPECT_FALSE(gpu::known_subgroups(sizes, optional)) << "some lanes may be missing";
+    EXPECT_FALSE(gpu::has_known_subgroups(sizes, optional)) << "some lanes may be missing";
     optional.full_subgroups = true;
     EXPECT_EQ(gpu::missing_for_software(subgroup, sizes, optional), "");
     sizes.maxSubgroupSize = 8;

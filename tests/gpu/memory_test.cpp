@@ -31,7 +31,7 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
         if (random() % 2 && !taken.empty()) {
             const auto piece = std::next(taken.begin(), random() % taken.size());
             mark(piece->first, piece->second, false);
-            free.give_back(piece->first, piece->second);
+            free.release(piece->first, piece->second);
             taken.erase(piece);
             continue;
         }
@@ -50,7 +50,7 @@ TEST(FreeRanges, NeverOverlapAndMergeAgain) {
     }
     EXPECT_GT(n_refused, 100u) << "a full block was met";
     EXPECT_FALSE(free.all_free());
-    for (const auto& [offset, n] : taken) free.give_back(offset, n);
+    for (const auto& [offset, n] : taken) free.release(offset, n);
     EXPECT_TRUE(free.all_free());
     EXPECT_EQ(free.take(kBytes, 256), 0u) << "in one piece";
 }

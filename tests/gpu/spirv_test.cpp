@@ -55,7 +55,7 @@ std::string text_of(const Words& extension) {
 TEST(SpirvModes, ParametersAreReadOnlyInEveryModule) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::vector<Words> before = instructions(kernel.words),
-                                 after = instructions(gpu::with_read_only_parameters(kernel.words));
+                                 after = instructions(gpu::make_parameters_read_only(kernel.words));
         std::vector<Words> added;
         std::size_t k = 0;
         for (const Words& instruction : after) {
@@ -134,7 +134,7 @@ std::pair<int, int> parameter_loads(std::span<const std::uint32_t> words) {
 TEST(SpirvParameters, AreReadWhereAModuleBegins) {
     int n_before = 0, n_later = 0;
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
-        const auto [first, later] = parameter_loads(gpu::with_parameters_first(kernel.words));
+        const auto [first, later] = parameter_loads(gpu::move_parameters_first(kernel.words));
         EXPECT_GE(first, 1) << kernel.name;
         n_before += parameter_loads(kernel.words).second;
         n_later += later;
@@ -176,13 +176,13 @@ TEST(SpirvModes, AreAcceptedBySpirvVal) {
 
 TEST(SpirvParameters, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::with_parameters_first(gpu::with_read_only_parameters(words));
+        return gpu::move_parameters_first(gpu::make_parameters_read_only(words));
     });
 }
 
 TEST(SpirvLanes, AreAcceptedBySpirvVal) {
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::with_parameters_first(gpu::with_indices_by_lane(words));
+        return gpu::move_parameters_first(gpu::with_indices_by_lane(words));
     });
 }
 
@@ -221,9 +221,9 @@ std::map<std::uint32_t, std::uint32_t> other_constants(std::span<const std::uint
 }
 
 TEST(SpirvBranches, AreAcceptedBySpirvVal) {
-    expect_valid([](std::span<const std::uint32_t> words) { return gpu::with_branches_taken(words, {}); });
+    expect_valid([](std::span<const std::uint32_t> words) { return gpu::resolve_branches(words, {}); });
     expect_valid([](std::span<const std::uint32_t> words) {
-        return gpu::with_branches_taken(words, other_constants(words));
+        return gpu::resolve_branches(words, other_constants(words));
     });
 }
 
@@ -256,7 +256,7 @@ TEST(SpirvBranches, LeaveWhatSpirvOptLeaves) {
     for (const EmbeddedKernel& kernel : embedded_kernels()) {
         const std::map<std::uint32_t, std::uint32_t> constants = other_constants(kernel.words);
         if (constants.empty()) continue;
-        const Words taken = gpu::with_branches_taken(kernel.words, constants);
+        const Words taken = gpu::resolve_branches(kernel.words, constants);
         EXPECT_TRUE(optimised(taken, constants) == optimised(kernel.words, constants)) << kernel.name;
         n_shorter += taken.size() < kernel.words.size();
     }

@@ -183,7 +183,7 @@ TEST_F(StreamHazards, ConcurrentScopesHaveOneBarrierAtTheirEnd) {
     EXPECT_GT(validation_messages(watched), 0u) << "no barrier inside the scope";
 }
 
-TEST_F(StreamHazards, StrandsHaveABarrierBehindEachOfTheirSteps) {
+TEST_F(StreamHazards, LanesHaveABarrierAfterEachStep) {
     Device& watched = *hazards;
     std::vector<Array<std::uint32_t>> arrays;
     for (int i = 0; i < 6; ++i) arrays.emplace_back(watched, 100, "test");
@@ -192,19 +192,19 @@ TEST_F(StreamHazards, StrandsHaveABarrierBehindEachOfTheirSteps) {
     };
     Stream stream(watched, true);
     {
-        Strands strands(stream, 2);
+        StreamLanes lanes(stream, 2);
         stream.fill(arrays[0], 1u);
-        strands.choose(1);
+        lanes.choose(1);
         {
             const Concurrent scope(stream);  // one step
             stream.fill(arrays[3], 2u);
             stream.fill(arrays[4], 3u);
         }
         copy(stream, 3, 5);
-        strands.choose(0);
+        lanes.choose(0);
         copy(stream, 0, 1);
         copy(stream, 1, 2);
-        strands.choose(1);
+        lanes.choose(1);
         impl_of(stream).write(arrays[3].buffer(), Words(50, 7u).data(), 200);
     }
     copy(stream, 5, 0);
@@ -220,22 +220,22 @@ TEST_F(StreamHazards, StrandsHaveABarrierBehindEachOfTheirSteps) {
             << "two side by side, one beside a write, one alone";
     }
     {
-        Strands strands(stream, 2);
+        StreamLanes lanes(stream, 2);
         stream.fill(arrays[0], 5u);
-        strands.choose(1);
-        stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other strand writes
+        lanes.choose(1);
+        stream.fill(arrays[0], 6u);  // deliberate hazard: an array that the other lane writes
     }
     stream.finish();
     EXPECT_GT(validation_messages(watched), 0u) << "no barrier between strands";
 }
 
-TEST_F(StreamTest, StrandsMayBeSubmittedBeforeTheirEnd) {
+TEST_F(StreamTest, LanesMayBeSubmittedBeforeTheirEnd) {
     const Array<std::uint32_t> a(device(), 100, "a"), b(device(), 100, "b");
     Stream stream(device());
     Readback first(device(), 400, "a"), second(device(), 400, "b");
     {
-        Strands strands(stream, 3);
-        strands.choose(2);
+        StreamLanes lanes(stream, 3);
+        lanes.choose(2);
         stream.fill(a, 1u);
         first.record(stream, a.buffer(), 400);
         stream.finish();
@@ -243,14 +243,14 @@ TEST_F(StreamTest, StrandsMayBeSubmittedBeforeTheirEnd) {
         EXPECT_EQ(static_cast<const std::uint32_t*>(first.wait(stream))[99], 1u);
         stream.fill(b, 2u);
         second.record(stream, b.buffer(), 400);
-        EXPECT_THROW(strands.choose(3), Error);
-        EXPECT_THROW(Strands(stream, 2), Error) << "within others";
+        EXPECT_THROW(lanes.choose(3), Error);
+        EXPECT_THROW(StreamLanes(stream, 2), Error) << "within others";
         const Concurrent scope(stream);
-        EXPECT_THROW(strands.choose(0), Error) << "in an open scope";
+        EXPECT_THROW(lanes.choose(0), Error) << "in an open scope";
     }
     stream.submit();
     EXPECT_EQ(static_cast<const std::uint32_t*>(second.wait(stream))[99], 2u);
-    EXPECT_THROW(Strands(stream, 0), Error);
+    EXPECT_THROW(StreamLanes(stream, 0), Error);
 }
 
 /// Launches of a kernel whose workgroups are expected to take a millisecond must be cut
@@ -273,7 +273,7 @@ TEST_F(StreamTest, LongLaunchesAreCut) {
                                                       "target");
         const shared::CopyParams params{.from = from.address(), .to = to.address(), .n = n};
         if (in_strand) {
-            Strands strands(stream, 1);
+            StreamLanes lanes(stream, 1);
             run(stream, copy, n, params);
         } else run(stream, copy, n, params);
         EXPECT_EQ(impl_of(stream).slots[impl_of(stream).current].n_buffers, in_strand ? 1u : 10u);

@@ -210,7 +210,7 @@ void add_surfel_rows(test::GradientTable& table, reference::Surfel& surfel, cons
 TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
     std::vector<reference::Surfel> surfels = some_surfels();
     const glm::vec3 view(0.3f, -0.2f, 0.1f);
-    glm::dvec3 seen_from(view);
+    glm::dvec3 track_in_frame(view);
     const std::vector<float> d_records = some_record_gradients(surfels.size());
     const std::unique_ptr<DeviceScene> placed = on_device(test::to_surfels(surfels));
     DeviceScene& scene = *placed;
@@ -232,11 +232,11 @@ TEST_P(Activate, VjpAgreesWithDifferencesOfReference) {
         test::GradientTable table;
         for (std::size_t i = 0; i < surfels.size(); ++i) {
             const auto terms = [&] {
-                std::vector<double> sum = record_of(in_scene(surfels[i], i), seen_from, degree);
+                std::vector<double> sum = record_of(in_scene(surfels[i], i), track_in_frame, degree);
                 for (std::size_t k = 0; k < 16; ++k) sum[k] *= d_records[16 * i + k];
                 return sum;
             };
-            table.add_row("view origin", test::central_differences(&seen_from.x, 3, terms),
+            table.add_row("view origin", test::central_differences(&track_in_frame.x, 3, terms),
                           std::vector<double>(views.data() + 3 * i, views.data() + 3 * i + 3));
             add_surfel_rows(table, surfels[i], actual, i, degree, bends(), terms);
         }

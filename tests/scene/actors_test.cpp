@@ -111,7 +111,7 @@ TEST(Actors, AreChosenByClassOrTrack) {
         << "the cars' points are in it";
 }
 
-TEST(Actors, WhatIsNoActorIsMaskedOrOfTheBackground) {
+TEST(Actors, OtherBoxesAreMaskedOrPartOfTheBackground) {
     Sequence street = make_synthetic_street(street_options());
     ASSERT_EQ(street.boxes.size(), 2u);
     street.boxes[0].category = "Pedestrian";
@@ -126,7 +126,7 @@ TEST(Actors, WhatIsNoActorIsMaskedOrOfTheBackground) {
     ASSERT_EQ(kept.instances.size(), 2u) << "the actor stays one";
     EXPECT_EQ(kept.instances[1].track, "0");
     EXPECT_TRUE(masked_boxes(kept, street, options).empty());
-    EXPECT_TRUE(unwanted_boxes(street, options).empty());
+    EXPECT_TRUE(unselected_boxes(street, options).empty());
     EXPECT_GT(kept.models[0].count, masked.models[0].count + 100)
         << "the other car's points are in the background";
 }

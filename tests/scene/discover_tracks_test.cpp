@@ -30,7 +30,7 @@ Street street_without_labels() {
 
 /// Returns the discovered track that lies inside a true box in the middle of their common
 /// time.
-const BoxTrack* found_in(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
+const BoxTrack* fingerprint_of(const std::vector<BoxTrack>& found, const BoxTrack& truth) {
     for (const BoxTrack& track : found) {
         const double from =
             std::max(track.world_from_box.time_s.front(), truth.world_from_box.time_s.front());
@@ -48,7 +48,7 @@ TEST(DiscoverTracks, FindsEveryCarAndNothingElse) {
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
     EXPECT_EQ(found.size(), street.truth.size());
     for (const BoxTrack& truth : street.truth) {
-        const BoxTrack* track = found_in(found, truth);
+        const BoxTrack* track = fingerprint_of(found, truth);
         ASSERT_NE(track, nullptr) << "box " << truth.id;
         EXPECT_EQ(track->category, kDiscoveredCategory);
         EXPECT_GE(track->world_from_box.time_s.size(), 6u);
@@ -140,7 +140,7 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
     }
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
     EXPECT_EQ(found.size(), street.truth.size());
-    const BoxTrack* track = found_in(found, truth);
+    const BoxTrack* track = fingerprint_of(found, truth);
     ASSERT_NE(track, nullptr);
     EXPECT_LT(track->world_from_box.time_s.front(), street.log.frames[4].time_s);
     EXPECT_GT(track->world_from_box.time_s.back(), street.log.frames[18].time_s);
@@ -150,7 +150,8 @@ TEST(DiscoverTracks, JoinsPartsAroundAGap) {
 TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
     const Street street = street_without_labels();
     const std::vector<BoxTrack> found = discover_tracks(street.log, street.split.train);
-    const BoxTrack *ahead = found_in(found, street.truth[0]), *oncoming = found_in(found, street.truth[1]);
+    const BoxTrack *ahead = fingerprint_of(found, street.truth[0]),
+                   *oncoming = fingerprint_of(found, street.truth[1]);
     ASSERT_TRUE(ahead && oncoming);
     EXPECT_EQ(ahead->size_guess, "car");
     EXPECT_NEAR(ahead->size_m.x, street.truth[0].size_m.x, 0.5);
@@ -166,14 +167,14 @@ TEST(DiscoverTracks, GuessesTheLengthOfWhatShowsItsRearAlone) {
 
 /// Uses a second LiDAR that sees little, and one that sees the same.
 TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
-    for (const bool first_sees_all : {false, true}) {
+    for (const bool first_frame_is_complete : {false, true}) {
         Street street = street_without_labels();
         std::vector<Frame> frames;
         for (const Frame& frame : street.log.frames)
             for (const int lidar : {0, 1}) {
                 frames.push_back(frame);
                 frames.back().lidar = lidar;
-                if (lidar == 1 || first_sees_all) continue;
+                if (lidar == 1 || first_frame_is_complete) continue;
                 for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i)
                     if (frame.scan.rays.direction[i].x < 0.98f)
                         frames.back().scan.range_m[i] = frames.back().scan.intensity[i] = 0.0f;
@@ -183,9 +184,9 @@ TEST(DiscoverTracks, FindsWhatAnyLidarOfARigSees) {
         street.log.frames = std::move(frames);
         check_sequence(street.log);
         const std::vector<BoxTrack> found = discover_tracks(street.log, split_frames(street.log, 10).train);
-        EXPECT_EQ(found.size(), street.truth.size()) << first_sees_all;
+        EXPECT_EQ(found.size(), street.truth.size()) << first_frame_is_complete;
         for (const BoxTrack& truth : street.truth)
-            EXPECT_NE(found_in(found, truth), nullptr) << "box " << truth.id;
+            EXPECT_NE(fingerprint_of(found, truth), nullptr) << "box " << truth.id;
     }
 }
 

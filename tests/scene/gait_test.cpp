@@ -28,13 +28,13 @@ PoseTrack straight_walk(double speed_mps, double jitter_m, double from_s = 0.0) 
     return track;
 }
 
-TEST(WalkedWay, IsTheWayAndNotTheJitterOfLabels) {
-    const WalkedWay exact(straight_walk(1.4, 0.0));
+TEST(WalkedDistance, IsTheWayAndNotTheJitterOfLabels) {
+    const WalkedDistance exact(straight_walk(1.4, 0.0));
     for (const double t : {0.0, 0.33, 2.0, 5.0, 6.0}) EXPECT_NEAR(exact.at(t), 1.4 * t, 1e-9) << t;
-    const WalkedWay labelled(straight_walk(1.4, 0.03));
+    const WalkedDistance labelled(straight_walk(1.4, 0.03));
     EXPECT_NEAR(labelled.at(4.5) - labelled.at(0.5), 1.4 * 4.0, 0.15);
-    EXPECT_LT(WalkedWay(straight_walk(0.0, 0.03)).at(5.0), 0.2) << "it stands";
-    EXPECT_EQ(WalkedWay(PoseTrack{{0.0}, {Pose{}}}).at(3.0), 0.0);
+    EXPECT_LT(WalkedDistance(straight_walk(0.0, 0.03)).at(5.0), 0.2) << "it stands";
+    EXPECT_EQ(WalkedDistance(PoseTrack{{0.0}, {Pose{}}}).at(3.0), 0.0);
 }
 
 /// Makes three walkers whose legs and arms swing once in 1.2527 m (legs of 0.72 m, 0.45

@@ -7,7 +7,7 @@
 #include "gpu/forced.hpp"
 
 #include "../base/codecs/temporary_folder.hpp"
-#include "asset_shelf.hpp"
+#include "asset_catalogue.hpp"
 #include "scenes.hpp"
 #include "small_service.hpp"
 
@@ -19,7 +19,7 @@ using testing::HasSubstr;
 class Scenes : public ServiceTest {
 protected:
     std::vector<SceneSource> sources;
-    const AssetShelf no_assets{{}};
+    const AssetCatalogue no_assets{{}};
     const ScanRequest request{0.5, {{0.5}, {at_x(1.0)}}};
 
     void SetUp() override {
@@ -72,12 +72,12 @@ TEST_F(Scenes, ThatWereLoadedAnewInBetweenAreTold) {
     const auto nothing = [](ScanRenderer&) {};
     const auto fails = [](ScanRenderer&) { throw DeviceError("planted"); };
     const SceneSet::Load first = scenes.use(0, {}, nothing);
-    EXPECT_NO_THROW(scenes.use_again(0, first, nothing));
+    EXPECT_NO_THROW(scenes.reuse_scene(0, first, nothing));
     EXPECT_THROW(scenes.use(0, {}, fails), DeviceError);
-    EXPECT_THROW(scenes.use_again(0, first, nothing), DeviceError) << "nothing there";
+    EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "nothing there";
     const SceneSet::Load second = scenes.use(0, {}, nothing);
-    EXPECT_THROW(scenes.use_again(0, first, nothing), DeviceError) << "another one";
-    EXPECT_NO_THROW(scenes.use_again(0, second, nothing));
+    EXPECT_THROW(scenes.reuse_scene(0, first, nothing), DeviceError) << "another one";
+    EXPECT_NO_THROW(scenes.reuse_scene(0, second, nothing));
 }
 
 /// Copies of a scene for parallel scans must count towards its memory.

@@ -101,12 +101,13 @@ TEST_F(Sensorsim, PointsLieOnTheWallSeenFromTheEndOfTheSpin) {
 /// Returns the angle in radians between a beam and a point on the wall, assuming that the
 /// beam fired it. The head turns at constant speed and looks back at the start and at the
 /// end of the frame. The position of the sensor follows from the azimuth.
-double off_beam(const Beam& beam, const glm::dvec3& on_wall, double way_m) {
-    double at_x_m = 0.5 * way_m, elevation = 0.0;
+double off_beam(const Beam& beam, const glm::dvec3& on_wall, double driven_length_m) {
+    double at_x_m = 0.5 * driven_length_m, elevation = 0.0;
     for (int round = 0; round < 8; ++round) {
         const double ahead_m = on_wall.x - at_x_m;
         elevation = std::atan2(on_wall.z, std::hypot(ahead_m, on_wall.y));
-        at_x_m = (kPi - (std::atan2(on_wall.y, ahead_m) - beam.azimuth_offset_rad)) / (2.0 * kPi) * way_m;
+        at_x_m = (kPi - (std::atan2(on_wall.y, ahead_m) - beam.azimuth_offset_rad)) / (2.0 * kPi) *
+                 driven_length_m;
     }
     return std::abs(elevation - beam.elevation_rad);
 }

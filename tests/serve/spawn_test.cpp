@@ -11,7 +11,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "../base/codecs/temporary_folder.hpp"
-#include "asset_shelf.hpp"
+#include "asset_catalogue.hpp"
 #include "refusal.hpp"
 #include "scenes.hpp"
 #include "small_service.hpp"
@@ -268,11 +268,11 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
     const std::vector<SceneSource> sources{{"small", folder / "small"}};
     const ScanRequest request{0.5, {{0.5}, {at_x(1.0)}}};
     {
-        const AssetShelf none({});
+        const AssetCatalogue none({});
         SceneSet one(device(), sources, std::uint64_t(1) << 40, none);
         budget = 2 * (device().allocated_bytes() - before);
     }
-    const AssetShelf shelf({(folder / "more").string()});
+    const AssetCatalogue shelf({(folder / "more").string()});
     SceneSet scenes(device(), sources, before + budget, shelf);
     const SensorChoice sensor = configured_sensor(scenes.outlines()[0].config, scenes.outlines()[0].sequence);
     const auto ranges = [&] {
@@ -282,7 +282,7 @@ TEST_F(Spawn, WhatDoesNotFitIntoMemoryIsRefusedAndTheSceneIsAsBefore) {
         return range_m;
     };
     const std::vector<float> truth = ranges();
-    const auto refused = [&](const SpawnWish& wish) {
+    const auto refused = [&](const SpawnRequest& wish) {
         try {
             scenes.spawn(0, {wish});
         } catch (const Refusal& refusal) {
@@ -311,7 +311,7 @@ TEST(SpawnedPlaces, AreMadeInGrowingNumbersAndUsedAgain) {
     EXPECT_THAT(sizes,
                 ElementsAre(1u, 2u, 4u, 4u, 8u, 8u, 8u, 8u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 16u, 24u));
     EXPECT_EQ(actors.count_places(0), 0u) << "of another scene";
-    actors.give_back(1, {"1", "3"});
+    actors.release(1, {"1", "3"});
     EXPECT_EQ(actors.take(1, {{"v", van}})[0].position, 24u) << "a place keeps its source";
     EXPECT_EQ(actors.take(1, {{"c", car}})[0].position, 1u);
 }
@@ -327,10 +327,10 @@ TEST_F(Spawn, ADamagedAssetIsToldToWhoPlacesIt) {
 TEST_F(Spawn, AnAssetsNameIsGivenOnce) {
     save_asset(plate_asset("van-1"), folder / "others" / "van-1");
     const std::string message = error_message<UsageError>([&] {
-        AssetShelf({(folder / "assets").string(), (folder / "others").string()});
+        AssetCatalogue({(folder / "assets").string(), (folder / "others").string()});
     });
     EXPECT_THAT(message, HasSubstr("found van-1 also in"));
-    EXPECT_THAT(data_error([&] { AssetShelf({folder.string() + "/nowhere"}); }), HasSubstr("nowhere"));
+    EXPECT_THAT(data_error([&] { AssetCatalogue({folder.string() + "/nowhere"}); }), HasSubstr("nowhere"));
 }
 
 }  // namespace

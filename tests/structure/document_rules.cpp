@@ -149,7 +149,7 @@ Names matches_in(const SourceTree& tree, const std::string& prefix, const std::r
     return found;
 }
 
-Known names_of(const SourceTree& tree) {
+Known collect_names(const SourceTree& tree) {
     Known known{tree, {}, {}, {}, {}, {}};
     for (const auto& [path, file] : tree) {
         for (fs::path parent = fs::path(path).parent_path(); !parent.empty(); parent = parent.parent_path())
@@ -416,7 +416,7 @@ void check_comments(const Known& known, const SourceFile& file, Violations& viol
 }  // namespace
 
 Violations check_documents(const SourceTree& tree) {
-    const Known known = names_of(tree);
+    const Known known = collect_names(tree);
     std::map<std::string, Document> documents;
     Violations violations;
     for (const auto& [path, file] : tree) {

@@ -25,7 +25,7 @@ bool is_comment(const std::string& line) {
 
 /// Returns true if a function needs no comment: operators, constructors, accessors
 /// without arguments, members defined in one line, and deleted functions.
-bool explains_itself(const Function& function) {
+bool has_comment(const Function& function) {
     if (function.name.starts_with("operator") || function.name.starts_with("~") ||
         function.header.ends_with("= delete") || function.header.ends_with("= default")) {
         return true;
@@ -49,7 +49,7 @@ void check_face(const SourceFile& file, Violations& violations) {
         const bool below_comment = function.first_line > 1 &&
                                    is_comment(file.lines[static_cast<std::size_t>(function.first_line) - 2]);
         const bool in_run = ends_of_explained.contains(function.first_line - 1);
-        if (below_comment || in_run || explains_itself(function) || has_trailing_comment(file, function)) {
+        if (below_comment || in_run || has_comment(function) || has_trailing_comment(file, function)) {
             ends_of_explained.insert(function.last_line);
         } else {
             violations.push_back(at(file.path, static_cast<std::size_t>(function.first_line)) +

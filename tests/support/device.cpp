@@ -13,7 +13,7 @@ namespace relidar::test {
 
 namespace {
 
-Traversal wanted_traversal() {
+Traversal traversal_from_environment() {
     const char* text = std::getenv("RELIDAR_TEST_TRAVERSAL");
     const std::string name = text ? text : "";
     if (name == "ray_query") return Traversal::ray_query;
@@ -38,7 +38,7 @@ public:
 private:
     void open() {
         try {
-            device_ = std::make_unique<Device>(from_environment({.traversal = wanted_traversal()}));
+            device_ = std::make_unique<Device>(from_environment({.traversal = traversal_from_environment()}));
         } catch (const Error& error) {
             failure_ = error.what();
         }

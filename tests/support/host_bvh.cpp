@@ -48,7 +48,7 @@ private:
         return box;
     }
 
-    Indices take_half(Indices& primitives) const {
+    Indices split_half(Indices& primitives) const {
         Box centres;
         for (const std::uint32_t p : primitives)
             centres.grow({boxes_[p].low + boxes_[p].high, boxes_[p].low + boxes_[p].high});
@@ -70,7 +70,7 @@ private:
                 std::max_element(parts.begin(), parts.end(),
                                  [](const Indices& a, const Indices& b) { return a.size() < b.size(); });
             if (largest->size() <= RELIDAR_BVH_LEAF_SIZE) break;
-            Indices half = take_half(*largest);
+            Indices half = split_half(*largest);
             parts.push_back(std::move(half));
         }
         return parts;

@@ -92,12 +92,12 @@ TEST_F(KeptHits, ChangeNothingOfWhatIsLearnt) {
 }
 
 TEST(KeptHitsWanted, TwiceAsManyWhileAnyRayHasMore) {
-    EXPECT_EQ(kept_hits_wanted(64, 0), 64u);
-    EXPECT_EQ(kept_hits_wanted(64, 1), 128u);
-    EXPECT_EQ(kept_hits_wanted(128, 1000), 256u);
-    EXPECT_EQ(kept_hits_wanted(256, 1000), 256u) << "bounded";
-    EXPECT_EQ(kept_hits_wanted(1000, 1000), 1000u) << "as asked for";
-    EXPECT_EQ(kept_hits_wanted(0, 1000), 0u) << "the paper's way";
+    EXPECT_EQ(recommended_kept_hits(64, 0), 64u);
+    EXPECT_EQ(recommended_kept_hits(64, 1), 128u);
+    EXPECT_EQ(recommended_kept_hits(128, 1000), 256u);
+    EXPECT_EQ(recommended_kept_hits(256, 1000), 256u) << "bounded";
+    EXPECT_EQ(recommended_kept_hits(1000, 1000), 1000u) << "as asked for";
+    EXPECT_EQ(recommended_kept_hits(0, 1000), 0u) << "the paper's way";
 }
 
 }  // namespace

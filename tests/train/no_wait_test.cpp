@@ -50,7 +50,7 @@ TEST_F(NoWait, NorAllocationInAnIteration) {
         iterate(13, 150);  // includes log lines, a full report, and checks of the tree
         EXPECT_EQ(d.n_full_waits, waits);
         EXPECT_EQ(d.n_buffers, buffers);
-        EXPECT_EQ(loop.take_lines().size(), 10u);
+        EXPECT_EQ(loop.collect_lines().size(), 10u);
         loop.finish();
         EXPECT_GT(d.n_full_waits, waits) << "waits are counted";
     }

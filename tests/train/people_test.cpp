@@ -80,7 +80,7 @@ TEST_F(People, ReturnOnHeldOutFramesAsOftenAsTheyDid) {
     }
 }
 
-TEST_F(People, WhoAreMaskedAreTold) {
+TEST_F(People, MaskedBoxesAreReported) {
     const Sequence street =
         make_synthetic_street({.n_frames = 12, .rows = 16, .columns = 256, .people = true});
     Config config = make_preset("quick");

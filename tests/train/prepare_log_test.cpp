@@ -113,8 +113,9 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
     config.train.refine_poses = "sensor";
     config.init.unlabelled_movers = UnlabelledMovers::actors, config.sensor.calibrate = "range,intensity";
     Sequence alone = given;
-    std::vector<std::string> told_alone;
-    prepare_log(alone, split, config, {[&](const std::string& line) { told_alone.push_back(line); }, {}, {}});
+    std::vector<std::string> separate_notes;
+    prepare_log(alone, split, config,
+                {[&](const std::string& line) { separate_notes.push_back(line); }, {}, {}});
     ASSERT_FALSE(alone.boxes.empty()) << "no mover is discovered";
     ASSERT_NE(alone.lidars[0].sensor.beams[0].range_offset_m, 0.0) << "no beam is calibrated";
     ASSERT_NE(numbers(alone.world_from_vehicle.pose[50]), numbers(given.world_from_vehicle.pose[50]))
@@ -132,7 +133,7 @@ TEST(PrepareLog, AGroupFindsWhatOneProcessFinds) {
         });
     for (std::thread& process : processes) process.join();
     for (const Sequence& log : logs) expect_same(log, alone);
-    EXPECT_EQ(told[0], told_alone);
+    EXPECT_EQ(told[0], separate_notes);
     for (int rank = 1; rank < kSize; ++rank)
         EXPECT_TRUE(told[std::size_t(rank)].empty()) << "the first one tells";
     for (const std::size_t bytes : group.shared_bytes()) EXPECT_GT(bytes, 1000u) << "a process did nothing";

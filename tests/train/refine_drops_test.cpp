@@ -165,7 +165,7 @@ TEST_F(RefineDrops, ANetworkOfCellsRefinesImagesOfTheirGridAlone) {
                        native = choose_sensor("native", run.config, run.sequence);
     EXPECT_TRUE(renderer.refines(grid));
     EXPECT_FALSE(renderer.refines(native));
-    renderer.want_channels("surfel_drop_prob");
+    renderer.enable_channels("surfel_drop_prob");
     const RenderedScan refined = renderer.render(grid, 0.5);
     renderer.refine_drops({});
     EXPECT_FALSE(renderer.refines(grid));
@@ -247,7 +247,7 @@ TEST_F(RefineDrops, ACheckpointOfSomethingElseIsRefusedByName) {
         message(other),
         "2 cannot resume the ray-drop network from step 2: setting refine.rate: found 0.5, expected 0.01 as "
         "in the checkpoint");
-    take_refine_settings(checkpoint, other.config);
+    restore_refine_settings(checkpoint, other.config);
     EXPECT_EQ(other.config.refine.rate, run.config.refine.rate);
     other.config.train.log_every = 7, other.config.train.checkpoint_minutes = 3.0,
     other.config.refine.enabled = false;

@@ -38,13 +38,14 @@ void add(Score& score, const RenderedScan& scan, const Scan& truth) {
         if (returns && truth.range_m[i] > 0.0f)
             score.errors_m.push_back(std::abs(double(range_m[i]) - double(truth.range_m[i])));
         if (truth.second_returns.empty()) continue;
-        const float is_m = truth.second_returns[0].range_m[i], found_m = scan.second_returns[0].range_m[i];
-        const bool right = is_m > 0.0f && found_m > 0.0f &&
-                           std::min(std::abs(found_m - is_m), std::abs(found_m - truth.range_m[i])) < 0.3f;
+        const float is_m = truth.second_returns[0].range_m[i], reported_m = scan.second_returns[0].range_m[i];
+        const bool right =
+            is_m > 0.0f && reported_m > 0.0f &&
+            std::min(std::abs(reported_m - is_m), std::abs(reported_m - truth.range_m[i])) < 0.3f;
         score.seconds += is_m > 0.0f;
-        score.reported += found_m > 0.0f;
+        score.reported += reported_m > 0.0f;
         score.found += right;
-        score.invented += found_m > 0.0f && !right;
+        score.invented += reported_m > 0.0f && !right;
     }
 }
 

@@ -117,7 +117,7 @@ TEST_F(TrainActors, CloseUpBeforeTheJoinedBackgroundWhichStays) {
 }
 
 TEST_F(TrainActors, LeaveABackgroundInMemoryAsItIs) {
-    run.scene = whole_scene(run.scene);
+    run.scene = load_all_blocks(run.scene);
     const Scene was = run.scene;
     const std::size_t n = was.models[0].count;
     ASSERT_GT(n, 1000u);

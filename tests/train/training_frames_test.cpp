@@ -92,11 +92,11 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
     Sequence log = street(5);
     // a smaller scan
     log.frames[3].scan = make_synthetic_street({.n_frames = 5, .rows = 4, .columns = 50}).frames[3].scan;
-    for (const auto& [stay_bytes, n_staying] :
+    for (const auto& [resident_bytes, n_resident] :
          {std::pair(std::uint64_t(0), 0u), {2 * bytes_of_frame(log), 2u}, {kAll, 5u}}) {
         TrainingFrames frames(device(), log, positions(log),
-                              {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
-        EXPECT_EQ(frames.n_staying(), n_staying);
+                              {.unknown = {}, .moves_rays = true, .resident_bytes = resident_bytes});
+        EXPECT_EQ(frames.n_resident(), n_resident);
         Stream stream(device());
         Random random(1);
         std::size_t next = 0;
@@ -120,7 +120,7 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
                 ASSERT_TRUE(measured[i].range_m == targets[i].range_m &&
                             measured[i].weight == targets[i].weight)
                     << turn << ", ray " << i;
-                const TrackPlace place =
+                const TrackPosition place =
                     log.world_from_vehicle.place(sweep.time_s + double(sweep.scan.rays.time_offset_s[i]));
                 ASSERT_EQ(frame.first_knot + places[i].left, place.left) << "turn " << turn << ", ray " << i;
                 ASSERT_LT(places[i].left + 1, frame.n_knots + (frame.n_knots == 1))
@@ -136,11 +136,11 @@ TEST_F(FramesInTurn, AreThoseOfTheLog) {
 }
 
 TEST_F(FramesInTurn, TakeNoMoreMemoryForALongerLog) {
-    const auto bytes = [&](int n_frames, std::uint64_t stay_bytes) {
+    const auto bytes = [&](int n_frames, std::uint64_t resident_bytes) {
         const Sequence log = street(n_frames);
         const std::uint64_t before = device().allocated_bytes();
         const TrainingFrames frames(device(), log, positions(log),
-                                    {.unknown = {}, .moves_rays = true, .stay_bytes = stay_bytes});
+                                    {.unknown = {}, .moves_rays = true, .resident_bytes = resident_bytes});
         return device().allocated_bytes() - before;
     };
     EXPECT_EQ(bytes(4, 0), bytes(12, 0));
@@ -175,11 +175,11 @@ TEST_F(FramesInTurn, TrainTheSameSceneBitByBit) {
         const TrainSession session{{}, nullptr, {}, [&](const std::string& note) { notes.push_back(note); }};
         TrainResult result = train(
             device(), log, split_frames(log, 0), config, [](const TrainProgress&) { return true; }, session);
-        const auto n_told =
+        const auto n_reported =
             std::count(notes.begin(), notes.end(),
                        "0 of 8 training frames fit into the device memory for frames "
                        "(train.frame_memory_mib=0); the others are uploaded whenever a step uses them");
-        EXPECT_EQ(n_told, frame_memory_mib > 0 ? 0 : 1);
+        EXPECT_EQ(n_reported, frame_memory_mib > 0 ? 0 : 1);
         return result;
     };
     for (const char* batch : {"rays", "columns"}) {

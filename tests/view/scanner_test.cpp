@@ -110,7 +110,7 @@ private:
 };
 
 TEST_F(LiveScan, IsWhatTheRendererGives) {
-    ScanWish wish;
+    LiveScanRequest wish;
     wish.time_s = 0.23;  // between frames
     wish.sensor_offset = {rotation_of(0.3, 0.0, 0.0), {1.0, 2.0, 0.5}};
     const Read live(scanner().scan(tab, wish));
@@ -132,8 +132,8 @@ TEST_F(LiveScan, ShowsAsManyReturnsAsTheScanHasPoints) {
     EXPECT_EQ(std::size_t(std::ranges::count_if(drop, [](std::uint8_t d) { return d < 128; })), n);
 }
 
-TEST_F(LiveScan, HasTheWeatherOfEachWish) {
-    ScanWish wish;
+TEST_F(LiveScan, HasTheWeatherOfEachRequest) {
+    LiveScanRequest wish;
     for (const Weather& weather : {Weather{.fog_visibility_m = 30.0}, Weather{.snow_mm_h = 5.0}, Weather{}}) {
         wish.weather = weather;
         const Read live(scanner().scan(tab, wish));
@@ -151,7 +151,7 @@ TEST_F(LiveScan, HasTheWeatherOfEachWish) {
 TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
     ASSERT_EQ(run().scene.instances.size(), 3u);
     const std::string first = run().scene.instances[1].track, second = run().scene.instances[2].track;
-    ScanWish wish;
+    LiveScanRequest wish;
     wish.time_s = 0.2;
     wish.edits.moves[first] = {1.0, -2.0, 0.0, 15.0};
     wish.edits.removed = {second};
@@ -169,7 +169,7 @@ TEST_F(LiveScan, ShowsEditsAsAnEditedRunDoes) {
 
 TEST_F(LiveScan, ShowsActorsOfOtherRuns) {
     const std::string first = run().scene.instances[1].track;
-    ScanWish wish;
+    LiveScanRequest wish;
     wish.edits.copies = {{first, "", {5.0, 3.0, -0.9, 45.0, 0.0, 0.0, 2.0}},
                          {first, "other", {8.0, -3.0, -0.9, 0.0, 0.0, 0.0, 0.0}}};
     const relidar::Run edited = edited_run(run(), scanner().others(), wish.edits);
@@ -199,7 +199,7 @@ TEST_F(LiveScan, PutsCopiesOnTheGround) {
 }
 
 TEST_F(LiveScan, HidesWithoutAnEdit) {
-    ScanWish wish;
+    LiveScanRequest wish;
     wish.edits.hidden = {run().scene.instances[1].track, run().scene.instances[2].track};
     EXPECT_TRUE(edited_run(run(), scanner().others(), wish.edits).edits.empty());
     const std::vector<std::uint16_t> instance =
@@ -208,7 +208,7 @@ TEST_F(LiveScan, HidesWithoutAnEdit) {
 }
 
 TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
-    ScanWish wish;
+    LiveScanRequest wish;
     const Json here = Read(scanner().scan(tab, wish)).header;
     EXPECT_LT(here["unseen"].get<double>(), 0.1);
     EXPECT_FALSE(here["much_unseen"].get<bool>());
@@ -219,7 +219,7 @@ TEST_F(LiveScan, SaysHowMuchTheLogHasSeen) {
 }
 
 TEST_F(LiveScan, RefusesWhatIsNotThere) {
-    ScanWish wish;
+    LiveScanRequest wish;
     wish.sensor = "/etc/passwd";
     EXPECT_THROW(scanner().scan(tab, wish), UsageError);
     wish.sensor = "file";

@@ -62,14 +62,14 @@ Returns returns_of(const Scan& scan) {
 /// @param truth exact scan. Its second returns have at least a tenth of the light of a
 /// beam.
 void add_seconds(Score& score, const Returns& scan, const Returns& truth, std::size_t i) {
-    const float is_m = truth.second_m[i], found_m = scan.second_m[i];
+    const float is_m = truth.second_m[i], reported_m = scan.second_m[i];
     const bool right =
-        is_m > 0.0f && found_m > 0.0f &&
-        std::min(std::abs(found_m - is_m), std::abs(found_m - truth.range_m[i])) < kOnSurface_m;
+        is_m > 0.0f && reported_m > 0.0f &&
+        std::min(std::abs(reported_m - is_m), std::abs(reported_m - truth.range_m[i])) < kOnSurface_m;
     score.seconds += is_m > 0.0f;
-    score.reported += found_m > 0.0f;
+    score.reported += reported_m > 0.0f;
     score.found += right;
-    score.invented += found_m > 0.0f && !right;
+    score.invented += reported_m > 0.0f && !right;
 }
 
 void add(Score& score, const Returns& scan, const Returns& truth) {

@@ -52,8 +52,8 @@ int main(int argc, char** argv) try {
                  {{t, t + kStep_s}, {ahead(actor_m, -1.0), ahead(actor_m + actor_mps * kStep_s, -1.0)}}}}};
         // The points are in the sensor frame at time t. A program that does other work in
         // between can request the next scan here.
-        renderer.ask_points(sensor, request, t);
-        const double gap_m = gap_ahead(renderer.take_points().points);
+        renderer.submit_points(sensor, request, t);
+        const double gap_m = gap_ahead(renderer.wait_for_points().points);
         if (gap_m < 6.0 + ego_mps * ego_mps / (2.0 * kEgoBrakes_mps2) * 1.3)
             ego_mps = std::max(0.0, ego_mps - kEgoBrakes_mps2 * kStep_s);
         if (t > 2.0) actor_mps = std::max(0.0, actor_mps - kActorBrakes_mps2 * kStep_s);

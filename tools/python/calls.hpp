@@ -24,7 +24,7 @@ using Tell = std::optional<std::function<void(const std::string&, double)>>;
 /// Converts a Python callback to a Progress of the library. If the callback raises an
 /// exception, the work of the library is aborted immediately. Ctrl-C has the same effect.
 /// Use it only for work that may be aborted at any point.
-inline Progress told_to(const Tell& tell) {
+inline Progress collect_into(const Tell& tell) {
     return [&tell](std::string_view what, double done) {
         const py::gil_scoped_acquire interpreter;
         if (PyErr_CheckSignals() != 0) throw py::error_already_set();
@@ -56,7 +56,7 @@ public:
     bool go_on() {
         return (*this)([] {});
     }
-    void raise_again() const {
+    void rethrow() const {
         if (failure_) std::rethrow_exception(failure_);
     }
 

@@ -41,7 +41,7 @@ py::dict evaluate_run(LoadedRun& run, const Log* log, const std::optional<std::s
     if (baseline) (void)find_baseline(*baseline);
     if (run.run.split.test.empty())
         throw DataError(run.run.folder.string() + ": the run has no held-out frames, expected at least one");
-    const Progress progress = told_to(tell);
+    const Progress progress = collect_into(tell);
     Sequence read;
     if (!log) {
         const py::gil_scoped_release others_run;

@@ -41,7 +41,7 @@ Pose rigid_pose(const double* m, const std::string& what) {
     return {glm::normalize(glm::quat_cast(rotation)), {m[3], m[7], m[11]}};
 }
 
-void put_matrix(const Pose& pose, double* out) {
+void write_matrix(const Pose& pose, double* out) {
     const glm::dmat4 columns = to_matrix(pose);
     for (int row = 0; row < 4; ++row)
         for (int column = 0; column < 4; ++column) *out++ = columns[column][row];
@@ -78,14 +78,14 @@ PoseTrack track_of(const py::handle& object, const std::string& what, double tim
 
 py::array to_matrix_array(const Pose& pose) {
     std::vector<double> numbers(16);
-    put_matrix(pose, numbers.data());
+    write_matrix(pose, numbers.data());
     return owned<double>(std::move(numbers), {4, 4});
 }
 
 py::tuple to_track(const PoseTrack& track, const glm::dvec3& offset_m) {
     std::vector<double> numbers(16 * track.pose.size());
     for (std::size_t i = 0; i < track.pose.size(); ++i)
-        put_matrix({track.pose[i].rotation, track.pose[i].translation + offset_m}, numbers.data() + 16 * i);
+        write_matrix({track.pose[i].rotation, track.pose[i].translation + offset_m}, numbers.data() + 16 * i);
     const auto n = static_cast<py::ssize_t>(track.pose.size());
     return py::make_tuple(owned<double>(std::vector<double>(track.time_s), {n}),
                           owned<double>(std::move(numbers), {n, 4, 4}));

@@ -51,12 +51,12 @@ PoseTrack log_track(const Sequence& sequence, int lidar) {
 
 /// Checks that a time is on a track or near its ends. Moving objects would be
 /// extrapolated at other times.
-/// @throws UsageError if the time is more than `beside_s` before or after the track
-void check_covered(const PoseTrack& track, double time_s, double beside_s, const std::string& what) {
+/// @throws UsageError if the time is more than `tolerance_s` before or after the track
+void check_covered(const PoseTrack& track, double time_s, double tolerance_s, const std::string& what) {
     // A single pose is valid at all times. A time that is not finite is rejected later by
     // the library.
     if (track.pose.size() < 2 || !std::isfinite(time_s)) return;
-    const double begin_s = track.time_s.front() - beside_s, end_s = track.time_s.back() + beside_s;
+    const double begin_s = track.time_s.front() - tolerance_s, end_s = track.time_s.back() + tolerance_s;
     if (time_s < begin_s || time_s > end_s)
         throw UsageError(
             fmt::format("{}: found {} s, expected seconds from {} to {}", what, time_s, begin_s, end_s));
@@ -137,7 +137,7 @@ std::unique_ptr<LoadedRun> with_surfels(const LoadedRun& loaded, const py::dict&
     auto changed = std::make_unique<LoadedRun>(loaded.run, loaded.device);
     Surfels surfels = surfels_of(arrays);
     Scene& scene = changed->run.scene;
-    scene = whole_scene(scene);
+    scene = load_all_blocks(scene);
     if (surfels.size() != scene.surfels.size() || surfels.primitive != scene.surfels.primitive)
         throw DataError(fmt::format(
             "with_surfels: found {} surfels, expected {} surfels of the same primitive as in the run",
@@ -191,7 +191,7 @@ constexpr const char* kHelpAfterWeather =
 /// the text.
 std::string render_help() {
     return fmt::format("{}{}; drawn by `sample`, 0 without;\n    adds `source` [rows,columns] int32: {}{}",
-                       kHelpBeforeWeather, weather_help(), wanted_channels("source").front().meaning,
+                       kHelpBeforeWeather, weather_help(), parse_channels("source").front().meaning,
                        kHelpAfterWeather);
 }
 
@@ -249,10 +249,11 @@ void add_properties(py::class_<LoadedRun>& type) {
         .def_property_readonly(
             "config", [](const LoadedRun& run) { return run.run.config; }, "A copy of the settings.")
         .def_property_readonly(
-            "scene", [](const LoadedRun& run) { return std::make_shared<Scene>(whole_scene(run.run.scene)); },
+            "scene",
+            [](const LoadedRun& run) { return std::make_shared<Scene>(load_all_blocks(run.run.scene)); },
             "A copy of the scene.")
         .def_property_readonly(
-            "surfels", [](const LoadedRun& run) { return to_dict(whole_scene(run.run.scene).surfels); },
+            "surfels", [](const LoadedRun& run) { return to_dict(load_all_blocks(run.run.scene).surfels); },
             "A copy of the surfels as a dict of float32 arrays that relidar.Scene accepts.")
         .def_property_readonly(
             "times", [](const LoadedRun& run) { return times_of(run.run.sequence); },

@@ -28,7 +28,7 @@ Log load(const std::string& dataset, const std::optional<Config>& config, const 
     Log log{{}, config.value_or(make_preset("default"))};
     log.config.dataset.path = absolute_dataset(dataset);
     const py::gil_scoped_release others_run;
-    log.sequence = load_log(log.config, told_to(progress));
+    log.sequence = load_log(log.config, collect_into(progress));
     log.config = with_farthest(std::move(log.config), log.sequence);
     return log;
 }

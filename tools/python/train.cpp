@@ -78,14 +78,14 @@ TrainResult trained(OpenDevice& open, Run& run, const TrainArguments& asked, Pyt
 void placed(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     place_held_out(open.device, run, {{}, [&] { return !python.go_on(); }});
-    python.raise_again();
+    python.rethrow();
 }
 
 /// Measures the noise of the LiDAR's intensities.
 void scatter_learnt(OpenDevice& open, Run& run, PythonCalls& python) {
     const DeviceUse use(open);
     run.intensity_scatter = learn_scatter(open.device, run, {{}, [&] { return !python.go_on(); }});
-    python.raise_again();
+    python.rethrow();
 }
 
 /// Trains the ray-drop network. If the log has no suitable training data, or if the
@@ -113,7 +113,7 @@ void refined(OpenDevice& open, Run& run, const TrainArguments& asked, PythonCall
     } catch (const DataError& error) {
         note(error.what());
     }
-    python.raise_again();
+    python.rethrow();
     if (!folder.empty()) remove_checkpoints(folder);
 }
 
@@ -132,11 +132,11 @@ std::unique_ptr<LoadedRun> train_run(const Log& log, const TrainArguments& asked
     } catch (const Error&) {
         // If a Python callback raised an exception, the library stopped with an error.
         // Raises the exception of the callback instead of this error.
-        python.raise_again();
+        python.rethrow();
         throw;
     }
-    python.raise_again();
-    take_result(run, result);
+    python.rethrow();
+    move_result(run, result);
     if (!result.interrupted) placed(*device, run, python);
     if (!result.interrupted) scatter_learnt(*device, run, python);
     if (config.refine.enabled && !result.interrupted) refined(*device, run, asked, python);

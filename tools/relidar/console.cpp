@@ -30,7 +30,7 @@ std::size_t width(const std::string& text) {
 
 /// Shortens a line to the width of the terminal. A longer line would wrap, and a wrapped
 /// line cannot be overwritten.
-std::string cut_to_terminal(const std::string& text) {
+std::string shorten_to_terminal(const std::string& text) {
     winsize size{};
     const bool known = ::ioctl(STDERR_FILENO, TIOCGWINSZ, &size) == 0 && size.ws_col > 1;
     return text.substr(0, known ? size.ws_col - 1u : std::string::npos);
@@ -121,7 +121,8 @@ void Progress::show(const std::string& text, bool now) {
                                                                : Clock::duration(kPlainInterval);
     if (quiet_ || (!now && time - std::max(start_, last_) < due)) return;
     last_ = time;
-    std::fputs(terminal_ ? ("\r" + cut_to_terminal(text) + "\x1b[K").c_str() : (text + "\n").c_str(), stderr);
+    std::fputs(terminal_ ? ("\r" + shorten_to_terminal(text) + "\x1b[K").c_str() : (text + "\n").c_str(),
+               stderr);
     std::fflush(stderr);
     line_open = terminal_;
 }
@@ -134,7 +135,7 @@ void Progress::count(const std::string& what, std::size_t done, std::size_t tota
          done == total);
 }
 
-relidar::Progress shown_by(Progress& progress) {
+relidar::Progress make_progress(Progress& progress) {
     return [&progress](std::string_view what, double done) {
         progress.show(fmt::format("{} {:.0f} %", what, 100.0 * done));
     };

@@ -60,6 +60,6 @@ private:
 };
 
 /// Returns a callback for library functions that shows their progress as "what 30 %".
-relidar::Progress shown_by(Progress& progress);
+relidar::Progress make_progress(Progress& progress);
 
 }  // namespace relidar::cli

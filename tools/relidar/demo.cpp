@@ -59,7 +59,7 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
     ScanRenderer renderer(device, run);
     std::vector<ScoredFrame> with_images;  // Frames whose scans are written to files.
     Evaluation evaluation =
-        evaluate_frames(renderer, run.config, run.sequence, run.split.test, shown_until_interrupted(progress),
+        evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress),
                         [&](const ScoredFrame& frame) { with_images.push_back(frame); });
     evaluation.frames = std::move(with_images);
     return evaluation;
@@ -70,7 +70,7 @@ Evaluation evaluate_held_out(Device& device, const Run& run, bool quiet) {
 Evaluation evaluate_shifted(Device& device, const Run& run, const SyntheticOptions& street, bool quiet) {
     Progress progress(quiet);
     ScanRenderer renderer(device, run);
-    const PoseTrack track = moved_track(run.sequence.world_from_sensor(0), kShift);
+    const PoseTrack track = mounted_track(run.sequence.world_from_sensor(0), kShift);
     const RayTable rays = make_rays(run.sequence.lidars[0].sensor);
     std::vector<ScoredFrame> frames;
     for (const int position : run.split.test) {
@@ -154,17 +154,17 @@ void run_demo(const DemoOptions& options, const std::string& command_line) {
     catch_interrupts();
     remove_run_files(run_folder.path());
     remove_blocks(run_folder.path());
-    prepare_log_shown(sequence, split, config, options.quiet);
+    prepare_log_with_progress(sequence, split, config, options.quiet);
     TrainResult result = train_logged(device, sequence, split, config, run_folder.path(), options.quiet);
     end_progress_line();
     Run run{run_folder.path(), with_farthest(config, sequence), std::move(sequence), split, {}, {}};
-    take_result(run, result);
+    move_result(run, result);
     save_run(run);
     stop_if_interrupted();
     StageTimes stages;
-    complete_scene_shown(device, run, options.quiet, stages);
+    complete_scene_with_progress(device, run, options.quiet, stages);
     stop_if_interrupted();
-    if (config.refine.enabled && refine_shown(device, run, options.quiet)) save_run(run);
+    if (config.refine.enabled && refine_with_progress(device, run, options.quiet)) save_run(run);
     stop_if_interrupted();
     finish(device, run, street, make_report(run, result, device, command_line), out, options.quiet);
 }

@@ -55,7 +55,7 @@ DeviceOptions device_options(const DeviceChoice& choice) {
     return from_environment(options);
 }
 
-std::vector<std::string> device_words(const DeviceChoice& choice) {
+std::vector<std::string> device_arguments(const DeviceChoice& choice) {
     std::vector<std::string> words;
     if (choice.index >= 0) words.insert(words.end(), {"--device", fmt::format("{}", choice.index)});
     if (choice.traversal != "auto") words.insert(words.end(), {"--traversal", choice.traversal});
@@ -229,9 +229,9 @@ std::string absolute_path(const std::string& path) {
     return clean.size() > 1 && clean.back() == '/' ? clean.substr(0, clean.size() - 1) : clean;
 }
 
-Sequence load_dataset(const Config& config, bool quiet, int most_scans) {
+Sequence load_dataset(const Config& config, bool quiet, int max_scans) {
     Progress progress(quiet);
-    Sequence sequence = load_log(config, shown_by(progress), most_scans);
+    Sequence sequence = load_log(config, make_progress(progress), max_scans);
     if (!sequence.frames.empty())
         note_frames_beyond({config.dataset.frames_begin, config.dataset.frames_end},
                            sequence.frames.back().index, sequence.source);

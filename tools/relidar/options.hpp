@@ -28,7 +28,7 @@ void add_device_options(CLI::App& command, DeviceChoice& choice);
 DeviceOptions device_options(const DeviceChoice& choice);
 /// Converts the options of a device back to words of a command line. Leaves out options
 /// with default values.
-std::vector<std::string> device_words(const DeviceChoice& choice);
+std::vector<std::string> device_arguments(const DeviceChoice& choice);
 
 /// Values of --preset, --config and --set. They are applied in this order.
 struct Settings {
@@ -82,7 +82,7 @@ std::string without_blanks(const std::string& text);  ///< Removes spaces and ta
 /// Returns the absolute path. An empty path stays empty.
 std::string absolute_path(const std::string& path);
 /// Loads the log that the settings in config.dataset describe.
-/// @param most_scans see DatasetOptions::most_scans
-Sequence load_dataset(const Config& config, bool quiet = false, int most_scans = 0);
+/// @param max_scans see DatasetOptions::max_scans
+Sequence load_dataset(const Config& config, bool quiet = false, int max_scans = 0);
 
 }  // namespace relidar::cli

@@ -39,7 +39,7 @@ constexpr const char* kLockFile = ".lock";
 
 /// Returns true if a killed process may have left this file behind. Such a file is an
 /// unlocked lock file or a half-written file.
-bool is_left_over(const fs::path& path) {
+bool is_leftover(const fs::path& path) {
     const std::string name = path.filename().string();
     return name == kLockFile || (name.starts_with('.') && name.find(".tmp-") != std::string::npos);
 }
@@ -47,17 +47,17 @@ bool is_left_over(const fs::path& path) {
 /// Returns true if a folder is empty or contains only files that killed processes have
 /// left behind. Also returns true if the folder cannot be read, because writing to it
 /// reports the error later.
-bool holds_nothing(const fs::path& folder) {
+bool is_empty_folder(const fs::path& folder) {
     std::error_code failed;
     for (fs::directory_iterator entry(folder, failed), end; !failed && entry != end;
          entry.increment(failed)) {
-        if (!is_left_over(entry->path())) return false;
+        if (!is_leftover(entry->path())) return false;
     }
     return true;
 }
 
 void check_content(const fs::path& folder, Existing existing) {
-    if (holds_nothing(folder)) return;
+    if (is_empty_folder(folder)) return;
     if (is_dataset(folder))
         throw UsageError(fmt::format(
             "--out {}: this folder contains a log; choose a different folder for the run", folder.string()));
@@ -74,7 +74,7 @@ void check_content(const fs::path& folder, Existing existing) {
 
 /// Removes the half-written files of a killed process from a folder and from its
 /// checkpoint folders. The caller must hold the lock of the folder.
-void remove_half_written(const fs::path& folder) {
+void remove_incomplete(const fs::path& folder) {
     for (const fs::path& in : {folder, checkpoint_folder(folder), network_checkpoint_folder(folder)})
         remove_temporaries(in);
 }
@@ -139,14 +139,14 @@ FolderLock::FolderLock(const fs::path& folder, std::chrono::milliseconds patienc
             "has finished",
             folder.string(), holds_run(folder) ? "run" : "folder"));
     descriptor_ = lock->descriptor;
-    if (lock->exclusive) remove_half_written(folder);
+    if (lock->exclusive) remove_incomplete(folder);
 }
 
-std::unique_ptr<FolderLock> FolderLock::take_if_free(const fs::path& folder) {
+std::unique_ptr<FolderLock> FolderLock::try_lock(const fs::path& folder) {
     const fs::path file = folder / kLockFile;
     const std::optional<OpenLock> lock = open_locked(file);
     if (!lock) return nullptr;
-    if (lock->exclusive) remove_half_written(folder);
+    if (lock->exclusive) remove_incomplete(folder);
     return std::unique_ptr<FolderLock>(new FolderLock(file, lock->descriptor));
 }
 
@@ -177,7 +177,7 @@ RunFolder::RunFolder(const fs::path& path, Existing existing) {
 namespace {
 
 /// Returns true if a folder contains files of a run and no other files.
-bool holds_run_alone(const fs::path& folder) {
+bool contains_only_run(const fs::path& folder) {
     static const std::set<std::string> kNames{"config.toml",
                                               "scene.json",
                                               "model.safetensors",
@@ -193,7 +193,7 @@ bool holds_run_alone(const fs::path& folder) {
                                               "asset.json",
                                               "intensity_scatter.safetensors"};
     for (const auto& entry : fs::directory_iterator(folder))
-        if (!is_left_over(entry.path()) && !kNames.contains(entry.path().filename().string())) return false;
+        if (!is_leftover(entry.path()) && !kNames.contains(entry.path().filename().string())) return false;
     return true;
 }
 
@@ -207,7 +207,7 @@ NewRun::NewRun(const fs::path& path, bool replace) : path_(path) {
 void NewRun::save(Run& run) const {
     run.folder = path_;
     if (!earlier_) return save_run(run);
-    if (holds_run_alone(path_)) {
+    if (contains_only_run(path_)) {
         try {
             run.folder = fs::canonical(path_);
             replace_folder(run);

@@ -50,7 +50,7 @@ public:
     /// Locks a folder if no other process holds the lock. Does not wait.
     /// @return null if another process holds the lock
     /// @throws DataError if the folder cannot be written
-    static std::unique_ptr<FolderLock> take_if_free(const std::filesystem::path& folder);
+    static std::unique_ptr<FolderLock> try_lock(const std::filesystem::path& folder);
     /// Returns true if a process holds the lock of the folder. Does not change the
     /// folder.
     static bool is_held(const std::filesystem::path& folder);

@@ -35,12 +35,12 @@ Surfels actor_surfels() {
     return actor.permuted(kd_order(actor.mean));
 }
 
-Scene scene_of_actors(int n_actors, bool own_models) {
+Scene scene_of_actors(int n_actors, bool copy_shared_models) {
     Scene scene = make_background_scene({});
     scene.models.push_back({"actor", 0, kActorSurfels});
     scene.surfels = actor_surfels();
     for (int i = 0; i < n_actors; ++i) scene.instances.push_back({1, fmt::format("{}", i)});
-    return own_models ? relidar::own_models(std::move(scene)) : scene;
+    return copy_shared_models ? relidar::copy_shared_models(std::move(scene)) : scene;
 }
 
 /// Returns the poses of all actors. The first actor is 8 m ahead of the sensor. The
@@ -57,16 +57,16 @@ std::vector<InstancePose> poses_at(int n_actors, int step) {
     return placed;
 }
 
-DevCase case_of_actors(int n_actors, bool own_models) {
+DevCase case_of_actors(int n_actors, bool copy_shared_models) {
     DevCase bench;
     bench.name = fmt::format("{} actors", n_actors);
     const RayTable table = make_benchmark_rays(kImageRows, kImageColumns, 2.0, -24.9);
     bench.rows = table.rows;
     bench.columns = table.columns;
     bench.rays = {to_vector(table.origin), to_vector(table.direction)};
-    bench.scene = scene_of_actors(n_actors, own_models);
+    bench.scene = scene_of_actors(n_actors, copy_shared_models);
     bench.config = make_preset("paper");
-    bench.config.image.sh_direction = own_models ? ShDirection::surfel : ShDirection::ray;
+    bench.config.image.sh_direction = copy_shared_models ? ShDirection::surfel : ShDirection::ray;
     bench.placed = poses_at(n_actors, 0);
     return bench;
 }
@@ -109,12 +109,13 @@ std::string milliseconds(const Spread& spread) { return fmt::format("{:.2f}", sp
 }  // namespace
 
 std::uint64_t ActorTimes::n_surfels() const {
-    return std::uint64_t(own_models ? n_actors : 1) * kActorSurfels;
+    return std::uint64_t(copy_shared_models ? n_actors : 1) * kActorSurfels;
 }
 
-ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const BenchSettings& settings) {
-    const DevCase bench = case_of_actors(n_actors, own_models);
-    ActorTimes times{.n_actors = n_actors, .own_models = own_models};
+ActorTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
+                          const BenchSettings& settings) {
+    const DevCase bench = case_of_actors(n_actors, copy_shared_models);
+    ActorTimes times{.n_actors = n_actors, .copy_shared_models = copy_shared_models};
     measure_moves(device, bench, settings.repeat, times);
     BenchSettings scan = settings, step = settings;
     scan.backward = false;
@@ -131,7 +132,7 @@ std::string actors_text(const std::vector<ActorTimes>& times) {
     std::vector<std::vector<std::string>> rows{{"actors", "models", "surfels", "build ms", "move ms",
                                                 "scan ms", "step ms", "memory MiB", "bottom levels rebuilt"}};
     for (const ActorTimes& t : times)
-        rows.push_back({fmt::format("{}", t.n_actors), t.own_models ? "own" : "one",
+        rows.push_back({fmt::format("{}", t.n_actors), t.copy_shared_models ? "own" : "one",
                         fmt::format("{}", t.n_surfels()), fmt::format("{:.2f}", t.build_ms),
                         milliseconds(t.move_ms), milliseconds(t.scan_ms), milliseconds(t.step_ms),
                         fmt::format("{:.1f}", double(t.memory) / double(1 << 20)),
@@ -150,7 +151,7 @@ std::string actors_json(const std::vector<ActorTimes>& times, const Device& devi
         {"device", device.info().name},         {"actors", nlohmann::ordered_json::array()}};
     for (const ActorTimes& t : times)
         json["actors"].push_back({{"actors", t.n_actors},
-                                  {"own_models", t.own_models},
+                                  {"own_models", t.copy_shared_models},
                                   {"surfels", t.n_surfels()},
                                   {"build_ms", t.build_ms},
                                   {"move_ms", json_of(t.move_ms)},

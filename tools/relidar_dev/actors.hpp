@@ -18,7 +18,7 @@ struct ActorTimes {
     /// If true, each actor has its own model, and spherical harmonics are evaluated once
     /// per surfel. If false, all actors share one model, and spherical harmonics are
     /// evaluated along each ray.
-    bool own_models = false;
+    bool copy_shared_models = false;
     /// Wall time to build the complete acceleration structure (all bottom levels and the
     /// top level).
     double build_ms = 0.0;
@@ -38,7 +38,8 @@ inline constexpr std::uint32_t kActorSurfels = 1000;
 /// Measures the times of a scene with many actors.
 /// @throws DeviceError if a ray reaches the maximum number of passes, or if the device
 /// has no timestamps
-ActorTimes measure_actors(Device& device, int n_actors, bool own_models, const BenchSettings& settings);
+ActorTimes measure_actors(Device& device, int n_actors, bool copy_shared_models,
+                          const BenchSettings& settings);
 
 std::string actors_text(const std::vector<ActorTimes>& times);
 std::string actors_json(const std::vector<ActorTimes>& times, const Device& device,

@@ -59,8 +59,8 @@ std::vector<int> actor_counts(const std::string& list) {
 void bench_actors(const BenchOptions& options, Device& device, const std::string& command_line) {
     std::vector<ActorTimes> times;
     for (const int n : actor_counts(options.actors))
-        for (const bool own_models : {false, true})
-            times.push_back(measure_actors(device, n, own_models, options.settings));
+        for (const bool copy_shared_models : {false, true})
+            times.push_back(measure_actors(device, n, copy_shared_models, options.settings));
     end_progress_line();
     if (!options.json.empty()) write_text(options.json, actors_json(times, device, command_line));
     if (!options.settings.quiet) print(actors_text(times));

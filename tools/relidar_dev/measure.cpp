@@ -84,7 +84,7 @@ std::uint32_t hits_to_keep(const DevCase& bench, const std::vector<std::uint32_t
     while (bench.keeps_more_hits) {
         const auto n_overfull =
             std::count_if(hits.begin(), hits.end(), [&](std::uint32_t n) { return n > keep; });
-        const std::uint32_t more = kept_hits_wanted(keep, static_cast<std::uint64_t>(n_overfull));
+        const std::uint32_t more = recommended_kept_hits(keep, static_cast<std::uint64_t>(n_overfull));
         if (more == keep) break;
         keep = more;
     }

@@ -33,7 +33,7 @@ public:
         if (const auto rig = find_rig(bench.sensor)) {
             for (const MountedSensor& mounted : *rig) {
                 sensors_.push_back(sensor_choice(mounted));
-                tracks_.push_back(moved_track(with_fine_turns(log), mounted.rig_from_sensor));
+                tracks_.push_back(mounted_track(with_fine_turns(log), mounted.rig_from_sensor));
             }
         } else {
             sensors_.push_back(
@@ -87,14 +87,14 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
         const int end = std::min(first + together, bench.n_scans);
         for (int scan = first; scan < end; ++scan) {
             const ScanRequest request = drive.at(scan);
-            renderer.ask_points(drive.sensor(scan), request, request.time_s,
-                                bench.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
-                                scan + 1 < end ? Send::with_next : Send::now);
+            renderer.submit_points(drive.sensor(scan), request, request.time_s,
+                                   bench.sampled ? std::optional<std::uint64_t>(scan) : std::nullopt,
+                                   scan + 1 < end ? Send::with_next : Send::now);
         }
         return end - first;
     };
     // The first scans are not measured, because they allocate memory.
-    for (int n = ask(0); n > 0; --n) renderer.take_points();
+    for (int n = ask(0); n > 0; --n) renderer.wait_for_points();
     ScanTimes result{.sensor = drive.n_sensors() > 1 ? bench.sensor : drive.sensor(0).name,
                      .n_scans = bench.n_scans,
                      .together = together,
@@ -104,20 +104,20 @@ ScanTimes measure_scans(Device& device, const ScanBench& bench) {
     const auto start = std::chrono::steady_clock::now();
     const double thread_begun_ms = thread_ms();
     RenderedPoints scan;
-    for (int first = 0, n_asked = ask(0); n_asked > 0;) {
+    for (int first = 0, n_requested = ask(0); n_requested > 0;) {
         stop_if_interrupted();
         const auto begun = std::chrono::steady_clock::now();
-        const int n_taken = n_asked;
-        first += n_taken;
+        const int n_scans = n_requested;
+        first += n_scans;
         // Submits the next scans before the points of finished scans are read, so that
         // the device has work.
-        n_asked = first < bench.n_scans ? ask(first) : 0;
-        for (int i = 0; i < n_taken; ++i) {
-            scan = renderer.take_points(std::move(scan.points));
+        n_requested = first < bench.n_scans ? ask(first) : 0;
+        for (int i = 0; i < n_scans; ++i) {
+            scan = renderer.wait_for_points(std::move(scan.points));
             result.points += double(scan.points.size()) / bench.n_scans;
             result.rays += double(scan.n_rays) / bench.n_scans;
         }
-        scan_ms.push_back(ms_since(begun) / n_taken);
+        scan_ms.push_back(ms_since(begun) / n_scans);
     }
     result.host_ms = (thread_ms() - thread_begun_ms) / bench.n_scans;
     result.scans_per_s = 1e3 * bench.n_scans / ms_since(start);

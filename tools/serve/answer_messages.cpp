@@ -78,7 +78,7 @@ void write_actor(const Run& run, const std::string& name, v1::Actor& message) {
 
 }  // namespace
 
-void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarScan& message) {
+void write_scan(const RenderedPoints& scan, const RenderRequest& wanted, v1::LidarScan& message) {
     message.set_sensor(wanted.sensor->name);
     message.set_time_s(scan.points.time_s);
     message.set_points_at_s(wanted.points_at_s);
@@ -89,7 +89,7 @@ void write_scan(const RenderedPoints& scan, const WantedScan& wanted, v1::LidarS
     if (wanted.points) write_points(scan.points, *message.mutable_points());
 }
 
-void write_scan(const RenderedScan& scan, const WantedScan& wanted, const Config& config,
+void write_scan(const RenderedScan& scan, const RenderRequest& wanted, const Config& config,
                 v1::LidarScan& message) {
     const Pose dataset_from_points = wanted.request.dataset_from_sensor.at(wanted.points_at_s);
     write_scan(

@@ -21,7 +21,7 @@ std::vector<std::string> names_of_spawned(const std::vector<SpawnedActors::Place
 /// Calls a function with the renderer of the requested scene. Error messages name the
 /// folder of the run.
 template <class Function>
-SceneSet::Load use(SceneSet& scenes, const WantedScan& wanted, const Function& function) {
+SceneSet::Load use(SceneSet& scenes, const RenderRequest& wanted, const Function& function) {
     try {
         return scenes.use(wanted.scene, wanted.weather, function);
     } catch (const DataError& error) {
@@ -68,7 +68,7 @@ void ScanImageRequest::submit(bool) {
 }
 
 PointsRequest::PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
-                             std::span<const WantedScan> wanted)
+                             std::span<const RenderRequest> wanted)
     : ClientRequest(scenes, context), wanted_(wanted) {
     scene = wanted.front().scene;
 }
@@ -76,10 +76,10 @@ PointsRequest::PointsRequest(SceneSet& scenes, const grpc::ServerContext& contex
 void PointsRequest::submit(bool is_last) {
     using Send = ScanRenderer::Send;
     try {
-        for (const WantedScan& scan : wanted_) {
+        for (const RenderRequest& scan : wanted_) {
             const Send when = is_last && &scan == &wanted_.back() ? Send::now : Send::with_next;
             load_ = use(scenes_, scan, [&](ScanRenderer& renderer) {
-                renderer.ask_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
+                renderer.submit_points(*scan.sensor, scan.request, scan.points_at_s, scan.sample, when);
             });
             ++n_submitted_;
         }
@@ -90,8 +90,8 @@ void PointsRequest::submit(bool is_last) {
 }
 
 void PointsRequest::finish() {
-    scenes_.use_again(*scene, load_, [&](ScanRenderer& renderer) {
-        while (points.size() < n_submitted_) points.push_back(renderer.take_points());
+    scenes_.reuse_scene(*scene, load_, [&](ScanRenderer& renderer) {
+        while (points.size() < n_submitted_) points.push_back(renderer.wait_for_points());
     });
     if (submit_failure_) std::rethrow_exception(submit_failure_);
 }
@@ -100,6 +100,6 @@ void SpawnRequest::submit(bool) { places = scenes_.spawn(spawn_scene_, wishes_);
 
 /// Removes the actors again, because a client that receives no response would never
 /// remove them.
-void SpawnRequest::undo() { scenes_.spawned().give_back(spawn_scene_, names_of_spawned(places)); }
+void SpawnRequest::undo() { scenes_.spawned().release(spawn_scene_, names_of_spawned(places)); }
 
 }  // namespace relidar::serve

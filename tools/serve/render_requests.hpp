@@ -45,14 +45,14 @@ private:
 /// Renders a scan with all its arrays.
 class ScanImageRequest final : public ClientRequest {
 public:
-    ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const WantedScan& wanted)
+    ScanImageRequest(SceneSet& scenes, const grpc::ServerContext& context, const RenderRequest& wanted)
         : ClientRequest(scenes, context), wanted_(wanted) {}
     void submit(bool is_last) override;
 
     RenderedScan scan;  ///< the response
 
 private:
-    const WantedScan& wanted_;
+    const RenderRequest& wanted_;
 };
 
 /// Maximum number of scans of a PointsRequest.
@@ -67,14 +67,15 @@ static_assert(2 * kBatchSize * kMostAtOnce <= ScanRenderer::kScansInFlight);
 class PointsRequest final : public ClientRequest {
 public:
     /// @param wanted at most kMostAtOnce scans
-    PointsRequest(SceneSet& scenes, const grpc::ServerContext& context, std::span<const WantedScan> wanted);
+    PointsRequest(SceneSet& scenes, const grpc::ServerContext& context,
+                  std::span<const RenderRequest> wanted);
     void submit(bool is_last) override;
     void finish() override;
 
     std::vector<RenderedPoints> points;  ///< the response
 
 private:
-    const std::span<const WantedScan> wanted_;
+    const std::span<const RenderRequest> wanted_;
     SceneSet::Load load_{};
     std::size_t n_submitted_ = 0;
     /// If submitting a scan fails, the earlier scans are read first, because the renderer
@@ -86,7 +87,7 @@ private:
 class SpawnRequest final : public ClientRequest {
 public:
     SpawnRequest(SceneSet& scenes, const grpc::ServerContext& context, std::size_t spawn_scene,
-                 const std::vector<SpawnWish>& wishes)
+                 const std::vector<SpawnRequest>& wishes)
         : ClientRequest(scenes, context), spawn_scene_(spawn_scene), wishes_(wishes) {}
     void submit(bool is_last) override;
 
@@ -95,7 +96,7 @@ public:
 private:
     void undo() override;
     const std::size_t spawn_scene_;
-    const std::vector<SpawnWish>& wishes_;
+    const std::vector<SpawnRequest>& wishes_;
 };
 
 }  // namespace relidar::serve

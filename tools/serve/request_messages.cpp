@@ -12,7 +12,7 @@
 
 #include <relidar/base/error.hpp>
 
-#include "asset_shelf.hpp"
+#include "asset_catalogue.hpp"
 #include "geometry_messages.hpp"
 #include "refusal.hpp"
 #include "scenes.hpp"
@@ -44,7 +44,7 @@ double read_moment(double time_s, const PoseTrack& path, const std::string& fiel
     return time_s;
 }
 
-std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors) {
+std::vector<std::string> list_actor_names(const std::vector<PlacedActor>& actors) {
     std::vector<std::string> names;
     for (const PlacedActor& actor : actors) names.push_back(actor.name);
     return names;
@@ -53,8 +53,8 @@ std::vector<std::string> names_of_placed(const std::vector<PlacedActor>& actors)
 /// Reads the actors of a request.
 /// @throws Refusal if the poses of an actor end long before the scan or begin long after
 /// it
-std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s) {
-    std::vector<ActorWish> wishes;
+std::vector<ActorRequest> read_actors(const v1::ActorTracks& message, double time_s) {
+    std::vector<ActorRequest> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const std::string field = fmt::format("actors.actors[{}]", i);
         wishes.push_back({field + ".name", message.actors(i).name(),
@@ -70,9 +70,9 @@ std::vector<ActorWish> read_actors(const v1::ActorTracks& message, double time_s
     return wishes;
 }
 
-std::vector<std::string> asset_names(const AssetShelf& assets) {
+std::vector<std::string> asset_names(const AssetCatalogue& assets) {
     std::vector<std::string> names;
-    for (const AssetShelf::Entry& entry : assets.entries()) names.push_back(entry.facts.name);
+    for (const AssetCatalogue::Entry& entry : assets.entries()) names.push_back(entry.facts.name);
     return names;
 }
 
@@ -97,7 +97,7 @@ RequestReader::RequestReader(SceneSet& scenes)
     : RequestReader(scenes.outlines(), scenes.sources(), scenes.assets(), scenes.spawned()) {}
 
 RequestReader::RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
-                             const AssetShelf& assets, const SpawnedActors& spawned)
+                             const AssetCatalogue& assets, const SpawnedActors& spawned)
     : outlines_(outlines), sources_(sources), assets_(assets), spawned_(spawned) {}
 
 std::size_t RequestReader::find_scene(const std::string& name, const std::string& field) const {
@@ -133,14 +133,14 @@ std::pair<std::string, std::shared_ptr<const SensorChoice>> RequestReader::uploa
 }
 
 /// Returns the sensor with this name. Its rays are made only once and then cached.
-std::shared_ptr<const SensorChoice> RequestReader::known_sensor(const std::string& name, std::size_t scene,
-                                                                int lidar) {
+std::shared_ptr<const SensorChoice> RequestReader::find_built_in_sensor(const std::string& name,
+                                                                        std::size_t scene, int lidar) {
     const std::string key = fmt::format("{} {} {}", scene, lidar, name);
     if (auto sensor = named_.find(key)) return sensor;
     return named_.put(key, named_sensor(name, outlines_[scene], lidar));
 }
 
-std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish& wish, std::size_t scene,
+std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorRequest& wish, std::size_t scene,
                                                                int lidar) {
     if (wish.returns > 2) refuse(wish.field + ".returns", fmt::format("{}", wish.returns), "0, 1 or 2");
     std::shared_ptr<const SensorChoice> sensor;
@@ -156,7 +156,7 @@ std::shared_ptr<const SensorChoice> RequestReader::find_sensor(const SensorWish&
                     "UploadSensor; upload the sensor again",
                     wish.field, quoted(wish.sensor.handle())));
     } else {
-        sensor = known_sensor(wish.sensor.name(), scene, lidar);
+        sensor = find_built_in_sensor(wish.sensor.name(), scene, lidar);
     }
     if (count_rays(*sensor) == 0)
         refuse(wish.field, "a LiDAR of the log whose beams are unknown",
@@ -182,31 +182,31 @@ std::vector<PlacedActor> RequestReader::known_actors(std::size_t scene) const {
     }
     for (const SpawnedActors::Place& place : spawned_.taken(scene))
         actors.push_back(
-            {place.actor.name, track_of_place(place.position), place.actor.size_m, place.actor.surfels});
+            {place.actor.name, track_of_slot(place.position), place.actor.size_m, place.actor.surfels});
     return actors;
 }
 
-void RequestReader::place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const {
+void RequestReader::place_actors(const std::vector<ActorRequest>& wishes, RenderRequest& wanted) const {
     const std::vector<PlacedActor> known_placed = known_actors(wanted.scene);
     // Uses a map for fast look-up, because a scene may have thousands of actors.
     std::map<std::string_view, const PlacedActor*> by_name;
     for (const PlacedActor& actor : known_placed) by_name.emplace(actor.name, &actor);
     ActorPoses& poses = wanted.request.dataset_from_actor.emplace();
-    for (const ActorWish& wish : wishes) {
+    for (const ActorRequest& wish : wishes) {
         const auto match = by_name.find(wish.name);
-        if (match == by_name.end()) refuse_unknown(wish.field, wish.name, names_of_placed(known_placed));
+        if (match == by_name.end()) refuse_unknown(wish.field, wish.name, list_actor_names(known_placed));
         if (!poses.emplace(match->second->track, wish.dataset_from_actor).second)
             refuse(wish.field, quoted(wish.name) + " again", "each actor once");
         wanted.placed.push_back(*match->second);
     }
 }
 
-std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
-                                                  std::size_t scene) const {
+std::vector<SpawnRequest> RequestReader::read_spawns(const v1::SpawnActorsRequest& message,
+                                                     std::size_t scene) const {
     if (message.actors().empty()) refuse("actors", "none", "at least one actor");
     const std::vector<std::string> run_actors = actor_names(outlines_[scene]);
     const std::vector<PlacedActor> known = known_actors(scene);
-    std::vector<SpawnWish> wishes;
+    std::vector<SpawnRequest> wishes;
     for (int i = 0; i < message.actors_size(); ++i) {
         const v1::Spawn& spawn = message.actors(i);
         const std::string field = fmt::format("actors[{}]", i);
@@ -220,7 +220,7 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
                     "cannot read {}.name: found {}, which is an actor of the run, expected another name",
                     field, quoted(spawn.name())));
         if (spawn.has_asset()) {
-            const AssetShelf::Entry* asset = assets_.find(spawn.asset());
+            const AssetCatalogue::Entry* asset = assets_.find(spawn.asset());
             if (!asset) refuse_unknown(field + ".asset", spawn.asset(), asset_names(assets_));
             wishes.push_back(
                 {spawn.name(), {true, spawn.asset()}, asset->facts.size_m, asset->facts.surfels});
@@ -236,9 +236,9 @@ std::vector<SpawnWish> RequestReader::read_spawns(const v1::SpawnActorsRequest& 
     return wishes;
 }
 
-WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish,
-                                    const std::optional<Pose>& path_from_sensor) {
-    WantedScan wanted;
+RenderRequest RequestReader::read_scan(const v1::RenderLidarRequest& message, const SensorRequest& wish,
+                                       const std::optional<Pose>& path_from_sensor) {
+    RenderRequest wanted;
     wanted.scene = find_scene(message.scene());
     wanted.sensor = find_sensor(wish, wanted.scene, find_lidar(wanted.scene, message.lidar()));
     PoseTrack path = read_track(message.path(), "path");
@@ -247,7 +247,7 @@ WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const
     wanted.points_at_s = message.has_points_at_s() ? read_moment(message.points_at_s(), path, "points_at_s")
                                                    : path.time_s.back();
     wanted.request.dataset_from_sensor =
-        path_from_sensor ? moved_track(std::move(path), *path_from_sensor) : std::move(path);
+        path_from_sensor ? mounted_track(std::move(path), *path_from_sensor) : std::move(path);
     if (message.has_actors()) place_actors(read_actors(message.actors(), wanted.request.time_s), wanted);
     if (message.has_sample_seed()) wanted.sample = message.sample_seed();
     if (!message.weather().empty()) wanted.weather = read_weather(message.weather());
@@ -259,15 +259,15 @@ WantedScan RequestReader::read_scan(const v1::RenderLidarRequest& message, const
     return wanted;
 }
 
-WantedScan RequestReader::read(const v1::RenderLidarRequest& message) {
+RenderRequest RequestReader::read(const v1::RenderLidarRequest& message) {
     return read_scan(message, {message.sensor(), "sensor", message.returns()}, {});
 }
 
-std::vector<WantedScan> RequestReader::read(const v1::RenderRigRequest& message) {
+std::vector<RenderRequest> RequestReader::read(const v1::RenderRigRequest& message) {
     if (message.sensors().empty() || message.sensors_size() > kMostSensors)
         refuse("sensors", fmt::format("a rig with {} sensors", message.sensors_size()),
                fmt::format("1 to {}", kMostSensors));
-    std::vector<WantedScan> scans;
+    std::vector<RenderRequest> scans;
     // A sensor without a name is identified by its position in the request.
     std::set<std::string_view> names;
     for (int i = 0; i < message.sensors_size(); ++i) {

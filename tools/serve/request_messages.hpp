@@ -15,14 +15,14 @@
 
 #include "relidar/v1/render.pb.h"
 #include "scene_source.hpp"
-#include "sensor_shelf.hpp"
+#include "sensor_cache.hpp"
 
 namespace relidar::serve {
 
-class AssetShelf;
+class AssetCatalogue;
 class SceneSet;
 class SpawnedActors;
-struct SpawnWish;
+struct SpawnRequest;
 
 /// An actor that is visible in the requested scan.
 struct PlacedActor {
@@ -33,14 +33,14 @@ struct PlacedActor {
 };
 
 /// Name and poses of an actor, as given in a request.
-struct ActorWish {
+struct ActorRequest {
     std::string field;  ///< Field of the request that holds the actor's name. Error messages contain it.
     std::string name;
     PoseTrack dataset_from_actor;
 };
 
 /// A request for a scan after all checks.
-struct WantedScan {
+struct RenderRequest {
     std::size_t scene = 0;  ///< Index of the scene in the list of runs.
     std::shared_ptr<const SensorChoice> sensor;
     ScanRequest request;
@@ -67,7 +67,7 @@ public:
     explicit RequestReader(SceneSet& scenes);
     /// Creates a reader for runs that are not loaded on a device.
     RequestReader(const std::vector<Run>& outlines, const std::vector<SceneSource>& sources,
-                  const AssetShelf& assets, const SpawnedActors& spawned);
+                  const AssetCatalogue& assets, const SpawnedActors& spawned);
 
     /// Returns the index of the scene with this name.
     /// @param field name of the field in the request, used in error messages
@@ -80,36 +80,37 @@ public:
     std::pair<std::string, std::shared_ptr<const SensorChoice>> upload(const v1::SensorSpec& spec);
     /// Reads a request to spawn actors. Returns the actors.
     /// @throws Refusal if a name is invalid, or if an actor or asset is unknown
-    std::vector<SpawnWish> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
+    std::vector<SpawnRequest> read_spawns(const v1::SpawnActorsRequest& message, std::size_t scene) const;
     /// Reads a request for a scan.
     /// @throws Refusal that names an invalid field
-    WantedScan read(const v1::RenderLidarRequest& message);
+    RenderRequest read(const v1::RenderLidarRequest& message);
     /// Reads a request for a rig and returns one scan request per sensor.
-    std::vector<WantedScan> read(const v1::RenderRigRequest& message);
+    std::vector<RenderRequest> read(const v1::RenderRigRequest& message);
     /// Sets the actors that are visible in a scan. All other actors are absent.
     /// @throws Refusal if an actor is unknown or is given twice
-    void place_actors(const std::vector<ActorWish>& wishes, WantedScan& wanted) const;
+    void place_actors(const std::vector<ActorRequest>& wishes, RenderRequest& wanted) const;
 
 private:
     const std::vector<Run>& outlines_;
     const std::vector<SceneSource>& sources_;
-    const AssetShelf& assets_;
+    const AssetCatalogue& assets_;
     const SpawnedActors& spawned_;
-    SensorShelf uploaded_, named_;
+    SensorCache uploaded_, named_;
 
-    struct SensorWish {
+    struct SensorRequest {
         const v1::Sensor& sensor;
         std::string field;
         std::uint32_t returns;
     };
-    std::shared_ptr<const SensorChoice> find_sensor(const SensorWish& wish, std::size_t scene, int lidar);
-    std::shared_ptr<const SensorChoice> known_sensor(const std::string& name, std::size_t scene, int lidar);
+    std::shared_ptr<const SensorChoice> find_sensor(const SensorRequest& wish, std::size_t scene, int lidar);
+    std::shared_ptr<const SensorChoice> find_built_in_sensor(const std::string& name, std::size_t scene,
+                                                             int lidar);
     std::vector<PlacedActor> known_actors(std::size_t scene) const;
     /// Reads a scan request for one sensor.
     /// @param path_from_sensor mounting of the sensor in a rig. Without a value, the path
     /// is the path of the sensor and is used without rounding.
-    WantedScan read_scan(const v1::RenderLidarRequest& message, const SensorWish& wish,
-                         const std::optional<Pose>& path_from_sensor);
+    RenderRequest read_scan(const v1::RenderLidarRequest& message, const SensorRequest& wish,
+                            const std::optional<Pose>& path_from_sensor);
 };
 
 }  // namespace relidar::serve

@@ -37,7 +37,7 @@ ScanRequest first_pose(const Run& run) {
 }  // namespace
 
 SceneSet::SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
-                   const AssetShelf& assets)
+                   const AssetCatalogue& assets)
     : device_(device),
       sources_(std::move(sources)),
       memory_bytes_(memory_bytes),
@@ -72,7 +72,7 @@ SceneSet::Load SceneSet::use(std::size_t scene, const std::optional<Weather>& we
     return loaded_[scene].load;
 }
 
-void SceneSet::use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work) {
+void SceneSet::reuse_scene(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work) {
     if (!loaded_[scene].renderer || loaded_[scene].load != load)
         throw DeviceError(fmt::format(
             "cannot render a scan of {}: the scene was unloaded for a later request", sources_[scene].name));
@@ -115,7 +115,8 @@ void SceneSet::load_with_places(std::size_t scene) {
     loaded_[scene].n_places = places.size();
 }
 
-std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene, const std::vector<SpawnWish>& wishes) {
+std::vector<SpawnedActors::Place> SceneSet::spawn(std::size_t scene,
+                                                  const std::vector<SpawnRequest>& wishes) {
     Loaded& loaded = loaded_[scene];
     const std::size_t n_before = spawned_.count_places(scene);
     std::vector<SpawnedActors::Place> places = spawned_.take(scene, wishes);

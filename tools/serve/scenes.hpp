@@ -28,13 +28,13 @@ public:
     /// @throws DataError if a run cannot be read, or if a single run needs more than this
     /// memory
     SceneSet(Device& device, std::vector<SceneSource> sources, std::uint64_t memory_bytes,
-             const AssetShelf& assets);
+             const AssetCatalogue& assets);
 
     /// Returns all runs without their surfels and ray-drop networks, in the order in
     /// which the runs were given. The result never changes.
     const std::vector<Run>& outlines() const { return outlines_; }
     const std::vector<SceneSource>& sources() const { return sources_; }
-    const AssetShelf& assets() const { return assets_; }
+    const AssetCatalogue& assets() const { return assets_; }
     SpawnedActors& spawned() { return spawned_; }
 
     /// Spawns actors in a scene. If the scene has no free slots for the actors, it is
@@ -42,7 +42,7 @@ public:
     /// @return the slots in the order of the requests
     /// @throws Refusal if a name is in use, if an asset does not fit, or if the device
     /// memory is too small. The scene is then unchanged.
-    std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnWish>& wishes);
+    std::vector<SpawnedActors::Place> spawn(std::size_t scene, const std::vector<SpawnRequest>& wishes);
 
     /// Counts how often a scene was loaded. Scans that were requested before a scene was
     /// loaded again are lost, so the number shows whether a scan is still pending.
@@ -56,7 +56,7 @@ public:
     /// Calls a second function that reads the results of an earlier use(). Must be called
     /// before another scene is used.
     /// @throws DeviceError if the device was lost or the scene was loaded again
-    void use_again(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
+    void reuse_scene(std::size_t scene, Load load, const std::function<void(ScanRenderer&)>& work);
 
     /// Returns true if the surfels of the scene are on the device.
     bool is_loaded(std::size_t scene) const { return loaded_[scene].renderer != nullptr; }
@@ -77,7 +77,7 @@ private:
     const std::uint64_t memory_bytes_;
     std::vector<Run> outlines_;
     std::vector<Loaded> loaded_;
-    const AssetShelf& assets_;
+    const AssetCatalogue& assets_;
     SpawnedActors spawned_;
     std::uint64_t clock_ = 0;
 

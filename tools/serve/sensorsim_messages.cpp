@@ -106,12 +106,12 @@ PoseTrack SensorsimReader::read_track(const sensorsim::PosePair& message, const 
     return {{frame.start_s}, {start}};
 }
 
-WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
+RenderRequest SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
     const std::uint64_t start_us = message.frame_start_us(), end_us = message.frame_end_us();
     if (end_us < start_us || end_us - start_us > kLongestFrame_us)
         refuse("frame_end_us", fmt::format("{} with frame_start_us {}", end_us, start_us),
                fmt::format("a time in microseconds, which is at most {} later", kLongestFrame_us));
-    WantedScan wanted;
+    RenderRequest wanted;
     wanted.scene = find_scene(message.scene_id());
     const Frame frame{read_time(double(start_us) * kMicrosecond, "frame_start_us"),
                       read_time(double(end_us) * kMicrosecond, "frame_end_us"),
@@ -121,7 +121,7 @@ WantedScan SensorsimReader::read(const sensorsim::LidarRenderRequest& message) {
     wanted.request.time_s = 0.5 * (frame.start_s + frame.end_s);
     wanted.request.dataset_from_sensor = read_track(message.sensor_pose(), frame, "sensor_pose");
     wanted.points_at_s = frame.end_s;
-    std::vector<ActorWish> actors;
+    std::vector<ActorRequest> actors;
     for (int i = 0; i < message.dynamic_objects_size(); ++i) {
         const sensorsim::DynamicObject& object = message.dynamic_objects(i);
         const std::string field = fmt::format("dynamic_objects[{}]", i);

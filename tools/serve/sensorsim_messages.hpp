@@ -11,7 +11,7 @@
 #include <relidar/simulate/render.hpp>
 
 #include "request_messages.hpp"
-#include "sensor_shelf.hpp"
+#include "sensor_cache.hpp"
 #include "sensorsim/sensorsim.pb.h"
 #include "server.hpp"
 
@@ -37,13 +37,13 @@ public:
     /// Reads a request for a scan. The sensor fires its first ray at the start of the
     /// requested time interval and its last ray at the end.
     /// @throws Refusal that names an invalid field
-    WantedScan read(const sensorsim::LidarRenderRequest& message);
+    RenderRequest read(const sensorsim::LidarRenderRequest& message);
 
 private:
     const std::vector<Run>& outlines_;
     const RequestReader& reader_;
     const PoseOrder order_;
-    SensorShelf sensors_;
+    SensorCache sensors_;
 
     struct Frame {
         double start_s = 0.0, end_s = 0.0;

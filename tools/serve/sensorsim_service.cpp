@@ -67,7 +67,7 @@ grpc::Status SensorsimService::get_available_ego_masks(grpc::ServerContext*, con
     return grpc::Status::OK;
 }
 
-void SensorsimService::render(RenderQueue::Slot& slot, const WantedScan& wanted,
+void SensorsimService::render(RenderQueue::Slot& slot, const RenderRequest& wanted,
                               const grpc::ServerContext& context, sensorsim::LidarRenderReturn& answer) {
     PointsRequest request(scenes_, context, {&wanted, 1});
     request.run(slot);
@@ -99,10 +99,10 @@ grpc::Status SensorsimService::render_aggregated(grpc::ServerContext* context,
                    fmt::format("at most {} per call", kMostScans));
         // All scans of the call use the same slot in the queue.
         RenderQueue::Slot slot = reserve(queue_);
-        std::vector<WantedScan> wanted;
+        std::vector<RenderRequest> wanted;
         for (const sensorsim::LidarRenderRequest& lidar : request->lidar())
             wanted.push_back(reader_->read(lidar));
-        for (const WantedScan& scan : wanted) render(slot, scan, *context, *answer->add_lidar());
+        for (const RenderRequest& scan : wanted) render(slot, scan, *context, *answer->add_lidar());
     });
 }
 

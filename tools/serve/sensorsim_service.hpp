@@ -15,7 +15,7 @@ namespace sensorsim = nre::grpc::protos::sensorsim;
 class RequestReader;
 class SceneSet;
 class SensorsimReader;
-struct WantedScan;
+struct RenderRequest;
 
 class SensorsimService final : public sensorsim::SensorsimService::Service {
 public:
@@ -50,7 +50,7 @@ private:
     const std::unique_ptr<RequestReader> scene_reader_;
     const std::unique_ptr<SensorsimReader> reader_;
 
-    void render(RenderQueue::Slot& slot, const WantedScan& wanted, const grpc::ServerContext& context,
+    void render(RenderQueue::Slot& slot, const RenderRequest& wanted, const grpc::ServerContext& context,
                 sensorsim::LidarRenderReturn& answer);
 };
 

@@ -17,7 +17,7 @@
 #include <relidar/base/error.hpp>
 
 #include "acceptor.hpp"
-#include "asset_shelf.hpp"
+#include "asset_catalogue.hpp"
 #include "render_requests.hpp"
 #include "sensorsim_service.hpp"
 #include "service.hpp"
@@ -74,7 +74,7 @@ std::uint64_t memory_bytes(const ServerOptions& options, const Device& device) {
 
 struct ScanServer::Impl {
     RenderQueue queue;
-    std::optional<AssetShelf> assets;
+    std::optional<AssetCatalogue> assets;
     /// The device and the scenes are created, used and destroyed on the queue's thread.
     std::optional<Device> device;
     std::optional<SceneSet> scenes;

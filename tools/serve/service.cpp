@@ -4,7 +4,7 @@
 #include <algorithm>
 
 #include "answer_messages.hpp"
-#include "asset_shelf.hpp"
+#include "asset_catalogue.hpp"
 #include "render_requests.hpp"
 #include "sensor_messages.hpp"
 #include "spawn_messages.hpp"
@@ -12,7 +12,7 @@
 namespace relidar::serve {
 namespace {
 
-bool needs_image(const WantedScan& wanted) {
+bool needs_image(const RenderRequest& wanted) {
     return wanted.range_image || wanted.drop_probability || !wanted.points;
 }
 
@@ -23,7 +23,7 @@ void write_times(const Request& request, v1::LidarScan& answer) {
 
 }  // namespace
 
-void RenderService::render_image(RenderQueue::Slot& slot, const WantedScan& wanted,
+void RenderService::render_image(RenderQueue::Slot& slot, const RenderRequest& wanted,
                                  const grpc::ServerContext& context, v1::LidarScan& answer) {
     ScanImageRequest request(scenes_, context, wanted);
     request.run(slot);
@@ -32,7 +32,7 @@ void RenderService::render_image(RenderQueue::Slot& slot, const WantedScan& want
     write_times(request, answer);
 }
 
-void RenderService::render_points(RenderQueue::Slot& slot, std::span<const WantedScan> wanted,
+void RenderService::render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> wanted,
                                   const grpc::ServerContext& context,
                                   std::span<v1::LidarScan* const> answers) {
     PointsRequest request(scenes_, context, wanted);
@@ -52,7 +52,7 @@ grpc::Status RenderService::ListScenes(grpc::ServerContext*, const v1::ListScene
         for (std::size_t i = 0; i < scenes_.outlines().size(); ++i)
             for (const SpawnedActors::Place& place : scenes_.spawned().taken(i))
                 write_spawned(place, scenes_.outlines()[i], *answer->mutable_scenes(int(i))->add_spawned());
-        for (const AssetShelf::Entry& entry : scenes_.assets().entries())
+        for (const AssetCatalogue::Entry& entry : scenes_.assets().entries())
             write_asset(entry.facts, *answer->add_assets());
         for (const std::string& name : sensor_names()) answer->add_sensors(name);
     });
@@ -72,7 +72,7 @@ grpc::Status RenderService::SpawnActors(grpc::ServerContext* context, const v1::
     return answered([&] {
         RenderQueue::Slot slot = reserve(queue_);
         const std::size_t scene = reader_.find_scene(request->scene());
-        const std::vector<SpawnWish> wishes = reader_.read_spawns(*request, scene);
+        const std::vector<SpawnRequest> wishes = reader_.read_spawns(*request, scene);
         SpawnRequest spawn(scenes_, *context, scene, wishes);
         spawn.run(slot);
         for (const SpawnedActors::Place& place : spawn.places)
@@ -84,7 +84,7 @@ grpc::Status RenderService::DespawnActors(grpc::ServerContext*, const v1::Despaw
                                           v1::DespawnActorsResponse* answer) {
     return answered([&] {
         const std::size_t scene = reader_.find_scene(request->scene());
-        scenes_.spawned().give_back(scene, {request->names().begin(), request->names().end()});
+        scenes_.spawned().release(scene, {request->names().begin(), request->names().end()});
         answer->set_left(std::uint32_t(scenes_.spawned().taken(scene).size()));
     });
 }
@@ -98,7 +98,7 @@ grpc::Status RenderService::UploadSensor(grpc::ServerContext*, const v1::UploadS
         answer->set_rays(count_rays(*sensor));
         answer->set_first_ray_s(span.first_s);
         answer->set_last_ray_s(span.last_s);
-        answer->set_kept(std::uint32_t(SensorShelf::kMostSensors));
+        answer->set_kept(std::uint32_t(SensorCache::kMostSensors));
     });
 }
 
@@ -106,7 +106,7 @@ grpc::Status RenderService::RenderLidar(grpc::ServerContext* context, const v1::
                                         v1::LidarScan* answer) {
     return answered([&] {
         RenderQueue::Slot slot = reserve(queue_);
-        const WantedScan wanted = reader_.read(*request);
+        const RenderRequest wanted = reader_.read(*request);
         if (needs_image(wanted)) render_image(slot, wanted, *context, *answer);
         else render_points(slot, {&wanted, 1}, *context, {&answer, 1});
     });
@@ -117,7 +117,7 @@ grpc::Status RenderService::RenderRig(grpc::ServerContext* context, const v1::Re
     return answered([&] {
         // One slot for all scans, so that a rig is not rejected after some of its scans.
         RenderQueue::Slot slot = reserve(queue_);
-        const std::vector<WantedScan> wanted = reader_.read(*request);
+        const std::vector<RenderRequest> wanted = reader_.read(*request);
         for (std::size_t first = 0, n = 1; first < wanted.size(); first += n) {
             for (n = 0; n < kMostAtOnce && first + n < wanted.size() && !needs_image(wanted[first + n]);) ++n;
             const bool of_points = n > 0;

@@ -41,9 +41,9 @@ private:
     SceneSet& scenes_;
     RequestReader reader_;
 
-    void render_image(RenderQueue::Slot& slot, const WantedScan& wanted, const grpc::ServerContext& context,
-                      v1::LidarScan& answer);
-    void render_points(RenderQueue::Slot& slot, std::span<const WantedScan> wanted,
+    void render_image(RenderQueue::Slot& slot, const RenderRequest& wanted,
+                      const grpc::ServerContext& context, v1::LidarScan& answer);
+    void render_points(RenderQueue::Slot& slot, std::span<const RenderRequest> wanted,
                        const grpc::ServerContext& context, std::span<v1::LidarScan* const> answers);
 };
 

@@ -35,7 +35,7 @@ void write_spawned(const SpawnedActors::Place& place, const Run& run, v1::Spawne
     message.set_surfels(place.actor.surfels);
 }
 
-void write_sparse_actors(const WantedScan& wanted, v1::LidarScan& message) {
+void write_sparse_actors(const RenderRequest& wanted, v1::LidarScan& message) {
     if (wanted.placed.empty()) return;
     const SensorChoice& sensor = *wanted.sensor;
     const double time_s = wanted.request.time_s;

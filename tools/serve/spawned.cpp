@@ -8,7 +8,7 @@
 
 #include <relidar/base/error.hpp>
 
-#include "asset_shelf.hpp"
+#include "asset_catalogue.hpp"
 #include "refusal.hpp"
 
 namespace relidar::serve {
@@ -18,26 +18,26 @@ namespace {
 // image.sh_direction=surfel each slot has its own surfels.
 constexpr std::size_t kMostSpare = 8;
 
-using SpawnedPlaces = std::vector<SpawnWish>;
+using SpawnedPlaces = std::vector<SpawnRequest>;
 
 auto find_spawned(SpawnedPlaces& places, const std::string& name) {
-    return std::ranges::find(places, name, &SpawnWish::name);
+    return std::ranges::find(places, name, &SpawnRequest::name);
 }
 
 /// Returns the index of a free slot with the same model. If no such slot is free, adds
 /// slots and returns the first new one.
-std::size_t free_place(SpawnedPlaces& places, const SpawnWish& wish) {
-    const auto is_free = [&](const SpawnWish& p) { return p.name.empty() && p.source == wish.source; };
+std::size_t free_place(SpawnedPlaces& places, const SpawnRequest& wish) {
+    const auto is_free = [&](const SpawnRequest& p) { return p.name.empty() && p.source == wish.source; };
     const auto free = std::ranges::find_if(places, is_free);
     if (free != places.end()) return std::size_t(free - places.begin());
-    const auto of_source = std::size_t(std::ranges::count(places, wish.source, &SpawnWish::source));
+    const auto of_source = std::size_t(std::ranges::count(places, wish.source, &SpawnRequest::source));
     if (places.size() >= SpawnedActors::kMostPlaces)
         throw Refusal(
             grpc::StatusCode::RESOURCE_EXHAUSTED,
             fmt::format("cannot spawn {}: this scene already has {} spawned actors, which is the maximum",
                         quoted(wish.name), places.size()));
     const std::size_t first = places.size();
-    SpawnWish empty = wish;
+    SpawnRequest empty = wish;
     empty.name.clear();
     places.resize(
         std::min(first + std::clamp<std::size_t>(of_source, 1, kMostSpare), SpawnedActors::kMostPlaces),
@@ -55,7 +55,7 @@ std::uint32_t model_of_actor(const Scene& scene, const std::string& track) {
 /// Adds the model of an asset to the scene.
 std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
     const Run asset = load_run(folder);
-    return append_model(scene, asset.scene, model_of_actor(asset.scene, only_track(asset)));
+    return append_model(scene, asset.scene, model_of_actor(asset.scene, find_only_track(asset)));
 }
 
 }  // namespace
@@ -63,7 +63,7 @@ std::uint32_t add_asset(Scene& scene, const std::filesystem::path& folder) {
 std::vector<SpawnedActors::Place> SpawnedActors::places(std::size_t scene) const {
     const std::lock_guard lock(mutex_);
     std::vector<Place> all;
-    for (const SpawnWish& actor : scenes_[scene]) all.push_back({all.size(), actor});
+    for (const SpawnRequest& actor : scenes_[scene]) all.push_back({all.size(), actor});
     return all;
 }
 
@@ -79,11 +79,11 @@ std::size_t SpawnedActors::count_places(std::size_t scene) const {
 }
 
 std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
-                                                      const std::vector<SpawnWish>& wishes) {
+                                                      const std::vector<SpawnRequest>& wishes) {
     const std::lock_guard lock(mutex_);
     SpawnedPlaces places = scenes_[scene];  // Changes a copy, so that a rejected request changes nothing.
     std::vector<Place> new_places;
-    for (const SpawnWish& wish : wishes) {
+    for (const SpawnRequest& wish : wishes) {
         if (find_spawned(places, wish.name) != places.end())
             throw Refusal(grpc::StatusCode::ALREADY_EXISTS,
                           fmt::format("cannot spawn {}: an actor with this name exists; use another name",
@@ -96,7 +96,7 @@ std::vector<SpawnedActors::Place> SpawnedActors::take(std::size_t scene,
     return new_places;
 }
 
-void SpawnedActors::give_back(std::size_t scene, const std::vector<std::string>& names) {
+void SpawnedActors::release(std::size_t scene, const std::vector<std::string>& names) {
     const std::lock_guard lock(mutex_);
     SpawnedPlaces places = scenes_[scene];
     for (const std::string& name : names) {
@@ -118,9 +118,9 @@ void SpawnedActors::undo(std::size_t scene, const std::vector<Place>& places, st
     scenes_[scene].resize(n_before);
 }
 
-std::string track_of_place(std::size_t position) { return fmt::format("\x01spawned {}", position); }
+std::string track_of_slot(std::size_t position) { return fmt::format("\x01spawned {}", position); }
 
-void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets) {
+void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetCatalogue& assets) {
     std::map<std::string, std::uint32_t> models;  // Models of assets.
     for (const SpawnedActors::Place& place : places) {
         const SpawnSource& source = place.actor.source;
@@ -129,7 +129,7 @@ void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const
         else if (const auto model_entry = models.find(source.name); model_entry != models.end())
             model = model_entry->second;
         else model = models[source.name] = add_asset(run.scene, assets.find(source.name)->folder);
-        run.scene.instances.push_back({model, track_of_place(place.position)});
+        run.scene.instances.push_back({model, track_of_slot(place.position)});
     }
 }
 

@@ -15,7 +15,7 @@ struct Run;
 
 namespace relidar::serve {
 
-class AssetShelf;
+class AssetCatalogue;
 
 /// Model of a spawned actor. It is either an actor of the scene's run or an asset.
 struct SpawnSource {
@@ -26,7 +26,7 @@ struct SpawnSource {
 };
 
 /// Describes an actor that a client wants to spawn.
-struct SpawnWish {
+struct SpawnRequest {
     std::string name;  ///< Name chosen by the client.
     SpawnSource source;
     glm::dvec3 size_m{0.0};
@@ -47,7 +47,7 @@ public:
     /// A slot for a spawned actor, and its index in the scene.
     struct Place {
         std::size_t position = 0;
-        SpawnWish actor;  ///< Actor in this slot. The name is empty if the slot is free.
+        SpawnRequest actor;  ///< Actor in this slot. The name is empty if the slot is free.
     };
     std::vector<Place> places(std::size_t scene) const;
     /// Returns the slots that contain an actor.
@@ -58,10 +58,10 @@ public:
     /// @return the slots in the order of the requests
     /// @throws Refusal if a name is in use or the limit of slots is reached. Nothing is
     /// changed then.
-    std::vector<Place> take(std::size_t scene, const std::vector<SpawnWish>& wishes);
+    std::vector<Place> take(std::size_t scene, const std::vector<SpawnRequest>& wishes);
     /// Releases the slots of all named actors.
     /// @throws Refusal if a name is unknown. No slot is released then.
-    void give_back(std::size_t scene, const std::vector<std::string>& names);
+    void release(std::size_t scene, const std::vector<std::string>& names);
     /// Reverts take(). Releases the names of the actors and removes the slots that take()
     /// has added.
     void undo(std::size_t scene, const std::vector<Place>& places, std::size_t n_before);
@@ -70,17 +70,17 @@ public:
 private:
     mutable std::mutex mutex_;
     /// Slots of each scene. The first index is the scene, the second index is the slot.
-    std::vector<std::vector<SpawnWish>> scenes_;
+    std::vector<std::vector<SpawnRequest>> scenes_;
 };
 
 /// Returns the track name of a slot in the rendered scene. No track of a run has the same
 /// name.
-std::string track_of_place(std::size_t position);
+std::string track_of_slot(std::size_t position);
 
 /// Adds an instance to the run for each slot. Adds the model of each asset once. Must be
 /// called before the run is rendered.
 /// @throws DataError if an asset cannot be read, or if its surfels have another primitive
 /// shape than those of the run
-void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetShelf& assets);
+void add_places(Run& run, const std::vector<SpawnedActors::Place>& places, const AssetCatalogue& assets);
 
 }  // namespace relidar::serve

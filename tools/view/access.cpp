@@ -38,17 +38,17 @@ std::string_view without_port(std::string_view host) {
 
 }  // namespace
 
-bool is_own_host(std::string_view host, std::string_view own_name) {
+bool is_local_host(std::string_view host, std::string_view host_name) {
     const std::string_view name = without_port(host);
     if (name.empty()) return false;
-    if (equal_in_any_case(name, "localhost") || (!own_name.empty() && equal_in_any_case(name, own_name)))
+    if (equal_in_any_case(name, "localhost") || (!host_name.empty() && equal_in_any_case(name, host_name)))
         return true;
     boost::system::error_code failed;
     boost::asio::ip::make_address(std::string(name), failed);
     return !failed;
 }
 
-bool is_own_origin(std::string_view origin, std::string_view host) {
+bool is_same_origin(std::string_view origin, std::string_view host) {
     constexpr std::string_view kScheme = "http://";
     return origin.empty() ||
            (origin.starts_with(kScheme) && equal_in_any_case(origin.substr(kScheme.size()), host));

@@ -17,13 +17,13 @@ struct Credentials {
 };
 
 /// Returns true if a Host header names this machine: an IP address, "localhost", or
-/// `own_name`. Other names are rejected, because a foreign DNS server could resolve them
+/// `host_name`. Other names are rejected, because a foreign DNS server could resolve them
 /// to this machine. Any port is accepted, because a forwarded port has another number.
-bool is_own_host(std::string_view host, std::string_view own_name);
+bool is_local_host(std::string_view host, std::string_view host_name);
 /// Returns true if the Origin header names this server or is missing. A browser always
 /// sends this header when it opens a WebSocket. Other programs do not send it.
 /// @param host value of the Host header of the same request
-bool is_own_origin(std::string_view origin, std::string_view host);
+bool is_same_origin(std::string_view origin, std::string_view host);
 /// Compares two secrets in constant time. Otherwise the duration would show how many
 /// characters match.
 bool same_secret(std::string_view a, std::string_view b);

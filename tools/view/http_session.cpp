@@ -84,8 +84,8 @@ std::optional<HttpSession::Status> HttpSession::objection(const Request& request
     if (request.count(http::field::host) != 1) return Status::bad_request;
     const Credentials credentials{view(request[http::field::host]), view(request[http::field::origin]),
                                   view(request[http::field::cookie]), query_of(view(request.target()))};
-    if (!is_own_host(credentials.host, hub_.own_name)) return Status::forbidden;
-    if (request.count(http::field::origin) > 1 || !is_own_origin(credentials.origin, credentials.host))
+    if (!is_local_host(credentials.host, hub_.host_name)) return Status::forbidden;
+    if (request.count(http::field::origin) > 1 || !is_same_origin(credentials.origin, credentials.host))
         return Status::forbidden;
     if (!hub_.options.token.empty() && !shows_token(credentials, hub_.options.token, hub_.cookie_name))
         return Status::unauthorized;
@@ -159,7 +159,7 @@ void HttpSession::refuse(Status status) {
     write();
 }
 
-void HttpSession::turn_away() { refuse(Status::service_unavailable); }
+void HttpSession::refuse_connection() { refuse(Status::service_unavailable); }
 
 void HttpSession::write() {
     limit(hub_.options.idle_time);

@@ -26,7 +26,7 @@ public:
     HttpSession(boost::asio::ip::tcp::socket socket, Hub& hub);
     void read();
     /// Tells the client that there are too many connections, and closes this connection.
-    void turn_away();
+    void refuse_connection();
 
 private:
     using Request = boost::beast::http::request<boost::beast::http::empty_body>;

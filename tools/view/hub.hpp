@@ -23,7 +23,7 @@ struct Hub {
     /// Name of the cookie that holds the access token. Each server has another name,
     /// because a browser sends the cookies of a host to all ports of this host.
     std::string cookie_name;
-    std::string own_name;  ///< Name of this machine.
+    std::string host_name;  ///< Name of this machine.
     std::size_t n_connections = 0;
     boost::asio::io_context io{1};
     std::map<ClientId, std::weak_ptr<SocketSession>> clients = {};

@@ -100,11 +100,11 @@ ActorEdits parse_edits(const Json& json) {
     return edits;
 }
 
-ScanWish parse_scan(const Json& json) {
+LiveScanRequest parse_scan(const Json& json) {
     const auto place =
         numbers<6>(field(json, "place"), "place", {kFar_m, kFar_m, kFar_m, 360.0, 360.0, 360.0});
     const double radians = kPi / 180.0;
-    ScanWish wish;
+    LiveScanRequest wish;
     wish.id = static_cast<std::int64_t>(number(field(json, "id"), "id", 1e15));
     wish.time_s = number(field(json, "time_s"), "time_s", kLate_s);
     wish.sensor_offset = {rotation_of(place[3] * radians, place[4] * radians, place[5] * radians),
@@ -142,10 +142,11 @@ Request parse_request(const std::string& message) {
     if (kind == "sensor")
         return SensorFile{text(field(json, "file"), "file", 200),
                           text(field(json, "text"), "text", message.size())};
-    if (kind == "save") return SaveWish{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
+    if (kind == "save")
+        return SaveRequest{folder_name(field(json, "name")), parse_edits(field(json, "edits"))};
     if (kind == "ground")
-        return GroundWish{text(field(json, "of"), "of"), run_name(field(json, "from")),
-                          numbers<2>(field(json, "at"), "at", {kFarAway_m, kFarAway_m})};
+        return GroundRequest{text(field(json, "of"), "of"), run_name(field(json, "from")),
+                             numbers<2>(field(json, "at"), "at", {kFarAway_m, kFarAway_m})};
     throw UsageError(fmt::format("do: found \"{}\", expected scan, sensor, ground or save", kind));
 }
 

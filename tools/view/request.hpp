@@ -47,7 +47,7 @@ struct ActorEdits {
     bool operator==(const ActorEdits&) const = default;
 };
 
-struct ScanWish {
+struct LiveScanRequest {
     std::int64_t id = 0;  ///< Number of the request. The answer contains the same number.
     double time_s = 0.0;
     Pose sensor_offset;  ///< Pose of the simulated sensor relative to the LiDAR of the log.
@@ -67,18 +67,18 @@ struct SensorFile {
 };
 
 /// Asks for the pose of an actor on the ground at the position that the user clicked.
-struct GroundWish {
+struct GroundRequest {
     std::string of;
     std::string from;            ///< See ActorEdits::Copy.
     std::array<double, 2> at{};  ///< Clicked position x and y in relidar's world frame.
 };
 
-struct SaveWish {
+struct SaveRequest {
     std::string name;  ///< Name of the new folder. It may contain only letters, digits, -, _ and .
     ActorEdits edits;
 };
 
-using Request = std::variant<ScanWish, SensorFile, SaveWish, GroundWish>;
+using Request = std::variant<LiveScanRequest, SensorFile, SaveRequest, GroundRequest>;
 
 /// Parses a request of the page.
 /// @throws UsageError that names the first value that is missing, has a wrong type, or is

@@ -28,7 +28,7 @@ constexpr double kSameTime_s = 1e-6;
 constexpr const char* kFileSensor = "file";
 
 /// Returns the names of sensors that choose_sensor() accepts.
-std::vector<std::string> known_sensors() {
+std::vector<std::string> list_built_in_sensors() {
     std::vector<std::string> names = sensor_names();
     names.insert(names.begin(), "native");
     return names;
@@ -115,7 +115,7 @@ Json channels_json(const Config& config) {
     Json channels = Json::array();
     // Adds the channel `source`, which is not in the settings because it exists only in
     // simulated weather.
-    for (const ChannelInfo& channel : wanted_channels(config.render.channels + ",source"))
+    for (const ChannelInfo& channel : parse_channels(config.render.channels + ",source"))
         channels.push_back({{"name", channel.name}, {"unit", channel.unit}, {"meaning", channel.meaning}});
     return channels;
 }
@@ -159,13 +159,13 @@ Json Scanner::describe() const {
             {"device", device_.info().name},
             {"frames", frames},
             {"lidars", lidars},
-            {"sensors", known_sensors()},
+            {"sensors", list_built_in_sensors()},
             {"max_range_m", run_.config.dataset.max_range_m},
             {"channels", channels_json(run_.config)},
             {"weather", weather_json()}};
 }
 
-SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
+SensorChoice Scanner::sensor_for(TabCache& tab, const LiveScanRequest& wish) const {
     if (wish.lidar < 0 || std::size_t(wish.lidar) >= run_.sequence.lidars.size())
         throw UsageError(fmt::format("lidar: found {}, expected the index of one of {} LiDARs", wish.lidar,
                                      run_.sequence.lidars.size()));
@@ -179,7 +179,7 @@ SensorChoice Scanner::sensor_for(TabCache& tab, const ScanWish& wish) const {
     if (!tab.sensor || tab.sensor->first != key) {
         // Accepts only names of known sensors, so that clients cannot read files of the
         // server.
-        const std::vector<std::string> names = known_sensors();
+        const std::vector<std::string> names = list_built_in_sensors();
         if (std::find(names.begin(), names.end(), wish.sensor) == names.end())
             throw UsageError(fmt::format(
                 "sensor: \"{}\" is unknown, expected a name from the list of sensors", wish.sensor));
@@ -235,7 +235,7 @@ ScanRenderer& Scanner::renderer_for(const Traffic& traffic) {
 
 /// Returns the log's frame that is nearest in time to the request, for the requested
 /// LiDAR.
-const Frame* Scanner::nearest_real(const ScanWish& wish) const {
+const Frame* Scanner::nearest_real(const LiveScanRequest& wish) const {
     const Sequence* log = real_.sequence();
     if (!log || !wish.real) return nullptr;
     const Frame* nearest = nullptr;
@@ -246,12 +246,13 @@ const Frame* Scanner::nearest_real(const ScanWish& wish) const {
     return nearest;
 }
 
-RenderedScan Scanner::render(const Traffic& traffic, const ScanWish& wish, const SensorChoice& sensor) {
+RenderedScan Scanner::render(const Traffic& traffic, const LiveScanRequest& wish,
+                             const SensorChoice& sensor) {
     const Sequence& log = run_.sequence;
     ScanRequest request;
     request.time_s = wish.time_s;
-    request.dataset_from_sensor =
-        shifted_track(moved_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
+    request.dataset_from_sensor = shifted_track(
+        mounted_track(log.world_from_sensor(wish.lidar), wish.sensor_offset), log.world_offset_m);
     request.dataset_from_actor = traffic.placed(wish.time_s);
     ScanRenderer& renderer = renderer_for(traffic);
     renderer.set_weather(wish.weather);
@@ -273,7 +274,7 @@ Json Scanner::kernel_times() {
     return times;
 }
 
-std::string Scanner::scan(TabCache& tab, const ScanWish& wish) {
+std::string Scanner::scan(TabCache& tab, const LiveScanRequest& wish) {
     const auto start = Clock::now();
     SensorChoice sensor = sensor_for(tab, wish);  // Throws errors before anything is rendered.
     if (!tab.traffic || tab.traffic->edits() != wish.edits) tab.traffic.emplace(run_, others_, wish.edits);

@@ -46,17 +46,17 @@ public:
     nlohmann::json describe() const;
     /// Renders a scan and encodes it in the binary format of frame.hpp.
     /// @throws UsageError or DataError if the requested scan cannot be rendered
-    std::string scan(TabCache& tab, const ScanWish& wish);
+    std::string scan(TabCache& tab, const LiveScanRequest& wish);
     /// Reads a sensor file that a browser tab has uploaded.
     /// @return a description of the sensor
     /// @throws UsageError or DataError that describes the error in the file
     nlohmann::json read_sensor(TabCache& tab, const SensorFile& file) const;
 
 private:
-    SensorChoice sensor_for(TabCache& tab, const ScanWish& wish) const;
-    RenderedScan render(const Traffic& traffic, const ScanWish& wish, const SensorChoice& sensor);
+    SensorChoice sensor_for(TabCache& tab, const LiveScanRequest& wish) const;
+    RenderedScan render(const Traffic& traffic, const LiveScanRequest& wish, const SensorChoice& sensor);
     ScanRenderer& renderer_for(const Traffic& traffic);
-    const Frame* nearest_real(const ScanWish& wish) const;
+    const Frame* nearest_real(const LiveScanRequest& wish) const;
     nlohmann::json kernel_times();
 
     const Run run_;

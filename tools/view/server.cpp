@@ -91,7 +91,7 @@ struct Server::Impl {
             const bool has_room = hub.n_connections < hub.options.max_connections;
             const auto session = std::make_shared<HttpSession>(std::move(socket), hub);
             if (has_room) session->read();
-            else if (hub.n_connections < 2 * hub.options.max_connections) session->turn_away();
+            else if (hub.n_connections < 2 * hub.options.max_connections) session->refuse_connection();
             accept();
         });
     }

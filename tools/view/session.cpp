@@ -65,8 +65,8 @@ void Session::receive(TabId id, const std::string& message) {
     const auto tab_entry = tabs_.find(id);
     if (tab_entry == tabs_.end() || deaf_) return;
     Tab& tab = *tab_entry->second;
-    if (request && std::holds_alternative<ScanWish>(*request))
-        tab.scan = std::get<ScanWish>(std::move(*request));
+    if (request && std::holds_alternative<LiveScanRequest>(*request))
+        tab.scan = std::get<LiveScanRequest>(std::move(*request));
     else if (request && tab.others.size() < kMaxWaiting) tab.others.push_back(std::move(*request));
     else tab.refused = why;
     arrived_.notify_one();
@@ -100,12 +100,12 @@ std::optional<Session::Job> Session::job_of(TabId id, const std::shared_ptr<Tab>
         tab->others.pop_front();
         return Job{id, about(request), [this, id, tab, request] {
                        Json told = answer(tab->cache, request);
-                       told["kind"] = std::holds_alternative<SaveWish>(request) ? "saved" : about(request);
+                       told["kind"] = std::holds_alternative<SaveRequest>(request) ? "saved" : about(request);
                        answers_.text(id, dump(told));
                    }};
     }
     if (tab->scan) {
-        const ScanWish wish = *std::exchange(tab->scan, std::nullopt);
+        const LiveScanRequest wish = *std::exchange(tab->scan, std::nullopt);
         return Job{id, about(wish),
                    [this, id, tab, wish] { answers_.frame(id, scanner_.scan(tab->cache, wish)); }};
     }
@@ -155,14 +155,14 @@ bool Session::work(std::chrono::milliseconds patience) {
 }
 
 Json Session::answer(TabCache& cache, const Request& request) const {
-    if (const auto* wish = std::get_if<SaveWish>(&request)) return save(*wish);
+    if (const auto* wish = std::get_if<SaveRequest>(&request)) return save(*wish);
     if (const auto* file = std::get_if<SensorFile>(&request)) return scanner_.read_sensor(cache, *file);
     const ActorEdits::Copy copy =
-        copy_on_ground(scanner_.run(), scanner_.others(), std::get<GroundWish>(request));
+        copy_on_ground(scanner_.run(), scanner_.others(), std::get<GroundRequest>(request));
     return {{"of", copy.of}, {"from", copy.from}, {"at", copy.at}};
 }
 
-Json Session::save(const SaveWish& wish) const {
+Json Session::save(const SaveRequest& wish) const {
     // Throws an error for invalid edits before the folder is created.
     Run run = edited_run(scanner_.run(), scanner_.others(), wish.edits);
     const std::filesystem::path folder = save_folder_ / wish.name;

@@ -57,7 +57,7 @@ private:
         /// State of reading the log that was last sent to the browser tab.
         RealScans::State told = RealScans::State::loading;
         /// Newest scan that the browser tab has requested and that is not rendered yet.
-        std::optional<ScanWish> scan = {};
+        std::optional<LiveScanRequest> scan = {};
         /// Pending requests that are not scans: sensor files, positions on the ground,
         /// and runs to save.
         std::deque<Request> others = {};
@@ -74,7 +74,7 @@ private:
     std::optional<Job> job_of(TabId id, const std::shared_ptr<Tab>& tab);
     nlohmann::json answer(TabCache& cache, const Request& request) const;
     void refuse(TabId id, const char* about, const std::string& why) const;
-    nlohmann::json save(const SaveWish& wish) const;
+    nlohmann::json save(const SaveRequest& wish) const;
 
     Scanner scanner_;
     const std::filesystem::path save_folder_;

@@ -80,16 +80,16 @@ void SocketSession::on_written(Error failed) {
     outgoing_.pop_front();
     if (refused_) return refuse();
     if (!outgoing_.empty()) write();
-    else if (leaving_) say_goodbye(websocket::close_code::going_away, "the program is shutting down");
+    else if (leaving_) close_with_reason(websocket::close_code::going_away, "the program is shutting down");
 }
 
 void SocketSession::leave() {
     leaving_ = true;
     if (id_ != 0 && outgoing_.empty())
-        say_goodbye(websocket::close_code::going_away, "the program is shutting down");
+        close_with_reason(websocket::close_code::going_away, "the program is shutting down");
 }
 
-void SocketSession::say_goodbye(std::uint16_t code, const char* why) {
+void SocketSession::close_with_reason(std::uint16_t code, const char* why) {
     if (std::exchange(said_goodbye_, true)) return;
     stream_.async_close({websocket::close_code(code), why},
                         [self = shared_from_this()](Error) { self->finish(); });
@@ -103,7 +103,7 @@ void SocketSession::refuse() {
         outgoing_.erase(outgoing_.begin() + 1, outgoing_.end());
         return;
     }
-    say_goodbye(websocket::close_code::unknown_data, "expected a text message");
+    close_with_reason(websocket::close_code::unknown_data, "expected a text message");
 }
 
 void SocketSession::finish() {

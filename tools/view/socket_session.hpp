@@ -40,7 +40,7 @@ private:
     void write();
     void on_written(Error failed);
     void refuse();
-    void say_goodbye(std::uint16_t code, const char* why);
+    void close_with_reason(std::uint16_t code, const char* why);
     void finish();
 
     Hub& hub_;

@@ -114,7 +114,7 @@ DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
     return copied(std::move(driving), others, copies, [](const Run& run) { return run.driving(); });
 }
 
-ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundWish& wish) {
+ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundRequest& wish) {
     const Run& owner = wish.from.empty() ? run : run_called(wish.from, others);
     const glm::dvec3& offset_m = run.sequence.world_offset_m;
     GroundPlace place{{wish.at[0] + offset_m.x, wish.at[1] + offset_m.y}};

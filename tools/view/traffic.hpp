@@ -29,7 +29,7 @@ DrivingScene with_copies(DrivingScene driving, const OtherRuns& others,
 
 /// Returns a copy of an actor that stands on the ground at the clicked position.
 /// @throws UsageError if there is no ground at this position
-ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundWish& wish);
+ActorEdits::Copy copy_on_ground(const Run& run, const OtherRuns& others, const GroundRequest& wish);
 
 /// The actors of a run after some edits. Uses only tracks and instances, not surfels.
 class Traffic {

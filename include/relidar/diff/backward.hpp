@@ -23,7 +23,7 @@ struct SensorPoseGradient;
 }  // namespace shared
 
 /// Selects optional gradients. Gradients of the surfels are always computed.
-struct WantedGradients {
+struct GradientSelection {
     bool rays = false;   ///< If true, computes dL/d(origin) and dL/d(direction) of every ray.
     bool poses = false;  ///< If true, computes the pose gradients of all instances and of the sensor.
 };
@@ -41,7 +41,7 @@ struct Gradients {
     /// these values are undefined, and Adam treats them as zero.
     bool zero_untouched = true;
     /// dL/d(origin) and dL/d(direction) of every ray, [n_rays,6], world frame. Empty
-    /// unless WantedGradients::rays is set.
+    /// unless GradientSelection::rays is set.
     Array<float, shared::DeviceRayGradients> rays;
 
     /// Pose gradients of the instances, [instances,6]: dL/d(v, w) at 0. v is a
@@ -51,7 +51,7 @@ struct Gradients {
     /// row is exactly 0 if the instance is absent or no ray with a gradient hits it. With
     /// ShDirection::surfel, SH directions contribute only to the first instance of a
     /// model, because they are computed for that instance. Empty unless
-    /// WantedGradients::poses is set.
+    /// GradientSelection::poses is set.
     ///
     /// An instance that moves during the sweep has the pose P(t) = (R(t), T(t)). R is the
     /// rotation of the pose that was set. The gradient is the exact derivative of one
@@ -63,7 +63,7 @@ struct Gradients {
     /// one rigid body: origin' = c + exp([w]x) (origin - c) + v and direction' =
     /// exp([w]x) direction. The centre c = view_origin_m moves with the rays. With a
     /// rolling shutter, all rays of the frame share this one correction. Empty unless
-    /// WantedGradients::poses is set.
+    /// GradientSelection::poses is set.
     ///
     /// The gradient is exact if no instance moves during the sweep. For a moving
     /// instance, all its rays are treated as if the instance had the pose that was set.
@@ -76,7 +76,7 @@ struct Gradients {
 
     /// Allocates the gradient arrays on the device.
     /// @param n_rays number of rays of the largest batch
-    Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted = {},
+    Gradients(Device& device, const DeviceScene& scene, const GradientSelection& wanted = {},
               std::uint32_t n_rays = 0);
     ~Gradients();
     Gradients(Gradients&&) noexcept;

@@ -48,7 +48,7 @@ struct ObservedBatch {
     const Array<std::uint32_t, shared::TouchedSurfels>* touched = nullptr;
     std::uint32_t frame = 0;  ///< Index of the batch's frame in the list of training frames.
     /// True if the batch has all rays of the frame. False if it has only every s-th ray.
-    bool whole_frame = true;
+    bool is_full_frame = true;
 };
 
 class Densifier {

@@ -21,7 +21,7 @@ namespace relidar {
 /// Selects the gradients to compute and the method for summing them.
 struct GradientOptions {
     BackwardOptions sums{};
-    WantedGradients wanted{};
+    GradientSelection wanted{};
     /// If true, surfels without a gradient get gradients of zero. If false, these values
     /// are undefined.
     bool zero_untouched = true;

@@ -59,7 +59,7 @@ public:
              const Array<shared::RenderedSurface>* surfaces = nullptr);
     /// Returns the number of rays that reached the maximum number of passes since the
     /// last call. Such rays end too early, so the image is wrong. Waits for the GPU.
-    std::uint32_t take_pass_cap_count();
+    std::uint32_t reset_pass_cap_count();
     /// Number of rays that reached the maximum number of passes, [1] on the device. The
     /// value grows until the caller sets it to 0. It can be read without waiting for the
     /// stream.

@@ -39,7 +39,7 @@ struct DeviceInfo {
     bool float_atomics = false;
     int subgroup_size = 1;  ///< Number of invocations in a subgroup.
     /// True if kernels can be forced to run in full subgroups of exactly subgroup_size.
-    bool known_subgroups = false;
+    bool has_known_subgroups = false;
     bool timestamps = false;  ///< True if compute queues support timestamps.
     /// Names of the missing features and extensions that ray queries require. Empty if
     /// ray_query is true.

@@ -181,19 +181,19 @@ private:
 };
 
 /// Scope in which a stream records several independent sequences of kernel launches
-/// (strands). A launch sees only the results of earlier launches in its sequence. The
+/// (lanes). A launch sees only the results of earlier launches in its sequence. The
 /// n-th launches of all sequences may run concurrently, so that several small launches
 /// use the full device. A launch must not access memory that another sequence writes.
 /// Commands recorded or submitted after the scope see the results of all sequences.
-class Strands {
+class StreamLanes {
 public:
-    Strands(Stream& stream, std::size_t n);
-    ~Strands();
-    Strands(const Strands&) = delete;
-    Strands& operator=(const Strands&) = delete;
-    /// Selects the sequence (strand) in which the next launches are recorded. The scope
+    StreamLanes(Stream& stream, std::size_t n);
+    ~StreamLanes();
+    StreamLanes(const StreamLanes&) = delete;
+    StreamLanes& operator=(const StreamLanes&) = delete;
+    /// Selects the sequence (lane) in which the next launches are recorded. The scope
     /// starts with sequence 0.
-    void choose(std::size_t strand);
+    void choose(std::size_t lane);
 
 private:
     Stream& stream_;

@@ -85,7 +85,7 @@ std::vector<std::string> optional_channel_names();
 /// Parses a comma-separated list of channel names, and removes duplicates.
 /// @throws UsageError for an unknown name; the message suggests the most similar known
 /// name
-std::vector<ChannelInfo> wanted_channels(const std::string& names);
+std::vector<ChannelInfo> parse_channels(const std::string& names);
 
 /// Returns a pointer to the values of the channel with this name. Returns null if no
 /// channel has this name, or if the values have another type than T.
@@ -100,7 +100,7 @@ const std::vector<T>* find_values(const std::vector<ScanChannel>& channels, cons
 std::size_t size(const ChannelValues& values);
 
 /// Returns a copy of the channels with the same names and types, but without values.
-std::vector<ScanChannel> emptied(const std::vector<ScanChannel>& channels);
+std::vector<ScanChannel> without_values(const std::vector<ScanChannel>& channels);
 
 /// A column of numbers in a file, float32 or int32. A scalar channel is written as one
 /// column, for example "seen". A vector channel is written as three columns: "normal_x",
@@ -123,7 +123,7 @@ void append_row(std::string& bytes, const std::vector<ScanChannel>& channels, st
 /// Returns the default value of a channel. The default value is stored if the ray hits
 /// nothing or if the value is unknown.
 template <class T>
-T nothing_of(const ChannelInfo& channel) {
+T missing_value_of(const ChannelInfo& channel) {
     return T(static_cast<float>(channel.none));
 }
 

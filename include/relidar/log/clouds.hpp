@@ -133,7 +133,7 @@ struct BoxLabel {
 };
 /// Groups box labels with the same id into one track. Tracks are in the order of their
 /// first labels. The first label of a track sets its size and category.
-std::vector<BoxTrack> tracks_of(const std::vector<BoxLabel>& labels);
+std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels);
 
 /// Checks that a log is valid, and throws an error if it is not. load_sequence() calls
 /// this function for every reader. The function checks:

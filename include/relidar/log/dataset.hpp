@@ -67,7 +67,7 @@ struct DatasetOptions {
     /// scans are spread evenly over the log, and the other frames have no rays. 0: read
     /// all scans. Some logs are always read completely: KITTI, Argoverse 2, Waymo, and
     /// nuScenes with its original HDL-32E.
-    int most_scans = 0;
+    int max_scans = 0;
     Progress progress = {};  ///< receives the progress of reading
     BagOptions bag = {};
     WaymoOptions waymo = {};

@@ -21,7 +21,7 @@ struct RegisterOptions {
     double largest_m = 1.0;
     /// True: the motion from scan to scan is taken from the given poses. False: the
     /// motion is estimated from the scans alone.
-    bool given_motion = true;
+    bool use_pose_motion = true;
     std::vector<BoxTrack> movers;  ///< Boxes of moving objects. Points inside these boxes are ignored.
     double mover_margin_m = kMoverMargin_m;  ///< boxes are enlarged by this margin
     /// Polled before every scan and every round of the adjustment. If the callback
@@ -56,8 +56,8 @@ struct Registration {
     double on_planes = 0.0;
     /// Number of loop closures: places where a road is driven again and the later pass
     /// was aligned with the earlier pass.
-    std::size_t places_again = 0;
-    double loops_off_m = 0.0;  ///< Largest position error, in metres, that a loop closure corrected.
+    std::size_t n_loop_closures = 0;
+    double largest_loop_error_m = 0.0;  ///< Largest position error, in metres, that a loop closure corrected.
     bool stopped = false;
     bool done = false;  ///< false: the poses are those of the log
 };
@@ -94,7 +94,7 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
 
 /// The surface of a scene that a ray hits: a point and its normal, both in the world
 /// frame. A normal of 0 means that the ray hits no surface.
-struct SeenSurface {
+struct VisibleSurface {
     glm::dvec3 point_m{0.0}, normal{0.0};
 };
 
@@ -104,8 +104,8 @@ struct SeenSurface {
 /// @param rays  indices of the rays in the frame's scan
 /// @param world_from_vehicle  poses from which the rays are cast
 /// @return [rays] one surface for each ray
-using SceneView = std::function<std::vector<SeenSurface>(int position, const std::vector<std::size_t>& rays,
-                                                         const PoseTrack& world_from_vehicle)>;
+using SceneView = std::function<std::vector<VisibleSurface>(
+    int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle)>;
 
 /// Pose of a scan that was aligned with a scene.
 struct ScanPlacement {

@@ -364,7 +364,7 @@ RayTable make_rays(const SensorModel& sensor, double time_s = 0.0);
 /// spinning sensor.
 std::optional<SensorPattern> fixed_pattern(const SensorModel& sensor);
 
-/// Returns the names that known_sensor() accepts.
+/// Returns the names that find_built_in_sensor() accepts.
 std::vector<std::string> sensor_names();
 /// Returns the built-in sensor with this name, or nothing if no sensor has this name.
 /// @param name  for example "VLP-16" or "kitti360", in upper or lower case
@@ -372,7 +372,8 @@ std::vector<std::string> sensor_names();
 /// sensor
 /// @param rate_hz  rotation rate of a spinning sensor; 0: the default of the sensor
 /// @throws UsageError if `columns` or `rate_hz` is set for a sensor that does not spin
-std::optional<SensorModel> known_sensor(const std::string& name, int columns = 0, double rate_hz = 0.0);
+std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns = 0,
+                                                double rate_hz = 0.0);
 
 /// Parses a table of beams in CSV format: a header line, then a line for each beam,
 /// from the highest to the lowest. Lines that begin with # are ignored. The columns can

@@ -16,7 +16,7 @@ namespace relidar {
 /// Position of a time between two entries of a track, `left` and `left + 1`. The fraction
 /// between them is s. It is outside 0..1 for times before the first or after the last
 /// entry.
-struct TrackPlace {
+struct TrackPosition {
     std::size_t left = 0;
     double s = 0.0;  ///< 0 if the track has only one entry
 };
@@ -32,12 +32,12 @@ struct PoseTrack {
     /// @throws DataError if the track is empty
     Pose at(double t_s) const;
     /// Returns the pose at `t_s` of an object that is mounted on the moving object of
-    /// this track. `mounted` is the mounting. Same as moved_track(*this,
+    /// this track. `mounted` is the mounting. Same as mounted_track(*this,
     /// mounted).at(t_s).
     Pose at(double t_s, const Pose& mounted) const;
     /// Returns the two entries of the track between which at(t_s) interpolates.
     /// @throws DataError if the track is empty
-    TrackPlace place(double t_s) const;
+    TrackPosition place(double t_s) const;
     bool covers(double t_s) const { return !time_s.empty() && t_s >= time_s.front() && t_s <= time_s.back(); }
 };
 
@@ -289,7 +289,7 @@ int find_lidar(const Sequence& sequence, const std::string& name);
 /// Returns the poses of an object that is mounted on another moving object.
 /// @param track  poses of the moving object
 /// @param sensor_from_moved  pose of the mounted object in the frame of the moving object
-PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved);
+PoseTrack mounted_track(PoseTrack track, const Pose& sensor_from_moved);
 /// Returns the same motion with additional poses in curves. An object that is mounted on
 /// the track then follows the curve, instead of straight lines between the poses.
 PoseTrack with_fine_turns(const PoseTrack& track);

@@ -49,8 +49,8 @@ BlockLog block_log(const Sequence& sequence, const Split& split, const Block& bl
 
 /// Removes all background surfels that belong to other blocks. A surfel belongs to the
 /// block with the sweep that is nearest to it.
-void keep_own_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
-                      std::size_t block);
+void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
+                            std::size_t block);
 
 /// Joins trained blocks to one run. Background surfels stay in the files of the blocks.
 /// Each actor is copied from the block with the most training frames that saw it.

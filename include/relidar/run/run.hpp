@@ -108,7 +108,7 @@ Surfels read_block(const SceneBlock& block);
 Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks);
 /// Returns a copy of the scene with all blocks loaded. Use it for functions that need
 /// every surfel.
-Scene whole_scene(const Scene& scene);
+Scene load_all_blocks(const Scene& scene);
 
 /// Saves a ray-drop network as a safetensors file. load_drop_network() loads it.
 /// @throws DataError naming file and array, also for numbers that are not finite

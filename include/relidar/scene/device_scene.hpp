@@ -275,7 +275,7 @@ public:
     const std::vector<InstancePose>& poses() const;
     /// Returns true if the new poses have another gait phase for a walking actor. The
     /// surfel records must then be computed again.
-    bool bends_otherwise(const std::vector<InstancePose>& placed) const;
+    bool has_new_gait_phases(const std::vector<InstancePose>& placed) const;
     /// Records the GPU kernel that computes surfel records from the parameters (M1, M2,
     /// M9). With ShDirection::surfel, the kernel also evaluates intensity and logits for
     /// the view.

@@ -201,7 +201,7 @@ Scene with_background(const Scene& scene, const Surfels& background);
 std::uint32_t append_model(Scene& scene, const Scene& other, std::uint32_t model);
 /// Returns the same scene with a separate model for every instance. If n instances share
 /// a model, its surfels are copied n - 1 times.
-Scene own_models(Scene scene);
+Scene copy_shared_models(Scene scene);
 /// Selects instances by name: "background", "actors" (all except the background), or a
 /// track id.
 /// @return [instances] true for each selected instance
@@ -371,9 +371,9 @@ std::vector<BoxTrack> masked_boxes(const Scene& scene, const Sequence& sequence,
                                    const InitialiseOptions& options);
 /// Returns the boxes that are removed from the background because they move, but are not
 /// selected as actors. Does not need a scene.
-std::vector<BoxTrack> unwanted_boxes(const Sequence& sequence, const InitialiseOptions& options);
+std::vector<BoxTrack> unselected_boxes(const Sequence& sequence, const InitialiseOptions& options);
 /// Returns a list of track ids and classes, at most eight: "3 (Pedestrian), 7 (Tram)".
-std::string names_of(const std::vector<BoxTrack>& boxes);
+std::string list_boxes(const std::vector<BoxTrack>& boxes);
 
 /// Computes poses and motions of all instances in a sweep from the log. A box is absent
 /// before its first and after its last label.

@@ -90,7 +90,7 @@ BoxPoints points_in_box(const RangeImage& rendered, const std::vector<float>& po
 
 /// Callback that receives each frame with its images after its metrics were computed. The
 /// callback may add metrics.
-using SeeFrame = std::function<void(ScoredFrame&)>;
+using FrameCallback = std::function<void(ScoredFrame&)>;
 
 /// Scored frames and their mean metrics.
 struct Evaluation {
@@ -131,7 +131,7 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 /// @throws DataError if a file with LPIPS weights is set and cannot be read
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
                            const std::vector<int>& positions, const Progress& progress = {},
-                           const SeeFrame& see = {});
+                           const FrameCallback& see = {});
 
 /// Computes the mean metrics of scored frames.
 /// @param times  kernel times of the renderer that rendered the frames
@@ -154,7 +154,8 @@ BoxMotion find_baseline(const std::string& name);
 /// @param see  see evaluate_frames()
 /// @throws UsageError like find_baseline()
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
-                             const Split& split, const Progress& progress = {}, const SeeFrame& see = {});
+                             const Split& split, const Progress& progress = {},
+                             const FrameCallback& see = {});
 
 /// Reads the file with LPIPS weights, if one is set, so that a damaged file is reported
 /// before a long evaluation starts.

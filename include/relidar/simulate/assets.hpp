@@ -24,7 +24,7 @@ namespace relidar {
 inline constexpr const char* kAssetFile = "asset.json";
 
 /// Points at which rays of the log hit an actor.
-struct ActorSightings {
+struct ActorObservations {
     std::vector<glm::vec3> points_m;                             ///< [n,3] box frame
     std::vector<glm::vec3> directions;                           ///< [n,3] directions of the rays, box frame
     double nearest_m = std::numeric_limits<double>::infinity();  ///< shortest range of a hit
@@ -32,13 +32,13 @@ struct ActorSightings {
 /// Marks the patches of an actor's box that were hit by rays, and returns the box
 /// surface.
 /// @param size_m [3] size of the box
-BoxSurface seen_surface(const glm::dvec3& size_m, const ActorSightings& sightings);
+BoxSurface seen_surface(const glm::dvec3& size_m, const ActorObservations& sightings);
 /// Renders the training frames again and returns the points at which their rays hit each
 /// actor, by track. The scans use the log's LiDARs at their original poses. An object
 /// that hid an actor in the log therefore hides it here too. A LiDAR without a nominal
 /// ray pattern is replaced by an HDL-64E.
-std::map<std::string, ActorSightings> sight_actors(Device& device, const Run& run,
-                                                   const Progress& progress = {});
+std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
+                                                        const Progress& progress = {});
 
 /// Description of an asset, as stored in asset.json.
 struct AssetFacts {
@@ -83,11 +83,11 @@ struct Asset {
 /// rays have hit the other side.
 /// @param sightings  hits of this actor
 /// @throws UsageError if no instance has this track
-Asset make_asset(const Run& run, const std::string& track, const ActorSightings& sightings);
+Asset make_asset(const Run& run, const std::string& track, const ActorObservations& sightings);
 
 /// Returns a copy of the surfels that is mirrored at the x-z plane: y becomes -y. Seen
 /// from the other side, the copy looks the same as the original surfels.
-Surfels mirrored_left_right(Surfels surfels);
+Surfels mirror_left_right(Surfels surfels);
 
 /// Writes an asset to a folder. The folder also becomes the folder of the asset's run.
 /// @throws DataError like save_run()
@@ -104,6 +104,6 @@ std::vector<std::filesystem::path> asset_folders(const std::filesystem::path& fo
 
 /// Returns the track of a run that has a single actor, for example an asset.
 /// @throws UsageError if the run has no actor or several
-std::string only_track(const Run& run);
+std::string find_only_track(const Run& run);
 
 }  // namespace relidar

@@ -1,7 +1,6 @@
-// SPDX-License-Identifier: Apache-2.0
-// Converts a rendered scan to points in a frame. Files, recordings, the service, the
-// viewer and Python all use this function. The GPU kernel of ScanRenderer::ask_points()
-// computes bitwise equal points.
+// SPDX-License-Identifier: Apache-2.0 Converts a rendered scan to points in a frame.
+// Files, recordings, the service, the viewer and Python all use this function. The GPU
+// kernel of ScanRenderer::submit_points() computes bitwise equal points.
 #pragma once
 
 #include <optional>

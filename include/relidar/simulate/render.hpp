@@ -250,7 +250,7 @@ struct ScanRequest {
 
 /// Renders scans of a trained scene. Only one thread may use a renderer, and renderers of
 /// the same device must not be used simultaneously. With ShDirection::surfel, a model
-/// with n instances is stored n times (own_models). The reason is that spherical
+/// with n instances is stored n times (copy_shared_models). The reason is that spherical
 /// harmonics are evaluated for the direction from the sensor to each instance.
 /// ShDirection::ray needs only one copy.
 class ScanRenderer {
@@ -277,7 +277,7 @@ public:
     /// `render.channels`.
     /// @throws UsageError for an unknown channel, and for a channel that needs normals if
     /// the primitives have none
-    void want_channels(const std::string& names);
+    void enable_channels(const std::string& names);
     /// Compares all following scans with the space that the log observed, and sets
     /// RenderedScan::unseen_share. An empty coverage switches the comparison off.
     void compare_with(const Coverage& coverage);
@@ -321,8 +321,8 @@ public:
     /// request. Scans whose points the device computes are then rendered in parallel.
     /// @throws UsageError if kScansInFlight requested scans were not collected, and as
     /// render()
-    void ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
-                    std::optional<std::uint64_t> sample = {}, Send when = Send::now);
+    void submit_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
+                       std::optional<std::uint64_t> sample = {}, Send when = Send::now);
     /// Maximum number of requested scans whose points are not collected yet. Two pending
     /// scans are enough to keep the device busy.
     static constexpr std::size_t kScansInFlight = 64;
@@ -338,7 +338,7 @@ public:
     /// Waits for the oldest requested scan and returns its points.
     /// @param memory points whose memory is reused
     /// @throws UsageError if no scan was requested
-    RenderedPoints take_points(Points memory = {});
+    RenderedPoints wait_for_points(Points memory = {});
     const KernelTimes& times() const;
 
 private:

@@ -129,9 +129,9 @@ void prepare_log(Sequence& sequence, const Split& split, const Config& config, P
 
 /// Loads the log that config.dataset describes. Uses a rolling shutter if config.sensor
 /// enables it.
-/// @param most_scans maximum number of scans, as in DatasetOptions::most_scans
+/// @param max_scans maximum number of scans, as in DatasetOptions::max_scans
 /// @throws errors of load_sequence()
-Sequence load_log(const Config& config, const Progress& progress = {}, int most_scans = 0);
+Sequence load_log(const Config& config, const Progress& progress = {}, int max_scans = 0);
 
 /// Trains a scene on the training frames of a prepared log. Existing checkpoints are kept
 /// if an error occurs.
@@ -214,7 +214,7 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
 void check_refine_resumable(const Checkpoint& checkpoint, const Run& run);
 /// Copies the settings that affect a ray-drop network from its checkpoint into a config.
 /// @throws UsageError for a setting that this version does not know
-void take_refine_settings(const Checkpoint& checkpoint, Config& config);
+void restore_refine_settings(const Checkpoint& checkpoint, Config& config);
 
 /// Callbacks of learn_scatter(), which estimates the scatter of intensities.
 struct ScatterSession {
@@ -253,7 +253,7 @@ bool train_actors(Device& device, Run& run, const ActorSession& session = {});
 
 /// Moves the scene and the coverage from a training result into a run. Also moves the
 /// poses if training has corrected them.
-void take_result(Run& run, TrainResult& result);
+void move_result(Run& run, TrainResult& result);
 
 /// Checks that a training can resume with this log and these settings. train.iterations
 /// may be increased. The learning rates then follow the longer schedule from the current

@@ -25,12 +25,12 @@ bool rows_are_exchanged() {
     return COALESCED_ATOMICS != 0u && gl_NumSubgroups * gl_SubgroupSize == gl_WorkGroupSize.x;
 }
 
-uint own_shared_row() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
+uint shared_row_index() { return gl_SubgroupID * gl_SubgroupSize + gl_SubgroupInvocationID; }
 
 /// Adds to array[16 row + k]. The addition happens immediately or in the next add_row()
 /// of the same row.
 void add_float(Floats array, uint row, uint k, float amount) {
-    if (rows_are_exchanged()) shared_rows[own_shared_row() * kRowPitch + k] = amount;
+    if (rows_are_exchanged()) shared_rows[shared_row_index() * kRowPitch + k] = amount;
     else atomic_add(array, 16u * row + k, amount);
 }
 
@@ -40,11 +40,11 @@ void add_float(Floats array, uint row, uint k, float amount) {
 /// @param wanted  bit mask: bit k is set if float k has been set. The same for all lanes.
 void add_row(Floats array, uint row, uint wanted) {
     if (!rows_are_exchanged()) return;
-    shared_targets[own_shared_row()] = row;
+    shared_targets[shared_row_index()] = row;
     subgroupBarrier();
     // Groups of n lanes add n rows. Lane k % n adds float k of each row.
     uint n = min(16u, gl_SubgroupSize), lane = gl_SubgroupInvocationID % n;
-    uint first = own_shared_row() - lane;
+    uint first = shared_row_index() - lane;
     for (uint from = first; from < first + n; ++from) {
         uint to = shared_targets[from];
         if (to == kNoRow) continue;

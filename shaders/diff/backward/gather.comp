@@ -25,7 +25,7 @@ uint sum_hit(TraceScene scene, uint i, uint row) {
     // different one.
     entered_instance = kNoInstance;
     ray_basis_instance = kNoInstance;
-    if (LIKELIHOOD != 0u) take_measured(scene, h.ray);
+    if (LIKELIHOOD != 0u) load_measurement(scene, h.ray);
     HitGradient d = hit_gradient(scene, ray_of(entry), params.upstream.at[h.ray], h.instance,
                                  row - m.first_row + m.first_surfel, h.w, h.d_alpha);
     for (uint k = 0u; k < 16u; ++k) sums[k] += d.lanes[k];

@@ -17,7 +17,7 @@ bool begins_in(uint block, uint row) {
     return params.rows.at[first] != row || first == 0u || params.rows.at[first - 1u] != row;
 }
 
-void take_part(uint part) {
+void add_part(uint part) {
     for (uint k = 0u; k < 16u; ++k) sums[k] += params.parts.at[part + k];
     for (uint k = 16u; k < part_width(); ++k) sh_sums[k - 16u] += params.parts.at[part + k];
 }
@@ -29,9 +29,9 @@ void main() {
     uint row = params.rows.at[end - 1u];
     if (row >= params.n_rows || params.rows.at[end] != row || !begins_in(block, row)) return;
     clear_sums();
-    take_part(tail_of(block));
+    add_part(tail_of(block));
     for (uint later = block + 1u; end < n && params.rows.at[end] == row; ++later) {
-        take_part(head_of(later));
+        add_part(head_of(later));
         end = block_end(later);
     }
     add_to_row(row, params.hits.at[params.slots.at[block_end(block) - 1u]].instance);

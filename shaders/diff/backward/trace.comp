@@ -60,7 +60,7 @@ struct BlendedHit {
 /// rows, the caller must add it with add_gradient().
 /// @param d  output: gradient for add_gradient()
 /// @return row for add_gradient(), or kNoRow
-uint take_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
+uint add_hit(TraceScene scene, Ray ray, uint ray_index, RayGradient g, BlendedHit b, out HitGradient d) {
     uint first_surfel = scene.instances.at[b.instance].first_surfel;
     uint row = b.surfel - first_surfel + scene.instances.at[b.instance].first_row;
     if (!is_null(params.touched)) params.touched.at[b.surfel] = 1u;
@@ -100,10 +100,10 @@ void add_chunk(TraceScene scene, Ray ray, uint ray_index, RayGradient g, uint sl
         if (k <= n) {
             Hit hit = hit_at(i);
             surfel = hit.surfel;
-            row = take_hit(scene, ray, ray_index, g,
-                           BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i],
-                                      chunk_w[i], chunk_shade[i], behind),
-                           d);
+            row = add_hit(scene, ray, ray_index, g,
+                          BlendedHit(slot + i, hit.instance, hit.surfel, hit.alpha, chunk_transmittance[i],
+                                     chunk_w[i], chunk_shade[i], behind),
+                          d);
             behind += chunk_w[i] * chunk_shade[i];
         }
         if (rows_are_exchanged()) add_gradient(scene, row, surfel, d);
@@ -190,7 +190,7 @@ void main() {
     ray_basis_instance = kNoInstance;
     RayGradient g = params.upstream.at[i];
     RenderedRay final = params.rendered.at[i];
-    if (LIKELIHOOD != 0u) take_measured(params.scene, i);
+    if (LIKELIHOOD != 0u) load_measurement(params.scene, i);
     uint blended = backward(params.scene, ray_of(entry), i, final, g, inside && has_gradient(g));
     if (!inside) return;
     if (GATHER != 0u) empty_slots(i, blended, final.n_hits);

@@ -26,7 +26,7 @@ uint divided(uint high, uint low, uint d) {
 }
 
 /// Returns (weight * n_new + phase) / total_weight. Uses a 64-bit product.
-uint allotted_before(uint weight) {
+uint sum_before(uint weight) {
     if (params.total_weight == 0u) return 0u;
     uint high, low, carry;
     umulExtended(weight, params.n_new, high, low);
@@ -39,7 +39,7 @@ void main() {
     if (i >= params.n_surfels) return;
     uint action = params.action.at[i];
     uint before = params.cumulative.at[i];
-    uint copies = allotted_before(before + params.weight.at[i]) - allotted_before(before);
+    uint copies = sum_before(before + params.weight.at[i]) - sum_before(before);
     if (action != RELIDAR_DENSIFY_DROP && copies == 0u) params.action.at[i] = RELIDAR_DENSIFY_KEEP;
     params.n_rows.at[i] = action == RELIDAR_DENSIFY_DROP ? 0u : 1u + copies;
 }

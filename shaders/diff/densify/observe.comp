@@ -28,5 +28,5 @@ void main() {
         params.gradient_sum.at[i] += length(d_mean);
         params.frames.at[word] = frames | bit;
     }
-    if (touched || (params.whole_frame == 0u && (frames & bit) != 0u)) params.n_seen.at[i] += 1u;
+    if (touched || (params.is_full_frame == 0u && (frames & bit) != 0u)) params.n_seen.at[i] += 1u;
 }

@@ -9,8 +9,8 @@
 RELIDAR_PARAMS(AppendParams);
 
 void main() {
-    own_list = thread_index();
-    if (own_list >= params.lists.n) return;
+    list_index = thread_index();
+    if (list_index >= params.lists.n) return;
     uint i = traced_ray(params.scene), length = 0u;
     if (i < params.scene.n_rays) {
         DeviceRay entry = params.scene.rays.at[params.scene.first_ray + i * params.scene.ray_stride];
@@ -22,5 +22,5 @@ void main() {
             atomicAdd(params.n_overflows.at[0], 1u);
         }
     }
-    params.lists.lengths.at[own_list] = length;
+    params.lists.lengths.at[list_index] = length;
 }

@@ -24,7 +24,7 @@ Blended start_blending(TraceScene scene, uint ray_index) {
     b.ray.instance = RELIDAR_NO_INSTANCE;
     b.normal = vec3(0.0);
     b.surfaces = no_surfaces();
-    if (LIKELIHOOD != 0u) take_measured(scene, ray_index);
+    if (LIKELIHOOD != 0u) load_measurement(scene, ray_index);
     ray_basis_instance = kNoInstance;
     return b;
 }

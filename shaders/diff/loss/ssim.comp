@@ -36,7 +36,7 @@ Window window_around(uint i) {
             uint j = window_pixel(i, row, column);
             if (j == kNoPixel) continue;
             DeviceTarget t = target_of(j);
-            if (!takes_part(t)) continue;
+            if (!is_scored(t)) continue;
             float w = window_weight(row, column);
             vec2 v = vec2(params.rendered.at[j].intensity, t.intensity) - centre;
             sum += w;
@@ -69,6 +69,6 @@ float similarity_term(uint i) {
 
 void main() {
     uint i = thread_index();
-    float term = i < params.rows * params.columns && takes_part(target_of(i)) ? similarity_term(i) : 0.0;
+    float term = i < params.rows * params.columns && is_scored(target_of(i)) ? similarity_term(i) : 0.0;
     add_to_sum(params.terms, kTerm_ssim, term);
 }

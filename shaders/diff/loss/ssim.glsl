@@ -27,5 +27,5 @@ float window_weight(int row_offset, int column_offset) {
 }
 
 DeviceTarget target_of(uint i) { return params.targets.at[params.first_ray + i * params.ray_stride]; }
-bool takes_part(DeviceTarget t) { return t.weight > 0.0 && t.range_m > 0.0; }
+bool is_scored(DeviceTarget t) { return t.weight > 0.0 && t.range_m > 0.0; }
 #endif

@@ -12,12 +12,12 @@ RELIDAR_PARAMS(SsimParams);
 
 void main() {
     uint q = thread_index();
-    if (q >= params.rows * params.columns || !takes_part(target_of(q))) return;
+    if (q >= params.rows * params.columns || !is_scored(target_of(q))) return;
     float x = params.rendered.at[q].intensity, y = target_of(q).intensity, sum = 0.0;
     for (int row = -kSsimRadius; row <= kSsimRadius; ++row) {
         for (int column = -kSsimRadius; column <= kSsimRadius; ++column) {
             uint p = window_pixel(q, row, column);
-            if (p == kNoPixel || !takes_part(target_of(p))) continue;
+            if (p == kNoPixel || !is_scored(target_of(p))) continue;
             uint at = p * RELIDAR_SSIM_FLOATS;
             sum += window_weight(row, column) *
                    (params.statistics.at[at] +

@@ -40,8 +40,8 @@ struct ObserveParams {
     RELIDAR_OF(Uints, SeenFrames) frames;
     uint n_surfels;
     uint n_words;
-    uint frame;        // frame of the batch
-    uint whole_frame;  // 1: the batch contains all rays of the frame.
+    uint frame;          // frame of the batch
+    uint is_full_frame;  // 1: the batch contains all rays of the frame.
 };
 
 /// Parameters of the kernel that chooses the action (drop, keep, clone or split) for each

@@ -102,7 +102,7 @@ void cut_by_transmittance(float alpha_max) {
 }
 
 /// Returns a slot for a new hit: the slot of a removed hit, or an unused slot.
-uint take_place(float alpha_max) {
+uint insertion_index(float alpha_max) {
     if (n_hits == CHUNK) return drop_farthest(left_before_farthest(alpha_max));
     uint place = free_place;
     if (place == CHUNK) return n_places++;
@@ -126,7 +126,7 @@ void insert(Key key, float alpha, float alpha_max) {
         farther = nearer;
         nearer = next_nearer[nearer];
     }
-    uint slot = take_place(alpha_max);
+    uint slot = insertion_index(alpha_max);
     // The new slot belonged to the farthest hit, which was removed, so the sentinel
     // replaces it as neighbour.
     if (slot == farther) farther = CHUNK;

@@ -13,7 +13,7 @@
 #define RELIDAR_INCLUDED_DIFF_TRAVERSAL_HIT_LIST_GLSL
 
 HitLists listed;  // hit lists of the launch
-uint own_list;
+uint list_index;
 uint n_hits;       // Number of hits so far, including hits that do not fit into the list.
 bool hits_closed;  // True if hits behind the distance end_t cannot contribute any more.
 float end_t;
@@ -49,7 +49,7 @@ void insert(Key key, float alpha, float alpha_max) {
         end_t = 0.0;
         return;
     }
-    listed.hits.at[list_entry(listed.room, own_list, slot)] = Hit(key.t, alpha, key.instance, key.surfel);
+    listed.hits.at[list_entry(listed.room, list_index, slot)] = Hit(key.t, alpha, key.instance, key.surfel);
     farthest_t = max(farthest_t, key.t);
     set_transmittance *= left_by(min(alpha, alpha_max));
     if (set_transmittance < least_transmittance) {

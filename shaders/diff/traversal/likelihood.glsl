@@ -11,7 +11,7 @@ float measured_range = 0.0;
 float measured_per_scale = 0.0;  // inverse of the likelihood's scale, in 1/m
 
 /// Loads the measurement of a ray of the batch.
-void take_measured(TraceScene scene, uint ray) {
+void load_measurement(TraceScene scene, uint ray) {
     measured_range = 0.0;
     if (is_null(scene.targets)) return;
     DeviceTarget target = scene.targets.at[scene.first_ray + ray * scene.ray_stride];

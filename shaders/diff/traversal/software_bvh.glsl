@@ -134,7 +134,7 @@ void push_entry(uint entry, float t) {
 /// network needs only minima and maxima. The packed distance loses four bits and is
 /// rounded towards the ray's origin.
 /// @param first  entry of the first inner child
-void push_own_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WIDTH]) {
+void push_lane_children(uint first, uint inner, uint met, float t[RELIDAR_BVH_WIDTH]) {
     const uint kThere = 0x80000000u;
     uint key[RELIDAR_BVH_WIDTH];
     [[unroll]] for (uint slot = 0u; slot < RELIDAR_BVH_WIDTH; ++slot) key[slot] =
@@ -192,7 +192,7 @@ uint leaf_entries(BvhNode node, uint opened) {
 
 /// Removes the lowest entry from a bit mask.
 /// @return index of the removed entry
-uint take_lowest(inout uint entries) {
+uint pop_nearest(inout uint entries) {
     uint lowest = uint(findLSB(entries));
     entries &= entries - 1u;
     return lowest;
@@ -212,18 +212,18 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
     do {  // one iteration per block of gl_SubgroupSize entries
         uint first = uint(findLSB(entries)) / gl_SubgroupSize * gl_SubgroupSize,
              end = min(first + gl_SubgroupSize, 32u);
-        uint own = first + gl_SubgroupInvocationID, own_surfel = 0u;
-        float own_x = 0.0;
+        uint own = first + gl_SubgroupInvocationID, lane_surfel = 0u;
+        float lane_x = 0.0;
         if (own < end && (entries & (1u << own)) != 0u) {
-            own_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
+            lane_surfel = first_surfel + scene.bvh.order.at[first_leaf + own];
             // Each lane reads a different record first, so that the cache misses of all
             // lanes overlap.
-            own_x = scene.records.at[own_surfel].mean.x;
+            lane_x = scene.records.at[lane_surfel].mean.x;
         }
         do {
-            uint lane = take_lowest(entries) - first, surfel = subgroupShuffle(own_surfel, lane);
+            uint lane = pop_nearest(entries) - first, surfel = subgroupShuffle(lane_surfel, lane);
             SurfelRecord record = load_record(scene.records, surfel);
-            record.mean.x = subgroupShuffle(own_x, lane);
+            record.mean.x = subgroupShuffle(lane_x, lane);
             offer_record(scene, after, instance, surfel, record);
         } while (entries != 0u && uint(findLSB(entries)) < end);
     } while (entries != 0u);
@@ -233,7 +233,7 @@ void offer_together(TraceScene scene, Key after, uint instance, uint first_surfe
 /// before it tests the current record, to hide the latency.
 void offer_alone(TraceScene scene, Key after, uint instance, uint first_leaf, uint entries) {
     while (entries != 0u) {
-        uint entry = first_leaf + take_lowest(entries),
+        uint entry = first_leaf + pop_nearest(entries),
              next_entry = entries != 0u ? first_leaf + uint(findLSB(entries)) : entry;
         uint surfel = entered_first_surfel + scene.bvh.order.at[entry],
              next_surfel = entered_first_surfel + scene.bvh.order.at[next_entry];
@@ -271,10 +271,10 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool
     uint entries = leaf_entries(node, opened);
     uint first = node.first_child | (in_model ? 0u : kTopEntry), inner = node.exponents >> 24u;
     if (TOGETHER != 0u) push_children(first, inner, opened, met, t);
-    else push_own_children(first, inner, met, t);
+    else push_lane_children(first, inner, met, t);
     if (!in_model) {
         while (entries != 0u)
-            push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + take_lowest(entries)],
+            push_entry(kInstanceEntry | scene.bvh.top_order.at[node.first_leaf + pop_nearest(entries)],
                        walked.start);
         return 0u;
     }
@@ -285,7 +285,7 @@ uint open_node(TraceScene scene, Ray ray, Key after, uint tree, uint index, bool
     } else if (TOGETHER != 0u) {
         while (entries != 0u)
             offer_surfel(scene, after, tree,
-                         first_surfel + scene.bvh.order.at[node.first_leaf + take_lowest(entries)]);
+                         first_surfel + scene.bvh.order.at[node.first_leaf + pop_nearest(entries)]);
     } else {
         offer_alone(scene, after, tree, node.first_leaf, entries);
     }
@@ -308,12 +308,12 @@ void find_hits(TraceScene scene, Ray ray, Key after) {
     while (stack_size > 0u) {
         uint entry = stack_entry[stack_size - 1u], tree = instance;
         if (TOGETHER != 0u) {
-            uint own_entry = entry;
+            uint lane_entry = entry;
             entry = subgroupBroadcastFirst(entry);
             tree = subgroupBroadcastFirst(tree);
             // Skips this ray in this step, because the subgroup processes a different
             // node.
-            if (own_entry != entry || instance != tree) continue;
+            if (lane_entry != entry || instance != tree) continue;
         }
         --stack_size;
         bool is_needed = stack_t[stack_size] <= walked.end;

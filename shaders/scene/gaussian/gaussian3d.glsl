@@ -9,13 +9,13 @@
 // loses the hit.
 //
 // Along b the density does not change, so a remainder of q along b is only rounding
-// error. It is removed, for at most kForgiven_m along the ray, which is half of the
+// error. It is removed, for at most kTolerance_m along the ray, which is half of the
 // margin of the proxies. Otherwise the rounding at 50 m, about 3e-6 m, would add noise to
 // the opacity of Gaussians thinner than 1e-4 m.
 #ifndef RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 #define RELIDAR_INCLUDED_SCENE_GAUSSIAN_GAUSSIAN3D_GLSL
 
-const float kForgiven_m = 5e-5;
+const float kTolerance_m = 5e-5;
 
 /// Converts a vector to units of standard deviations.
 vec3 whitened(SurfelRecord s, vec3 v) {
@@ -33,7 +33,7 @@ bool intersect_gaussian(SurfelRecord s, vec3 origin, vec3 direction, out SurfelH
     precise float t = exact_dot(whitened(s, to_mean), b) / length2;
     precise vec3 p = t * direction - to_mean;
     vec3 q = whitened(s, p);
-    precise float off = clamp(exact_dot(q, b) / length2, -kForgiven_m, kForgiven_m);
+    precise float off = clamp(exact_dot(q, b) / length2, -kTolerance_m, kTolerance_m);
     precise vec3 at_rest = q - off * b;
     hit.t = t;
     hit.u = at_rest.x;

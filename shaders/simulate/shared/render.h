@@ -146,12 +146,12 @@ struct GatherPointsParams {
     // Input [n_rays]: number of rays with a return before each ray.
     RELIDAR_OF(Uints, ReturnPlaces) places;
     ReturnedPoints points;  // output [number of returned rays]
-    // Output [n_asked]: range of the surface with the largest weight, for evenly spaced
-    // rays k n_rays / n_asked.
-    RELIDAR_OF(Floats, AskedRanges) asked;
+    // Output [n_requested]: range of the surface with the largest weight, for evenly
+    // spaced rays k n_rays / n_requested.
+    RELIDAR_OF(Floats, RequestedRanges) asked;
     uint n_rays;
     uint n_poses;
-    uint n_asked;  // at most n_rays and 65,536
+    uint n_requested;  // at most n_rays and 65,536
     uint of_image;
 };
 

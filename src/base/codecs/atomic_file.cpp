@@ -22,7 +22,7 @@ namespace relidar {
 namespace {
 
 namespace fs = std::filesystem;
-using export_detail::system_message;
+using report_detail::system_message;
 
 [[noreturn]] void fail(const fs::path& path, std::string why) {
     // Replaces line breaks, because messages of libraries may have several lines, but an
@@ -130,6 +130,6 @@ void remove_temporaries(const fs::path& folder) {
     for (const fs::path& path : temporary_paths) fs::remove_all(path, failed);
 }
 
-void write_text(const fs::path& path, const std::string& text) { export_detail::write_file(path, text); }
+void write_text(const fs::path& path, const std::string& text) { report_detail::write_file(path, text); }
 
 }  // namespace relidar

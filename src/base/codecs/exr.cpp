@@ -81,7 +81,7 @@ void write_exr(const std::filesystem::path& path, int rows, int columns,
     } catch (const std::exception& error) {
         throw DataError(fmt::format("cannot encode '{}' as EXR: {}", path.string(), error.what()));
     }
-    export_detail::write_file(path, stream.content);
+    report_detail::write_file(path, stream.content);
 }
 
 }  // namespace relidar

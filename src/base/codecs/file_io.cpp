@@ -15,7 +15,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/base/files.hpp>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 std::string note_line(const std::pair<std::string, std::string>& note) {
     std::string line = note.first + " " + note.second;
@@ -76,4 +76,4 @@ std::vector<std::byte> read_file(const std::filesystem::path& path) {
     return bytes;
 }
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

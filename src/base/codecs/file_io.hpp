@@ -14,7 +14,7 @@
 #include <utility>
 #include <vector>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 static_assert(std::endian::native == std::endian::little, "every format written here is little-endian");
 
@@ -50,4 +50,4 @@ std::string note_line(const std::pair<std::string, std::string>& note);
 /// Returns the text for a system error number (errno), like strerror.
 std::string system_message(int error);
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

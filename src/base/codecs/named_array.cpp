@@ -83,7 +83,7 @@ Converter<Out> converter(std::string_view dtype) {
 
 template <class Out>
 std::vector<Out> values_of(const NamedArray& array) {
-    export_detail::check_array(array);
+    report_detail::check_array(array);
     const Converter<Out> function = converter<Out>(array.dtype);
     if (!function)
         throw DataError(
@@ -120,7 +120,7 @@ std::u32string code_points(std::string_view utf8) {
 
 }  // namespace
 
-namespace export_detail {
+namespace report_detail {
 
 std::size_t item_size(std::string_view dtype) {
     if (dtype.starts_with('S') || dtype.starts_with('U')) {
@@ -159,10 +159,10 @@ void check_array(const NamedArray& array) {
                         array.name, array.bytes.size(), fmt::join(array.shape, ", "), array.dtype));
 }
 
-}  // namespace export_detail
+}  // namespace report_detail
 
 std::size_t NamedArray::count() const {
-    const auto n = export_detail::byte_count(shape, 1);
+    const auto n = report_detail::byte_count(shape, 1);
     if (!n)
         throw DataError(
             fmt::format("array '{}' has the shape [{}], which is too large", name, fmt::join(shape, ", ")));

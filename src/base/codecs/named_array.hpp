@@ -9,7 +9,7 @@
 
 #include <relidar/base/arrays.hpp>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 /// Returns the number of bytes per element of a type. Returns 0 if NamedArray does not
 /// support the type.
@@ -24,4 +24,4 @@ std::optional<std::size_t> byte_count(const std::vector<std::size_t>& shape, std
 /// bytes does not match the shape
 void check_array(const NamedArray& array);
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

@@ -18,7 +18,7 @@
 
 #include "named_array.hpp"
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 namespace {
 
 constexpr std::string_view kNpyMagic{"\x93NUMPY", 6};
@@ -174,4 +174,4 @@ NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& byte
     return array;
 }
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

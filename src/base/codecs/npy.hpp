@@ -9,7 +9,7 @@
 
 #include <relidar/base/arrays.hpp>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 /// Returns the .npy header (version 1.0) of an array. The header is padded to a multiple
 /// of 64 bytes.
@@ -20,4 +20,4 @@ std::string npy_header(const NamedArray& array);
 /// @throws DataError with the reason if the file has any other form
 NamedArray parse_npy(const std::string& name, const std::vector<std::byte>& bytes);
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

@@ -200,7 +200,7 @@ NamedArray read_array(const Archive& archive, const NpzEntry& entry) {
     try {
         if (entry.name.size() <= kSuffix.size() || !entry.name.ends_with(kSuffix))
             throw DataError("it is not a .npy array");
-        return export_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
+        return report_detail::parse_npy(entry.name.substr(0, entry.name.size() - kSuffix.size()),
                                         unpack(archive, entry));
     } catch (const DataError& error) {
         throw DataError(fmt::format("entry '{}': {}", entry.name, error.what()));
@@ -229,7 +229,7 @@ std::vector<NamedArray> parse(const Archive& archive) {
 }  // namespace
 
 std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
-    const Archive archive{export_detail::read_file(path)};
+    const Archive archive{report_detail::read_file(path)};
     try {
         return parse(archive);
     } catch (const DataError& error) {
@@ -238,9 +238,9 @@ std::vector<NamedArray> read_npz(const std::filesystem::path& path) {
 }
 
 NamedArray read_npy(const std::filesystem::path& path) {
-    const std::vector<std::byte> bytes = export_detail::read_file(path);
+    const std::vector<std::byte> bytes = report_detail::read_file(path);
     try {
-        return export_detail::parse_npy(path.stem().string(), bytes);
+        return report_detail::parse_npy(path.stem().string(), bytes);
     } catch (const DataError& error) {
         throw DataError(fmt::format("cannot read npy '{}': {}", path.string(), error.what()));
     }

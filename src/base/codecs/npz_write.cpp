@@ -128,8 +128,8 @@ void check_size(const std::string& what, std::uint64_t n_bytes) {
 
 /// Writes an array at `offset`.
 /// @return its directory entry
-Entry write_entry(export_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
-    const std::string header = export_detail::npy_header(array);
+Entry write_entry(report_detail::OutputFile& file, const NamedArray& array, std::size_t offset) {
+    const std::string header = report_detail::npy_header(array);
     check_size(fmt::format("array '{}'", array.name), header.size() + array.bytes.size());
     Deflater deflater;
     deflater.add(header.data(), header.size(), false);
@@ -145,7 +145,7 @@ Entry write_entry(export_detail::OutputFile& file, const NamedArray& array, std:
 void check(const std::vector<NamedArray>& arrays) {
     std::set<std::string> names;
     for (const NamedArray& array : arrays) {
-        export_detail::check_array(array);
+        report_detail::check_array(array);
         if (array.name.size() > 0xFF00) throw DataError("an array name is too long");
         if (!names.insert(array.name).second)
             throw DataError(fmt::format("array name '{}' is used twice", array.name));
@@ -159,7 +159,7 @@ void check(const std::vector<NamedArray>& arrays) {
 void write_npz(const std::filesystem::path& path, const std::vector<NamedArray>& arrays) {
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         check(arrays);
-        export_detail::OutputFile file(temporary);
+        report_detail::OutputFile file(temporary);
         std::size_t offset = 0;
         std::string directory;
         for (const NamedArray& array : arrays) {

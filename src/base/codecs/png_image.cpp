@@ -70,7 +70,7 @@ std::vector<std::uint8_t> encode_png(const Image& image, const FileNotes& notes)
 
 void write_png(const std::filesystem::path& path, const Image& image, const FileNotes& notes) {
     const std::vector<std::uint8_t> bytes = encode_png(image, notes);
-    export_detail::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    report_detail::write_file(path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
 }
 
 }  // namespace relidar

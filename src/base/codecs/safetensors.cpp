@@ -23,8 +23,8 @@ namespace relidar {
 namespace {
 
 using Json = nlohmann::json;
-using export_detail::byte_count;
-using export_detail::item_size;
+using report_detail::byte_count;
+using report_detail::item_size;
 
 // Largest accepted header in bytes. The format allows 100 MB, but a parsed header needs
 // 24 times its size in memory. Our headers have a few kB.
@@ -74,7 +74,7 @@ std::string make_header(const std::vector<NamedArray>& arrays,
     if (!metadata.empty()) header[kMetadata] = metadata;
     std::size_t offset = 0;
     for (const NamedArray& array : arrays) {
-        export_detail::check_array(array);
+        report_detail::check_array(array);
         if (array.name == kMetadata || header.contains(array.name))
             throw DataError(fmt::format("array name '{}' is reserved or used twice", array.name));
         const std::size_t end = offset + array.bytes.size();
@@ -219,7 +219,7 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
     write_atomically(path, [&](const std::filesystem::path& temporary) {
         const std::string header = make_header(arrays, metadata);
         const std::uint64_t size = header.size();
-        export_detail::OutputFile file(temporary);
+        report_detail::OutputFile file(temporary);
         file.write(&size, sizeof size);
         file.write(header);
         for (const NamedArray& array : arrays) file.write(array.bytes.data(), array.bytes.size());
@@ -229,7 +229,7 @@ void write_safetensors(const std::filesystem::path& path, const std::vector<Name
 
 std::vector<NamedArray> read_safetensors(const std::filesystem::path& path,
                                          std::map<std::string, std::string>* metadata) {
-    const std::vector<std::byte> file = export_detail::read_file(path);
+    const std::vector<std::byte> file = report_detail::read_file(path);
     try {
         return parse_tensors(file, metadata);
     } catch (const std::exception& error) {

@@ -102,7 +102,7 @@ void Accel::move(Stream& stream, const DeviceScene& scene) {
 void Accel::check_growth(Stream& stream) {
     Impl& a = *impl_;
     if (!a.software || !a.built) return;
-    if (const std::optional<double> cost = a.software->take_cost(stream); cost && a.measured) {
+    if (const std::optional<double> cost = a.software->read_cost(stream); cost && a.measured) {
         if (a.cost_when_built <= 0.0) a.cost_when_built = *cost;
         a.outgrown = *cost > double(a.options.rebuild_growth) * a.cost_when_built;
     }

@@ -135,7 +135,7 @@ struct Bvh::Impl {
     }
     void make_boxes(Stream& stream, const DeviceScene& scene, const AccelOptions& options,
                     const SurfelRange& range);
-    SortSet sorted_surfels(Stream& stream, const DeviceScene& scene);
+    SortSet sort_surfels(Stream& stream, const DeviceScene& scene);
     /// Adds kernels to the stream that compute the node boxes of some models: those whose
     /// first surfel is in [first, last].
     void fit_nodes(Stream& stream, std::uint32_t first, std::uint32_t last);
@@ -232,7 +232,7 @@ void Bvh::Impl::make_boxes(Stream& stream, const DeviceScene& scene, const Accel
          .n_surfels = range.count});
 }
 
-SortSet Bvh::Impl::sorted_surfels(Stream& stream, const DeviceScene& scene) {
+SortSet Bvh::Impl::sort_surfels(Stream& stream, const DeviceScene& scene) {
     stream.fill(bounds, 0xffffffffu);
     run(stream, bounds_kernel, std::size_t(tiles_of(n)) * kWorkgroup,
         {.boxes = boxes.address(),
@@ -307,7 +307,7 @@ Bvh::~Bvh() = default;
 void Bvh::build(Stream& stream, const DeviceScene& scene, const AccelOptions& options) {
     Impl& b = *impl_;
     b.make_boxes(stream, scene, options, {0, b.n});
-    const SortSet sorted = b.sorted_surfels(stream, scene);
+    const SortSet sorted = b.sort_surfels(stream, scene);
     run(stream, b.cluster, b.n,
         {.tree = b.binary(),
          .boxes = b.boxes.address(),
@@ -385,7 +385,7 @@ void Bvh::record_cost(Stream& stream) {
     b.costs.record(stream, b.cost_sums.buffer(), b.cost_sums.size() * sizeof(float));
 }
 
-std::optional<double> Bvh::take_cost(Stream& stream) {
+std::optional<double> Bvh::read_cost(Stream& stream) {
     Impl& b = *impl_;
     if (!b.costs.pending()) return std::nullopt;
     const float* sums = static_cast<const float*>(b.costs.wait(stream));

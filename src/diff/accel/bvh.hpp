@@ -4,7 +4,7 @@
 // One forest holds the trees of all models, so the number of launches does not depend on
 // the number of models. The steps are: sort along a space-filling curve, cluster into
 // binary trees, collapse into wide nodes of eight children, compute boxes bottom up. Only
-// take_cost() and download() make the host wait. Memory per surfel: 24 B for boxes, 92 B
+// read_cost() and download() make the host wait. Memory per surfel: 24 B for boxes, 92 B
 // for scratch, 4 B for the order, 30 B for wide nodes (at most n / 4 nodes, plus one per
 // model).
 #pragma once
@@ -59,10 +59,10 @@ public:
     std::uint64_t memory_bytes() const;
     /// Computes the surface-area cost of all trees in m^2. Compare the cost with its
     /// value after the last build to decide about a rebuild. record_cost() submits the
-    /// kernel. take_cost() waits for the result and returns it, or nothing if
-    /// record_cost() was not called since the last take_cost().
+    /// kernel. read_cost() waits for the result and returns it, or nothing if
+    /// record_cost() was not called since the last read_cost().
     void record_cost(Stream& stream);
-    std::optional<double> take_cost(Stream& stream);
+    std::optional<double> read_cost(Stream& stream);
     /// Copies the BVH to the host and blocks. All recorded commands must have been
     /// submitted before.
     BvhOnHost download() const;

@@ -103,7 +103,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
     RELIDAR_ASSERT_LE(std::size_t(batch.rays.n_rays), batch.rendered->size());
     RELIDAR_ASSERT_LE(16 * std::size_t(scene.gradient_rows()), gradients.records.size());
     const ImageModel& model = impl_->model;
-    const bool wants_poses = gradients.poses.size() > 0,
+    const bool has_pose_gradients = gradients.poses.size() > 0,
                lists = scene.lists_touched() && !gradients.zero_untouched;
     shared::BackwardParams params{};
     params.scene = trace_scene(scene, accel, batch.rays, model, impl_->options, impl_->pass_cap.address());
@@ -119,7 +119,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         params.n_kept = batch.kept->per_ray;
     }
     params.n_rows = scene.gradient_rows();
-    params.with_turn = wants_poses ? 1u : 0u;
+    params.with_turn = has_pose_gradients ? 1u : 0u;
     if (impl_->gather) {
         impl_->gather->assign_slots(stream, batch);
         impl_->gather->fill(params);
@@ -129,7 +129,7 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
         stream.fill(gradients.records);
         if (model.sh_direction == ShDirection::ray) stream.fill(gradients.surfels.sh);
         if (lists) stream.fill(gradients.touched);
-        if (lists && wants_poses) stream.fill(gradients.pose_sums->d_view);
+        if (lists && has_pose_gradients) stream.fill(gradients.pose_sums->d_view);
     }
     relidar::run(stream, impl_->trace, trace_threads(batch.rays), params);
     if (impl_->gather) impl_->gather->run(stream, params);
@@ -137,10 +137,10 @@ void BackwardPass::run(Stream& stream, DeviceScene& scene, const Accel& accel, c
                        {.d_records = &gradients.records,
                         .d_surfels = &gradients.surfels,
                         .touched = &gradients.touched,
-                        .d_view = wants_poses ? &gradients.pose_sums->d_view : nullptr,
+                        .d_view = has_pose_gradients ? &gradients.pose_sums->d_view : nullptr,
                         .zero_untouched = gradients.zero_untouched,
                         .touched_is_marked = lists});
-    if (wants_poses) impl_->poses.run(stream, scene, model, view_origin_m, gradients);
+    if (has_pose_gradients) impl_->poses.run(stream, scene, model, view_origin_m, gradients);
 }
 
 }  // namespace relidar

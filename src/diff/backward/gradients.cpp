@@ -4,7 +4,7 @@
 
 namespace relidar {
 
-Gradients::Gradients(Device& device, const DeviceScene& scene, const WantedGradients& wanted,
+Gradients::Gradients(Device& device, const DeviceScene& scene, const GradientSelection& wanted,
                      std::uint32_t n_rays)
     : surfels(device, scene.size(), "gradient", scene.parameters().parameters()),
       records(device, 16 * std::size_t(scene.gradient_rows()), "record gradient"),

@@ -223,7 +223,7 @@ void Densifier::observe(Stream& stream, const DeviceScene& scene, const Observed
                   .n_surfels = scene.size(),
                   .n_words = s.n_words,
                   .frame = batch.frame,
-                  .whole_frame = batch.whole_frame ? 1u : 0u});
+                  .is_full_frame = batch.is_full_frame ? 1u : 0u});
 }
 
 bool Densifier::due(int step) const {

@@ -6,7 +6,7 @@
 
 namespace relidar {
 
-std::uint32_t GrowthPlan::allotted_before(std::uint64_t weight) const {
+std::uint32_t GrowthPlan::sum_before(std::uint64_t weight) const {
     return total_weight == 0 ? 0u : static_cast<std::uint32_t>((weight * n_new + phase) / total_weight);
 }
 
@@ -17,7 +17,7 @@ std::vector<Model> GrowthPlan::ranges(std::vector<Model> models,
     for (std::size_t i = 0; i < models.size(); ++i) {
         const std::uint64_t above = weight + counts[i][RELIDAR_DENSIFY_WEIGHT];
         models[i].first = next;
-        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + allotted_before(above) - allotted_before(weight);
+        models[i].count = counts[i][RELIDAR_DENSIFY_KEPT] + sum_before(above) - sum_before(weight);
         next += models[i].count;
         weight = above;
     }

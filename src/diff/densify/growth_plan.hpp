@@ -28,7 +28,7 @@ struct GrowthPlan {
     /// Returns the number of copies that the surfels before a position receive. The
     /// position is given in the cumulative weights. Must use the same formula as
     /// diff/densify/allot.
-    std::uint32_t allotted_before(std::uint64_t weight) const;
+    std::uint32_t sum_before(std::uint64_t weight) const;
     /// Returns the models with their new ranges.
     std::vector<Model> ranges(std::vector<Model> models, const std::vector<ModelCounts>& counts) const;
 };

@@ -76,7 +76,7 @@ void ForwardPass::run(Stream& stream, const DeviceScene& scene, const Accel& acc
 const Array<std::uint32_t>& ForwardPass::pass_cap_count() const { return impl_->pass_cap; }
 const Array<std::uint32_t>& ForwardPass::overfull_count() const { return impl_->n_overfull; }
 
-std::uint32_t ForwardPass::take_pass_cap_count() {
+std::uint32_t ForwardPass::reset_pass_cap_count() {
     const std::uint32_t count = impl_->pass_cap.download()[0];
     if (count) impl_->pass_cap.upload(std::vector<std::uint32_t>{0u});
     return count;

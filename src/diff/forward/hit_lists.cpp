@@ -17,7 +17,7 @@ constexpr std::size_t kMostLists = std::size_t(1) << 24;
 
 /// Returns the memory limit of all hit lists: an eighth of the device's memory. Assumes 8
 /// GiB if the size is unknown.
-std::size_t most_bytes(const Device& device) {
+std::size_t max_bytes(const Device& device) {
     const std::size_t memory = device.info().memory_bytes;
     return (memory ? memory : std::size_t(8) << 30) / 8;
 }
@@ -34,7 +34,7 @@ std::size_t bytes_of(std::size_t n_lists, std::uint32_t room) { return n_lists *
 
 }  // namespace
 
-std::uint32_t most_list_room(const Device& device) {
+std::uint32_t max_list_capacity(const Device& device) {
     return std::min<std::uint32_t>(
         RELIDAR_MOST_ROOM, RELIDAR_MOST_HELD * static_cast<std::uint32_t>(device.info().subgroup_size));
 }
@@ -45,7 +45,7 @@ HitLists::HitLists(Device& device, const KernelVariant& variant, const std::vect
       append_(device, "diff/forward/append", variant, constants),
       blend_(device, "diff/forward/blend", constants),
       sort_(sort_kernel(device)),
-      most_room_(most_list_room(device)),
+      most_room_(max_list_capacity(device)),
       room_(std::min(static_cast<std::uint32_t>(room), most_room_)),
       n_overflows_(device, std::vector<std::uint32_t>{0u}, "rays with more hits than fit into their lists"),
       overflows_(device, sizeof(std::uint32_t), "rays with more hits than fit into their lists") {}
@@ -56,7 +56,7 @@ void HitLists::make_hits(std::size_t n_lists) {
     const std::uint32_t wanted = room_;
     hits_ = {};
     for (; room_ > 0; room_ /= 2) {
-        if (bytes_of(n_lists, room_) > most_bytes(device_)) continue;
+        if (bytes_of(n_lists, room_) > max_bytes(device_)) continue;
         try {
             hits_ = Array<shared::Hit>(device_, n_lists * room_, "lists of hits");
             break;
@@ -70,7 +70,7 @@ void HitLists::make_hits(std::size_t n_lists) {
 /// Returns true if a ray had more hits than its list can hold. Such rays are slow,
 /// because the full device may wait for them in diff/forward/trace. Reads the count
 /// without waiting: the stream has already waited for that submission to reuse its slot.
-bool HitLists::wants_more_room(Stream& stream) {
+bool HitLists::needs_more_room(Stream& stream) {
     if (!overflows_.pending() || impl_of(stream).last_ticket + 1 < counted_until_ + Stream::Impl::kSlots)
         return false;
     std::uint32_t count = 0;
@@ -84,20 +84,20 @@ bool HitLists::wants_more_room(Stream& stream) {
 shared::HitLists HitLists::make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept) {
     const std::size_t n = KeptHits::side_by_side(n_threads);
     if (n > kMostLists) return {};
-    if (wants_more_room(stream)) {
+    if (needs_more_room(stream)) {
         room_ = std::min(2 * room_, most_room_);
         // Resets the overflow count, because it belongs to lists with a smaller capacity.
         stream.fill(n_overflows_);
         overflows_before_ = 0;
     }
     const bool in_kept = kept && kept->per_ray >= std::max(room_, 1u) && kept->per_ray <= most_room_;
-    const bool own_fit = hits_room_ == room_ && hits_.size() >= n * room_;
+    const bool room_fits = hits_room_ == room_ && hits_.size() >= n * room_;
     // Waits for the device, because it must not write to lists that are about to be
     // freed.
-    if ((in_kept ? hits_.size() > 0 : !own_fit) || lengths_.size() < n) stream.finish();
+    if ((in_kept ? hits_.size() > 0 : !room_fits) || lengths_.size() < n) stream.finish();
     if (in_kept) hits_ = {};
     // at least as many lists as before
-    else if (!own_fit) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));
+    else if (!room_fits) make_hits(std::max(n, hits_room_ > 0 ? hits_.size() / hits_room_ : 0));
     try {
         if (lengths_.size() < n)
             lengths_ = Array<std::uint32_t, shared::ListLengths>(device_, n, "lengths of lists of hits");

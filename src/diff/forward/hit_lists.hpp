@@ -21,7 +21,7 @@ inline bool appends_hits(const Device& device, const TraceOptions& options) {
 
 /// Returns the largest number of hits that a list may hold. A subgroup of the device must
 /// be able to sort the list.
-std::uint32_t most_list_room(const Device& device);
+std::uint32_t max_list_capacity(const Device& device);
 
 class HitLists {
 public:
@@ -57,7 +57,7 @@ private:
 
     void make_hits(std::size_t n_lists);
     shared::HitLists make_room(Stream& stream, std::size_t n_threads, const KeptHits* kept);
-    bool wants_more_room(Stream& stream);
+    bool needs_more_room(Stream& stream);
     void count_overflows(Stream& stream);
 };
 

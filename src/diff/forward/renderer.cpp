@@ -19,7 +19,7 @@ struct Renderer::Impl {
     RendererOptions options;
     ImageModel model;
     int highest_sh_degree;
-    std::optional<Stream> own_stream;
+    std::optional<Stream> local_stream;
     Stream& stream;
     DeviceScene scene;
     std::optional<Accel> accel;
@@ -37,7 +37,7 @@ struct Renderer::Impl {
           options(o),
           model(m),
           highest_sh_degree(m.sh_degree),
-          stream(o.stream ? *o.stream : own_stream.emplace(d, true)),
+          stream(o.stream ? *o.stream : local_stream.emplace(d, true)),
           scene(d, s),
           accel(std::in_place, d, scene, o.accel),
           forward(d, m, accel->proxy(), o.trace) {
@@ -46,12 +46,12 @@ struct Renderer::Impl {
 
     void make_room(std::size_t n_rays) {
         rendered = Array<shared::RenderedRay>(device, n_rays, "rendered rays");
-        make_kept_hits(n_rays);
+        allocate_kept_hits(n_rays);
         if (options.trace.has_surfaces()) surfaces.emplace(device, n_rays, "surfaces of rays");
         batch = {{}, &rendered, nullptr, kept ? &*kept : nullptr, surfaces ? &*surfaces : nullptr};
     }
 
-    void make_kept_hits(std::size_t n_threads) {
+    void allocate_kept_hits(std::size_t n_threads) {
         // Frees the old memory before the allocation. No command reads the old memory any
         // more.
         kept.reset();
@@ -78,7 +78,7 @@ void Renderer::move(const std::vector<InstancePose>& placed, const glm::vec3& vi
     Impl& r = *impl_;
     if (!r.placed) return place(placed, view_origin_m);
     r.view_origin_m = view_origin_m;
-    const bool bends = r.scene.bends_otherwise(placed);
+    const bool bends = r.scene.has_new_gait_phases(placed);
     r.scene.place(r.stream, placed);
     if (bends || r.model.sh_direction == ShDirection::surfel)
         r.scene.activate(r.stream, r.model, view_origin_m);
@@ -97,7 +97,7 @@ void Renderer::record_forward(const RayBatch& rays) {
     // more threads than rays.
     if (r.kept && !r.kept->hold(rays)) {
         r.stream.finish();
-        r.make_kept_hits(trace_threads(rays));
+        r.allocate_kept_hits(trace_threads(rays));
     }
     r.batch.rays = rays;
     // Eq. 2-4 of the paper
@@ -117,7 +117,7 @@ Rendering Renderer::forward(const WorldRays& rays) {
 void Renderer::check_passes() {
     Impl& r = *impl_;
     r.stream.finish();
-    if (const std::uint32_t capped = r.forward.take_pass_cap_count())
+    if (const std::uint32_t capped = r.forward.reset_pass_cap_count())
         throw DeviceError(
             fmt::format("cannot trace {} rays: {} of them exceeded the maximum of {} traversal passes or the "
                         "traversal stack; too many surfels may overlap",
@@ -144,11 +144,11 @@ bool Renderer::keep_hits(std::uint32_t per_ray) {
     const std::size_t n_threads =
         std::max(r.rendered.size(), r.kept ? r.kept->hits.size() / r.kept->per_ray : 0);
     try {
-        r.make_kept_hits(n_threads);
+        r.allocate_kept_hits(n_threads);
         return true;
     } catch (const DeviceError&) {
         r.options.keep_hits = before;
-        r.make_kept_hits(n_threads);
+        r.allocate_kept_hits(n_threads);
         return false;
     }
 }

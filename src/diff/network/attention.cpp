@@ -18,7 +18,7 @@ std::vector<Constant> attention_constants(std::uint32_t lanes) {
 
 /// Returns a view of an image slice as one matrix [channels, pixels] per head. The
 /// transposed view is [pixels, channels].
-shared::MatrixView of_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
+shared::MatrixView view_heads(const Slice& slice, std::uint32_t heads, bool transposed) {
     const auto pixels = std::uint32_t(slice.grid.pixels());
     return {.values = slice.view.values,
             .first = slice.view.first * pixels,
@@ -81,8 +81,8 @@ void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state,
                 value = qkv.part(2 * channels, channels);
     const Grid& grid = to.grid;
     multiply(stream,
-             {.a = of_heads(query, heads_, true),
-              .b = of_heads(key, heads_, false),
+             {.a = view_heads(query, heads_, true),
+              .b = view_heads(key, heads_, false),
               .c = of_shares(state.share, grid, heads_, false),
               .n_batch = 0,
               .n_heads = 0,
@@ -93,9 +93,9 @@ void Attention::forward(Stream& stream, const Slice& qkv, AttentionState& state,
              grid);
     run_softmax(stream, state, grid, false);
     multiply(stream,
-             {.a = of_heads(value, heads_, false),
+             {.a = view_heads(value, heads_, false),
               .b = of_shares(state.share, grid, heads_, true),
-              .c = of_heads(to, heads_, false),
+              .c = view_heads(to, heads_, false),
               .n_batch = 0,
               .n_heads = 0,
               .rows = size,
@@ -131,16 +131,16 @@ void Attention::vjp(Stream& stream, const Slice& qkv, AttentionState& state, con
                  grid);
     };
     // d_value = d_to share
-    product(of_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false),
-            of_heads(d_value, heads_, false), size, pixels, 1.0f);
+    product(view_heads(d_to, heads_, false), of_shares(state.share, grid, heads_, false),
+            view_heads(d_value, heads_, false), size, pixels, 1.0f);
     // Computes d_share = d_to^T value, then the derivative of the softmax.
-    product(of_heads(d_to, heads_, true), of_heads(value, heads_, false),
+    product(view_heads(d_to, heads_, true), view_heads(value, heads_, false),
             of_shares(state.d_share, grid, heads_, false), pixels, size, 1.0f);
     run_softmax(stream, state, grid, true);
-    product(of_heads(key, heads_, false), of_shares(state.d_share, grid, heads_, true),
-            of_heads(d_query, heads_, false), size, pixels, scale);
-    product(of_heads(query, heads_, false), of_shares(state.d_share, grid, heads_, false),
-            of_heads(d_key, heads_, false), size, pixels, scale);
+    product(view_heads(key, heads_, false), of_shares(state.d_share, grid, heads_, true),
+            view_heads(d_query, heads_, false), size, pixels, scale);
+    product(view_heads(query, heads_, false), of_shares(state.d_share, grid, heads_, false),
+            view_heads(d_key, heads_, false), size, pixels, scale);
 }
 
 }  // namespace relidar::refine

@@ -48,7 +48,7 @@ struct UnetPlan {
 /// the next smaller images, and the sum of that input and the skip connection.
 std::uint32_t up_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
-std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
+std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level);
 
 /// Initialises the parameters: Kaiming's uniform distribution, norms with gamma 1 and
 /// beta 0. The last convolution of a residual network is 0, so that the network initially

@@ -42,7 +42,7 @@ UnetPlan::UnetPlan(const DropNetwork& network) {
         project = conv(w[n_levels], w[n_levels], 1, true);
     }
     for (std::size_t l = 0; l < std::max<std::size_t>(n_levels, 1); ++l) {
-        const std::uint32_t joined = joined_channels(w, l);
+        const std::uint32_t joined = count_joined_channels(w, l);
         up.push_back(block(joined, joined, network.taps));
         up.push_back(block(joined, up_channels(w, l), network.taps));
     }
@@ -58,7 +58,7 @@ std::uint32_t below_channels(const std::vector<std::uint32_t>& widths, std::size
     return level >= n_levels ? 0 : level + 1 == n_levels ? widths[n_levels] : up_channels(widths, level + 1);
 }
 
-std::uint32_t joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
+std::uint32_t count_joined_channels(const std::vector<std::uint32_t>& widths, std::size_t level) {
     return below_channels(widths, level) + widths[level];
 }
 

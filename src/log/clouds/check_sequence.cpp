@@ -189,10 +189,11 @@ void check_boxes(const Sequence& sequence) {
             const double t_s = box.world_from_box.time_s[k];
             // skips labels before the first or after the last frame
             if (!sequence.world_from_vehicle.covers(t_s)) continue;
-            const double away_m = glm::distance(box.world_from_box.pose[k].translation,
-                                                sequence.world_from_vehicle.at(t_s).translation);
-            if (away_m > kBoxReach_m)
-                fail(fmt::format("{}, pose {}", where, k), fmt::format("{:.0f} m from the vehicle", away_m),
+            const double distance_m = glm::distance(box.world_from_box.pose[k].translation,
+                                                    sequence.world_from_vehicle.at(t_s).translation);
+            if (distance_m > kBoxReach_m)
+                fail(fmt::format("{}, pose {}", where, k),
+                     fmt::format("{:.0f} m from the vehicle", distance_m),
                      fmt::format("at most {} m: boxes and poses of one world", kBoxReach_m));
         }
     }

@@ -52,7 +52,7 @@ TimeZero zero_of(const std::vector<TimeRange>& ranges, double unit_s) {
             return is_near(r.first * unit_s, r.stamp_s) && is_near(r.last * unit_s, r.stamp_s);
         }))
         return TimeZero::epoch;
-    return TimeZero::own_clock;
+    return TimeZero::sensor_clock;
 }
 
 void find_time_unit(CloudUnits& units, const std::vector<TimeRange>& ranges, double step_s) {

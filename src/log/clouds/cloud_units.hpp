@@ -17,7 +17,7 @@ enum class TimeZero {
     epoch,  ///< times on the clock of the stamps
     /// times on another clock; the first point time of a cloud is assumed to be the
     /// cloud's stamp
-    own_clock
+    sensor_clock
 };
 
 struct CloudUnits {

@@ -169,7 +169,7 @@ Lattice find_lattice(const Points& scan, const Rings& rings) {
 /// Estimates the rotation rate of the head in radians per second from the azimuths and
 /// times of points. A counterclockwise rotation is positive. Returns nothing if the
 /// points have no times.
-std::optional<double> turning_rate(const Points& scan, const Rings& rings) {
+std::optional<double> estimate_turning_rate(const Points& scan, const Rings& rings) {
     if (scan.time_offset_s.empty()) return std::nullopt;
     double turned = 0.0, passed_s = 0.0;
     for (const Ring& ring : rings) {
@@ -223,7 +223,7 @@ FittedSensor fit_sensor(const std::vector<Points>& scans, double period_s) {
         sensor.beams.push_back(
             {.elevation_rad = *elevations[r], .azimuth_offset_rad = lattice.offset_rad[r]});
     }
-    const std::optional<double> rate = turning_rate(*fullest, rings);
+    const std::optional<double> rate = estimate_turning_rate(*fullest, rings);
     sensor.columns = lattice.columns;
     sensor.first_azimuth_rad = kPi - kPi / lattice.columns;
     sensor.period_s = rate ? 2.0 * kPi / std::abs(*rate) : period_s;

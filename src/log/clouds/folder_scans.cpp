@@ -137,7 +137,7 @@ public:
         behind_[i] = n_first_[i] - std::min(n_first_[i], frame.scan.count_returns());
     }
 
-    void tell_left_out() {
+    void report_left_out() {
         const auto sum = [](const std::vector<std::size_t>& counts) {
             return std::reduce(counts.begin(), counts.end());
         };
@@ -223,7 +223,7 @@ private:
         plan.undo = head_.motion_compensated && has_poses_ && plan.has_times;
         SpinningSensor& sensor = sequence_.lidars[l].sensor;
         if (sensor.period_s == 0.0 || !head_.lidars[l].has_beams) sensor.period_s = frame_step_s(l);
-        if (head_.lidars[l].has_beams) take_beams(l);
+        if (head_.lidars[l].has_beams) use_stored_beams(l);
         else if (head_.lidars[l].spins) fit_beams(l, samples);
         if (!plan.ordered) sensor.period_s = 0.0;
         if (plan.ordered && !plan.has_times && !head_.motion_compensated)
@@ -242,7 +242,7 @@ private:
         }
     }
 
-    void take_beams(std::size_t l) {
+    void use_stored_beams(std::size_t l) {
         Plan& plan = plans_[l];
         const std::size_t n = sequence_.lidars[l].sensor.beams.size();
         plan.ordered = true;
@@ -264,7 +264,7 @@ private:
         }
         const double step_s = sensor.period_s;
         std::optional<SpinningSensor> found = fitted(l, samples, step_s);
-        std::string why = found ? why_no_head(samples, *found, step_s) : "";
+        std::string why = found ? explain_missing_head(samples, *found, step_s) : "";
         if (found && why.empty() && !plan.has_rings) why = why_thinned(samples, *found);
         if (!why.empty()) {
             note(l, fmt::format("{}: no spinning head, so points are taken as they are, a ray each, and rays "
@@ -409,15 +409,14 @@ void find_units(Head& head, const std::vector<fs::path>& files, std::vector<std:
 }
 
 /// Returns the indices of the frames whose scans are read.
-/// @param most_scans  maximum number of scans per LiDAR
-std::vector<std::size_t> frames_to_read(const Sequence& sequence, int most_scans) {
+/// @param max_scans  maximum number of scans per LiDAR
+std::vector<std::size_t> frames_to_read(const Sequence& sequence, int max_scans) {
     std::vector<std::vector<std::size_t>> own(sequence.lidars.size());
     for (std::size_t i = 0; i < sequence.frames.size(); ++i)
         own[std::size_t(sequence.frames[i].lidar)].push_back(i);
     std::vector<std::size_t> all;
     for (const std::vector<std::size_t>& frames : own) {
-        const std::size_t n =
-            most_scans > 0 ? std::min(std::size_t(most_scans), frames.size()) : frames.size();
+        const std::size_t n = max_scans > 0 ? std::min(std::size_t(max_scans), frames.size()) : frames.size();
         for (std::size_t k = 0; k < n; ++k) all.push_back(frames[k * frames.size() / n]);
     }
     std::ranges::sort(all);
@@ -431,10 +430,11 @@ void read_scans(Sequence& sequence, const Head& head, const ScanSource& source,
     BrokenScans broken(options.skip_broken);
     Reader reader(sequence, head, source, options.poses_file != kNoPoses, broken);
     reader.find_sensors();
-    const std::vector<std::size_t> frames = frames_to_read(sequence, options.most_scans);
-    for_each_told(frames.size(), options.progress, "reading scans",
-                  [&](std::size_t k) { broken.attempt(frames[k], [&] { reader.read(frames[k]); }); });
-    reader.tell_left_out();
+    const std::vector<std::size_t> frames = frames_to_read(sequence, options.max_scans);
+    for_each_with_progress(frames.size(), options.progress, "reading scans", [&](std::size_t k) {
+        broken.attempt(frames[k], [&] { reader.read(frames[k]); });
+    });
+    reader.report_left_out();
     broken.leave_out(sequence);
 }
 

@@ -48,7 +48,7 @@ void recentre(Sequence& sequence, glm::dvec3 origin_m) {
         for (Pose& pose : box.world_from_box.pose) pose.translation -= origin_m;
 }
 
-std::vector<BoxTrack> tracks_of(const std::vector<BoxLabel>& labels) {
+std::vector<BoxTrack> build_tracks(const std::vector<BoxLabel>& labels) {
     std::vector<BoxTrack> tracks;
     std::unordered_map<std::string, std::size_t> place;
     for (const BoxLabel& label : labels) {

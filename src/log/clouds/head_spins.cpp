@@ -64,7 +64,8 @@ double widest_gap(const std::vector<Points>& scans) {
 
 }  // namespace
 
-std::string why_no_head(const std::vector<Points>& scans, const SpinningSensor& fitted, double step_s) {
+std::string explain_missing_head(const std::vector<Points>& scans, const SpinningSensor& fitted,
+                                 double step_s) {
     const auto fullest = std::ranges::max_element(scans, {}, &Points::size);
     if (fullest == scans.end()) return "";
     if (const double spread = spread_of_rings(*fullest); spread > kMostSpread_rad)

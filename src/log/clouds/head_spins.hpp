@@ -16,6 +16,7 @@ namespace relidar {
 /// @param scans  some scans, with rings
 /// @param fitted  sensor that was fitted to these scans
 /// @param step_s  time between scans in seconds
-std::string why_no_head(const std::vector<Points>& scans, const SpinningSensor& fitted, double step_s);
+std::string explain_missing_head(const std::vector<Points>& scans, const SpinningSensor& fitted,
+                                 double step_s);
 
 }  // namespace relidar

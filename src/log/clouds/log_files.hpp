@@ -77,7 +77,7 @@ inline constexpr const char* kNoPosesNote =
 
 /// Replaces the vehicle poses by the poses in DatasetOptions::poses_file. Boxes keep
 /// their position relative to the vehicle. Does nothing if the option is empty.
-void take_given_poses(Sequence& sequence, const std::filesystem::path& poses_file);
+void use_pose_file(Sequence& sequence, const std::filesystem::path& poses_file);
 
 /// Reads poses from a file. A line has a frame number and 12 numbers: a 3x4 matrix,
 /// row-major. Frame numbers increase.

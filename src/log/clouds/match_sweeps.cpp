@@ -6,7 +6,7 @@
 
 namespace relidar {
 
-double usual_step_s(std::vector<double> times_s) {
+double median_step_s(std::vector<double> times_s) {
     if (times_s.size() < 2) return 0.1;
     std::ranges::sort(times_s);
     std::vector<double> steps;

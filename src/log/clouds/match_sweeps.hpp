@@ -10,7 +10,7 @@ namespace relidar {
 
 /// Returns the median time between consecutive sweeps of a LiDAR. Returns 0.1 s if there
 /// is only one sweep.
-double usual_step_s(std::vector<double> times_s);
+double median_step_s(std::vector<double> times_s);
 
 /// Finds for each sweep of the main LiDAR the sweep of another LiDAR with the nearest
 /// time. No sweep is matched twice. The sweeps of the main LiDAR define the frame

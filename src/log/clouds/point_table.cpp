@@ -266,7 +266,7 @@ namespace {
 
 /// Returns true if a PCD or PLY header shows that relidar wrote the file and deskewed the
 /// points or moved them to the world frame.
-bool says_deskewed(std::string_view bytes) {
+bool is_marked_deskewed(std::string_view bytes) {
     constexpr std::size_t kHeader = 4096;  // number of bytes that are searched
     const std::string_view header = bytes.substr(0, kHeader);
     return header.find(" points_in sensor at time_s") != header.npos ||
@@ -277,7 +277,7 @@ PointTable read_with_header(const fs::path& file,
                             PointTable (*read)(const SharedBytes& bytes, const std::string& where)) {
     const SharedBytes bytes = share_bytes(read_text(file));
     PointTable table = read(bytes, file.string());
-    table.is_deskewed = says_deskewed(bytes.bytes);
+    table.is_deskewed = is_marked_deskewed(bytes.bytes);
     return table;
 }
 

@@ -88,7 +88,7 @@ std::vector<Band> bands_of(const std::vector<double>& elevations) {
 
 /// Returns true if the width of every band is small compared with the distance to the
 /// next band.
-bool are_apart(const std::vector<Band>& bands) {
+bool are_separate(const std::vector<Band>& bands) {
     for (std::size_t i = 0; i + 1 < bands.size(); ++i) {
         const double apart = (bands[i + 1].elevation_rad - bands[i].elevation_rad) / kBin_rad;
         for (const Band& band : {bands[i], bands[i + 1]})
@@ -101,7 +101,7 @@ bool are_apart(const std::vector<Band>& bands) {
 
 std::vector<Beam> find_beams(const std::vector<Points>& scans) {
     const std::vector<Band> bands = bands_of(far_elevations(scans));
-    if (bands.size() < kFewestBands || !are_apart(bands)) return {};
+    if (bands.size() < kFewestBands || !are_separate(bands)) return {};
     std::vector<Beam> beams;
     for (auto band = bands.rbegin(); band != bands.rend(); ++band)
         beams.push_back({.elevation_rad = band->elevation_rad});

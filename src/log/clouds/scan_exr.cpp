@@ -69,7 +69,7 @@ std::vector<NamedArray> arrays_of(const ExrImage& image, const std::string& wher
 Lidar completed(Lidar lidar, const ExrImage& image) {
     const auto note = image.notes.find("sensor");
     if (note == image.notes.end() || !lidar.sensor.beams.empty() || lidar.pattern) return lidar;
-    if (!known_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
+    if (!find_built_in_sensor(note->second.substr(0, note->second.rfind(':')))) return lidar;
     const SensorModel model = find_sensor(note->second);
     if (const auto* spinning = std::get_if<SpinningSensor>(&model.pattern)) lidar.sensor = *spinning;
     else lidar.pattern = fixed_pattern(model);

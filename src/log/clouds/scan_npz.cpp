@@ -128,7 +128,7 @@ void flip_rows(std::vector<NamedArray>& arrays, std::size_t rows) {
 }
 
 /// Sets the times, rings and divergence of the rays if the file contains them.
-void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
+void read_stored_fields(const Arrays& arrays, const ImageSource& source, RayTable& rays) {
     const PointUnits& units = source.head.units;
     const std::size_t n = rays.size();
     if (arrays.find("time")) {
@@ -150,7 +150,7 @@ void add_what_is_said(const Arrays& arrays, const ImageSource& source, RayTable&
     }
 }
 
-RayTable own_rays(const Arrays& arrays) {
+RayTable rays_of_scan(const Arrays& arrays) {
     RayTable rays;
     rays.rows = int(arrays.rows);
     rays.columns = int(arrays.columns);
@@ -212,8 +212,8 @@ Scan scan_of_images(const std::string& where, std::vector<NamedArray> given, con
     check_deskewed(deskewed && deskewed->count() == 1 && deskewed->as_float()[0] != 0.0f, head,
                    arrays.where());
     Scan scan;
-    scan.rays = has_rays ? own_rays(arrays) : sensor_rays(arrays, source);
-    add_what_is_said(arrays, source, scan.rays);
+    scan.rays = has_rays ? rays_of_scan(arrays) : sensor_rays(arrays, source);
+    read_stored_fields(arrays, source, scan.rays);
     // A rendering has the median range and the mean range. The median is used, because
     // the mean may be between two surfaces.
     const std::vector<float> range_m =

@@ -69,7 +69,7 @@ StampedRow row_of(const std::vector<std::string_view>& cells, std::size_t n_valu
 std::optional<Pose> pose_at(const StampedLog& log, double time_s) {
     const PoseTrack& track = log.world_from_vehicle;
     if (!track.covers(time_s - log.reach_s) || !track.covers(time_s + log.reach_s)) return std::nullopt;
-    const TrackPlace place = track.place(time_s);
+    const TrackPosition place = track.place(time_s);
     const bool is_one = place.s < kSameTime || place.s > 1.0 - kSameTime;
     if (!is_one && track.time_s[place.left + 1] - track.time_s[place.left] > log.most_gap_s)
         return std::nullopt;
@@ -246,7 +246,7 @@ Driving find_driving(const PoseTrack& world_from_rider) {
     return driving;
 }
 
-void tell_unless_forward(std::vector<std::string>& notes, double forward) {
+void warn_unless_forward(std::vector<std::string>& notes, double forward) {
     constexpr double kMostlyForward = 0.9;
     if (forward < kMostlyForward)
         notes.push_back(
@@ -287,7 +287,7 @@ std::vector<fs::path> add_frames(Sequence& sequence, const StampedLog& log, cons
             "around their times",
             without.size(), without.size() + files.size(), without.front()->number, without.back()->number,
             log.poses_file.filename().string()));
-    kitti::take_given_poses(sequence, options.poses_file);
+    kitti::use_pose_file(sequence, options.poses_file);
     recentre(sequence);
     return files;
 }

@@ -55,7 +55,7 @@ struct Driving {
 Driving find_driving(const PoseTrack& world_from_rider);
 /// Adds a note to the log if the vehicle seems not to drive in its forward direction.
 /// @param forward  component of Driving::mean in the forward direction
-void tell_unless_forward(std::vector<std::string>& notes, double forward);
+void warn_unless_forward(std::vector<std::string>& notes, double forward);
 
 /// Scans and poses of a log, which are known before any scan is read.
 struct StampedLog {

@@ -22,7 +22,7 @@ constexpr double kMostRange = 65535.0;
 
 /// Checks the beams of a sensor. Drivers compute points with the angles of the product.
 void check_beams(const Layout& layout, const SpinningSensor& sensor) {
-    const auto nominal = std::get<SpinningSensor>(known_sensor(layout.sensor)->pattern);
+    const auto nominal = std::get<SpinningSensor>(find_built_in_sensor(layout.sensor)->pattern);
     const bool fits = nominal.beams.size() == sensor.beams.size() &&
                       std::ranges::equal(nominal.beams, sensor.beams, [](const Beam& a, const Beam& b) {
                           return std::abs(a.elevation_rad - b.elevation_rad) < kMostAngle_rad;
@@ -59,7 +59,7 @@ BlockWriter::BlockWriter(const Layout& layout, const SpinningSensor& sensor, con
     if (layout.n_blocks % (layout.banks * std::size_t(returns_)) != 0)
         throw UsageError(
             fmt::format("packets of {}: found {} returns; expected 1", layout.sensor, options.returns));
-    for (const BeamFiring& beam : known_firings(layout.sensor)) {
+    for (const BeamFiring& beam : find_beam_firings(layout.sensor)) {
         offsets_us_.push_back(beam.offset_us);
         laser_of_.push_back(std::size_t(beam.channel - layout.first_channel));
         ring_of_[laser_of_.back()] = laser_of_.size() - 1;

@@ -46,7 +46,7 @@ constexpr double kBelieved_m = 0.5;
 constexpr int kReweighted = 6;
 
 /// Loop closure: a later pose whose scan was registered to the map of an earlier pass.
-struct SeenAgain {
+struct LoopClosure {
     std::size_t earlier, later;  // indices of the key poses
     // correction of the later pose relative to the earlier pose (translation, rotation
     // vector)
@@ -69,13 +69,13 @@ public:
 
     ClosedLoops close() {
         ClosedLoops result{track_, 0, 0.0};
-        std::optional<SeenAgain> before;
+        std::optional<LoopClosure> before;
         for (std::size_t later = 0; later < keys_.size(); ++later) {
             if (later % 16 == 0 && !options_.proceed(double(later) / double(keys_.size()))) return result;
             const std::optional<std::size_t> earlier = nearest_earlier(later);
             if (!earlier) continue;
             if (before && before->later + 3 < later) before.reset();
-            const std::optional<SeenAgain> found = find(*earlier, later, before);
+            const std::optional<LoopClosure> found = find(*earlier, later, before);
             if (!found) continue;
             places_.push_back(*found);
             before = found;
@@ -91,19 +91,21 @@ private:
     const LoopOptions& options_;
     std::vector<double> way_m_;      // [poses] length of the path up to each pose
     std::vector<std::size_t> keys_;  // indices of the key poses
-    std::vector<SeenAgain> places_;
+    std::vector<LoopClosure> places_;
     LevelMaps maps_;  // map around the key pose `map_of_`
     std::optional<std::size_t> map_of_;
 
     const Pose& pose(std::size_t key) const { return track_.pose[keys_[key]]; }
-    double way_m(std::size_t key) const { return way_m_[keys_[key]]; }
+    double driven_length_m(std::size_t key) const { return way_m_[keys_[key]]; }
 
     std::optional<std::size_t> nearest_earlier(std::size_t later) const {
         std::optional<std::size_t> nearest;
         double least_m = 1e30;
-        for (std::size_t key = 0; key < later && way_m(later) - way_m(key) > kApart_m; ++key) {
+        for (std::size_t key = 0; key < later && driven_length_m(later) - driven_length_m(key) > kApart_m;
+             ++key) {
             const double distance_m = glm::distance(pose(key).translation, pose(later).translation);
-            const double near_m = std::min(kNear_m + kNearShare * (way_m(later) - way_m(key)), kFarthest_m);
+            const double near_m =
+                std::min(kNear_m + kNearShare * (driven_length_m(later) - driven_length_m(key)), kFarthest_m);
             if (distance_m > near_m || distance_m >= least_m) continue;
             least_m = distance_m;
             nearest = key;
@@ -117,7 +119,7 @@ private:
         maps_.clear();
         std::vector<glm::dvec3> points_m;
         for (std::size_t key = 0; key < keys_.size(); ++key) {
-            if (std::abs(way_m(key) - way_m(about)) > kMap_m) continue;
+            if (std::abs(driven_length_m(key) - driven_length_m(about)) > kMap_m) continue;
             for (const ThinPoint& point : scans_[keys_[key]])
                 points_m.push_back(place(track_, point).point_m);
         }
@@ -198,11 +200,11 @@ private:
         return share;
     }
 
-    std::optional<SeenAgain> find(std::size_t earlier, std::size_t later,
-                                  const std::optional<SeenAgain>& before) {
+    std::optional<LoopClosure> find(std::size_t earlier, std::size_t later,
+                                    const std::optional<LoopClosure>& before) {
         make_map(earlier);
         const std::vector<PlacedPoint> points = points_of(later);
-        const double reach_m = 1.0 + kNearShare * (way_m(later) - way_m(earlier));
+        const double reach_m = 1.0 + kNearShare * (driven_length_m(later) - driven_length_m(earlier));
         Pose at = before ? carried(before->off, pose(before->later), pose(later))
                          : best_start(points, pose(later), reach_m);
         double share = settle(points, at);
@@ -213,7 +215,7 @@ private:
             share = settle(points, at);
         }
         if (share < kLeastShare) return std::nullopt;
-        return SeenAgain{earlier, later, twist_between(pose(later), at)};
+        return LoopClosure{earlier, later, twist_between(pose(later), at)};
     }
 
     /// Moves the pose `other` as if it were rigidly attached to the pose `at`, to which a
@@ -264,7 +266,7 @@ private:
         };
         for (std::size_t k = 0; k + 1 < n; ++k)
             equations.add(k, k + 1, between_keys(k, k + 1), Twist{},
-                          weights(kWay_m, kWay_rad, kKey_m / (way_m(k + 1) - way_m(k))));
+                          weights(kWay_m, kWay_rad, kKey_m / (driven_length_m(k + 1) - driven_length_m(k))));
         for (std::size_t i = 0; i < places_.size(); ++i)
             equations.add(places_[i].earlier, places_[i].later,
                           between_keys(places_[i].earlier, places_[i].later), places_[i].off,
@@ -282,7 +284,7 @@ private:
     }
 
     /// Returns by how many metres the corrected key poses contradict a loop closure.
-    double contradiction_m(const SeenAgain& place, const Eigen::VectorXd& x) const {
+    double contradiction_m(const LoopClosure& place, const Eigen::VectorXd& x) const {
         const Vector6 moves =
             x.segment<6>(6 * Eigen::Index(place.later)) - carried_to(keys_[place.later], place.earlier, x);
         return (moves.head<3>() - Eigen::Vector3d(place.off[0], place.off[1], place.off[2])).norm();
@@ -307,8 +309,9 @@ private:
         for (std::size_t k = 0; k < track_.pose.size(); ++k) {
             while (key + 1 < keys_.size() && keys_[key + 1] <= k) ++key;
             const std::size_t next = std::min(key + 1, keys_.size() - 1);
-            const double length = way_m(next) - way_m(key);
-            const double s = length > 0.0 ? glm::clamp((way_m_[k] - way_m(key)) / length, 0.0, 1.0) : 0.0;
+            const double length = driven_length_m(next) - driven_length_m(key);
+            const double s =
+                length > 0.0 ? glm::clamp((way_m_[k] - driven_length_m(key)) / length, 0.0, 1.0) : 0.0;
             const Vector6 c = (1.0 - s) * carried_to(k, key, x) + s * carried_to(k, next, x);
             result.track.pose[k] = moved(track_.pose[k], {c[0], c[1], c[2], c[3], c[4], c[5]});
         }

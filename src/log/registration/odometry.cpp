@@ -138,13 +138,13 @@ private:
                              (t[k] - t[k - 1]) / (t[k - 1] - t[k - 2]));
     }
 
-    Pose given_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
+    Pose use_pose_motion(std::size_t k) const { return inverse(given_.pose[k - 1]) * given_.pose[k]; }
 
     /// Returns the possible predictions of pose k. The most likely prediction is first.
     std::vector<Pose> predictions(std::size_t k) const {
         const Pose kept = track_.pose[k - 1] * kept_motion(k);
-        if (!options_.given_motion) return {kept};
-        const Pose given = track_.pose[k - 1] * given_motion(k);
+        if (!options_.use_pose_motion) return {kept};
+        const Pose given = track_.pose[k - 1] * use_pose_motion(k);
         if (k < begin_ + 2 || glm::distance(given.translation, kept.translation) < kSame_m) return {given};
         return {given, kept};
     }
@@ -153,7 +153,8 @@ private:
     void set(std::size_t k, const Pose& pose) {
         track_.pose[k] = pose;
         if (k + 1 < track_.pose.size())
-            track_.pose[k + 1] = pose * (options_.given_motion ? given_motion(k + 1) : kept_motion(k + 1));
+            track_.pose[k + 1] =
+                pose * (options_.use_pose_motion ? use_pose_motion(k + 1) : kept_motion(k + 1));
     }
 
     /// Aligns a scan with the maps, from coarse to fine.
@@ -222,7 +223,7 @@ std::vector<Pose> followed(const PoseTrack& given, const std::vector<std::vector
                            const OdometryOptions& options, const Stretch& stretch,
                            const std::function<bool()>& proceed) {
     Follower follower(given, options, stretch.begin,
-                      options.given_motion
+                      options.use_pose_motion
                           ? std::nullopt
                           : std::optional(find_first_motion(given, scans, options, stretch)));
     for (std::size_t k = stretch.begin; k < stretch.end; ++k) {
@@ -256,8 +257,8 @@ std::vector<Pose> chained(const std::vector<Stretch>& stretches, const std::vect
 
 }  // namespace
 
-PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
-                       const OdometryOptions& options) {
+PoseTrack estimate_poses(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+                         const OdometryOptions& options) {
     const std::vector<Stretch> stretches = stretches_of(scans.size());
     const ProcessGroup::Share share = options.group.share(stretches.size());
     std::size_t n = 0;

@@ -20,7 +20,7 @@ struct OdometryOptions {
     RegisterRound first, last;
     /// True if the given poses predict the motion from scan to scan. If false, the
     /// velocity is assumed to be constant.
-    bool given_motion = true;
+    bool use_pose_motion = true;
     /// Called repeatedly from the calling thread. The estimation stops if it returns
     /// false.
     std::function<bool(double done)> proceed;
@@ -31,7 +31,7 @@ struct OdometryOptions {
 /// @param scans [poses] points of each scan; empty if a pose has no scan
 /// @return poses that are identical in all processes and start at the first given pose;
 /// the given poses if proceed() returned false
-PoseTrack follow_scans(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
-                       const OdometryOptions& options);
+PoseTrack estimate_poses(const PoseTrack& given, const std::vector<std::vector<ThinPoint>>& scans,
+                         const OdometryOptions& options);
 
 }  // namespace relidar

@@ -60,7 +60,7 @@ ScanPlacement place_scan(const Sequence& sequence, std::size_t pose, const Scene
     for (int i = 0; i < kMostPlaceSteps && step_m > kPlaceStep_m; ++i) {
         RigidEquations equations;
         for (const FrameRays& f : frames) {
-            const std::vector<SeenSurface> seen = view(f.position, f.rays, track);
+            const std::vector<VisibleSurface> seen = view(f.position, f.rays, track);
             equations += parallel_reduce(seen.size(), kPointsOfPart, [&](std::size_t begin, std::size_t end) {
                 RigidEquations part;
                 for (std::size_t k = begin; k < end; ++k) {

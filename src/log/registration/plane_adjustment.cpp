@@ -167,7 +167,7 @@ std::pair<std::size_t, std::size_t> PlaneAdjustment::neighbours_of(std::size_t p
     return {before, after};
 }
 
-double PlaneAdjustment::share_of_time(std::size_t before, std::size_t pose, std::size_t after) const {
+double PlaneAdjustment::time_fraction(std::size_t before, std::size_t pose, std::size_t after) const {
     const std::vector<double>& t = given_.time_s;
     return (t[pose] - t[before]) / (t[after] - t[before]);
 }
@@ -180,15 +180,15 @@ void PlaneAdjustment::interpolate_corrections(const std::vector<bool>& is_known)
         if (before == k && after == k) continue;  // no known pose exists
         if (before == k) before = after;
         if (after == k) after = before;
-        const double s = before == after ? 0.0 : share_of_time(before, k, after);
+        const double s = before == after ? 0.0 : time_fraction(before, k, after);
         Twist twist = twist_of(known, before);
         for (std::size_t i = 0; i < 6; ++i) twist[i] += s * (twist_of(known, after)[i] - twist[i]);
         track_.pose[k] = moved(start_.pose[k], twist);
     }
 }
 
-double PlaneAdjustment::share_on_planes(const PlaneMap& map, std::span<const ThinPoint> own,
-                                        double scale_m) const {
+double PlaneAdjustment::fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> own,
+                                           double scale_m) const {
     std::size_t n_placed = 0;
     for (const ThinPoint& point : own) {
         const PlacedPoint placed = place(track_, point);
@@ -202,14 +202,14 @@ bool PlaneAdjustment::is_placed(double share, std::size_t n_points) {
     return share >= kFewestOnPlanes && share * double(n_points) >= double(kFewestPlaced);
 }
 
-double PlaneAdjustment::stands_out_m(std::size_t pose, const std::vector<bool>& among) const {
+double PlaneAdjustment::deviation_m(std::size_t pose, const std::vector<bool>& among) const {
     const auto [before, after] = neighbours_of(pose, among);
     if (before == pose || after == pose) return 0.0;
     const auto correction = [&](std::size_t k) {
         return track_.pose[k].translation - given_.pose[k].translation;
     };
     const glm::dvec3 between =
-        glm::mix(correction(before), correction(after), share_of_time(before, pose, after));
+        glm::mix(correction(before), correction(after), time_fraction(before, pose, after));
     // If the given poses jump, one of the neighbours has the same jump. Therefore the
     // smallest difference counts.
     double least = glm::distance(correction(pose), between);
@@ -228,13 +228,13 @@ std::vector<std::size_t> PlaneAdjustment::replace_lost(const PlaneMap& map,
     }
     std::vector<double> shares(scans.size());
     parallel_for(static_cast<int>(scans.size()), [&](int k) {
-        shares[std::size_t(k)] = share_on_planes(map, scans[std::size_t(k)], scale_m);
+        shares[std::size_t(k)] = fraction_on_planes(map, scans[std::size_t(k)], scale_m);
     });
     std::vector<std::size_t> lost;
     std::vector<bool> is_known = candidates;
     for (std::size_t k = 0; k < is_known.size(); ++k) {
         if (!candidates[k] ||
-            (is_placed(shares[k], scans[k].size()) && stands_out_m(k, candidates) <= largest_m))
+            (is_placed(shares[k], scans[k].size()) && deviation_m(k, candidates) <= largest_m))
             continue;
         lost.push_back(k);
         is_known[k] = false;

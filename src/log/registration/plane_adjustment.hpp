@@ -66,13 +66,13 @@ public:
     /// @param share share of the points that lie on planes
     static bool is_placed(double share, std::size_t n_points);
     /// Returns the share of a scan's points that lie on planes of a map.
-    double share_on_planes(const PlaneMap& map, std::span<const ThinPoint> own, double scale_m) const;
+    double fraction_on_planes(const PlaneMap& map, std::span<const ThinPoint> own, double scale_m) const;
     /// Returns by how many metres the correction of a pose differs from its neighbours.
     /// Compares it with the nearest earlier pose, with the nearest later pose, and with
     /// the interpolation between both. Returns the smallest difference. Returns 0 at an
     /// end of the track.
     /// @param among [poses] poses that count as neighbours
-    double stands_out_m(std::size_t pose, const std::vector<bool>& among) const;
+    double deviation_m(std::size_t pose, const std::vector<bool>& among) const;
     void set_pose(std::size_t pose, const Pose& value) { track_.pose[pose] = value; }
 
 private:
@@ -89,7 +89,7 @@ private:
     /// `among`. Returns `pose` itself on a side without a marked pose.
     static std::pair<std::size_t, std::size_t> neighbours_of(std::size_t pose,
                                                              const std::vector<bool>& among);
-    double share_of_time(std::size_t before, std::size_t pose, std::size_t after) const;
+    double time_fraction(std::size_t before, std::size_t pose, std::size_t after) const;
 };
 
 }  // namespace relidar

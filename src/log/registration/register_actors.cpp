@@ -67,7 +67,7 @@ std::vector<ActorPoints> collect_points(const Sequence& sequence, const std::vec
                 if (!box.holds(measured.point_m, measured.time_s, kMoverMargin_m)) continue;
                 const glm::dvec3 local_m = inverse(box.world_from_box.at(measured.time_s)) * measured.point_m;
                 if (local_m.z < -0.5 * box.size_m.z + kAboveGround_m) continue;
-                const TrackPlace at = box.world_from_box.place(measured.time_s);
+                const TrackPosition at = box.world_from_box.place(measured.time_s);
                 of_frame[std::size_t(i)][b].push_back(
                     {glm::vec3(local_m), static_cast<float>(at.s), static_cast<std::uint32_t>(at.left),
                      static_cast<std::uint32_t>(at.s < 0.5 ? at.left : at.left + 1)});
@@ -118,8 +118,8 @@ std::optional<Pose> interpolate_pose(const PoseTrack& track, const std::vector<b
 }
 
 /// Returns the share of points on planes that are shared by several poses.
-double share_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
-    return adjustment.share_on_planes(adjustment.planes(kLastActorRound), points, kLastActorRound.scale_m);
+double fraction_on_planes(const PlaneAdjustment& adjustment, const std::vector<ThinPoint>& points) {
+    return adjustment.fraction_on_planes(adjustment.planes(kLastActorRound), points, kLastActorRound.scale_m);
 }
 
 PlaneAdjustment adjustment_of(const PoseTrack& track, std::vector<ThinPoint> points,
@@ -145,7 +145,7 @@ bool is_standing(const BoxTrack& box, const ActorPoints& actor, const std::vecto
     std::vector<ThinPoint> still = actor.points;
     for (ThinPoint& point : still) point.point_m = glm::vec3(inverse(middle) * place(track, point).point_m);
     const PlaneAdjustment adjustment = adjustment_of(identity_track(track), still, has_points);
-    return share_on_planes(adjustment, still) >= registered_share - kGain;
+    return fraction_on_planes(adjustment, still) >= registered_share - kGain;
 }
 
 /// Applies corrections, which are in the frame of the box, to the poses of a track.
@@ -180,9 +180,9 @@ void register_actor(BoxTrack& box, const ActorPoints& actor, ActorRegistration& 
         std::ranges::count(has_points, true) < std::ptrdiff_t(kFewestPoses))
         return;
     PlaneAdjustment adjustment = adjustment_of(identity_track(box.world_from_box), actor.points, has_points);
-    const double labelled_share = share_on_planes(adjustment, actor.points);
+    const double labelled_share = fraction_on_planes(adjustment, actor.points);
     adjustment.run(kFirstActorRound, kLastActorRound, [](double) { return true; });
-    const double registered_share = share_on_planes(adjustment, actor.points);
+    const double registered_share = fraction_on_planes(adjustment, actor.points);
     std::vector<double> lengths_m;
     for (std::size_t k = 0; k < has_points.size(); ++k) {
         const Twist twist = twist_between(Pose{}, adjustment.track().pose[k]);

@@ -60,9 +60,9 @@ std::vector<std::size_t> place_held_out(PlaneAdjustment& adjustment, const std::
             if (!is_test[k]) continue;
             for (int step = 0; step < kStepsALevel; ++step) adjustment.place_pose(map, k, scans[k], scale_m);
             if (level + 1 < kLevels) continue;
-            const bool found = PlaneAdjustment::is_placed(adjustment.share_on_planes(map, scans[k], scale_m),
-                                                          scans[k].size());
-            if (found && adjustment.stands_out_m(k, is_train) <= largest_m) continue;
+            const bool found = PlaneAdjustment::is_placed(
+                adjustment.fraction_on_planes(map, scans[k], scale_m), scans[k].size());
+            if (found && adjustment.deviation_m(k, is_train) <= largest_m) continue;
             adjustment.set_pose(k, as_neighbours[k]);
             lost.push_back(k);
         }
@@ -95,7 +95,7 @@ double median_share(const PlaneAdjustment& adjustment, const PlaneMap& map,
                     const std::vector<std::vector<ThinPoint>>& scans, const std::vector<bool>& among) {
     std::vector<double> all(scans.size()), shares;
     parallel_for(static_cast<int>(scans.size()), [&](int i) {
-        all[std::size_t(i)] = adjustment.share_on_planes(map, scans[std::size_t(i)], kLast.scale_m);
+        all[std::size_t(i)] = adjustment.fraction_on_planes(map, scans[std::size_t(i)], kLast.scale_m);
     });
     for (std::size_t k = 0; k < all.size(); ++k)
         if (among[k]) shares.push_back(all[k]);
@@ -124,18 +124,18 @@ Registration register_scans(const Sequence& sequence, const Split& split, const 
                               std::max(0.5 * options.largest_m, kLast.scale_m)};
 
     const std::vector<std::vector<ThinPoint>> scans = thin_scans(sequence, sweeps, is_train, options, thin_m);
-    const PoseTrack followed = follow_scans(
+    const PoseTrack followed = estimate_poses(
         sweeps.track, scans,
-        {first, kLastFollowed, options.given_motion, proceed("tracking the scans"), options.group});
+        {first, kLastFollowed, options.use_pose_motion, proceed("tracking the scans"), options.group});
     if (result.stopped || !options.group.is_first()) return result;
     const ClosedLoops closed =
         close_loops(followed, scans, {first, kLastFollowed, proceed("detecting loop closures")});
     if (result.stopped) return result;
-    result.places_again = closed.places;
-    result.loops_off_m = closed.largest_m;
+    result.n_loop_closures = closed.places;
+    result.largest_loop_error_m = closed.largest_m;
 
     PlaneAdjustment adjustment(sweeps.track, closed.track, joined(scans),
-                               options.given_motion ? is_train : middle_of(is_train));
+                               options.use_pose_motion ? is_train : middle_of(is_train));
     result.rounds = adjustment.run(first, kLast, proceed("registering all scans jointly"));
     if (result.stopped) return result;
     if (result.rounds.back().planes == 0)

@@ -89,7 +89,7 @@ ThinPoint point_of(const Sequence& sequence, const PoseTrack& track, std::size_t
                    std::size_t ray) {
     const Frame& frame = sequence.frames[std::size_t(position)];
     const RayTable& rays = frame.scan.rays;
-    const TrackPlace at = track.place(world_return(sequence, frame, ray).time_s);
+    const TrackPosition at = track.place(world_return(sequence, frame, ray).time_s);
     const glm::vec3 in_sensor_m =
         rays.origin[ray] + surface_return(sequence, frame, ray).range_m * rays.direction[ray];
     return {glm::vec3(sequence.lidar_of(frame).vehicle_from_sensor * glm::dvec3(in_sensor_m)),

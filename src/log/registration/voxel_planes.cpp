@@ -34,9 +34,9 @@ const Plane* VoxelPlanes::at(const glm::dvec3& point_m) const {
     const auto found = cells_.find(cell_key(point_m, cell_m_));
     if (found == cells_.end() || found->second.sums.n < kFewestOfVoxel) return nullptr;
     const Cell& cell = found->second;
-    if (cell.is_outgrown()) {
+    if (cell.has_too_many_points()) {
         const std::scoped_lock lock(mutex_of(&cell));
-        if (cell.is_outgrown()) fit(cell, centre(point_m));
+        if (cell.has_too_many_points()) fit(cell, centre(point_m));
     }
     return cell.plane ? &*cell.plane : nullptr;
 }

@@ -37,7 +37,7 @@ private:
         mutable std::atomic<double> n_fitted = 0.0;
         mutable std::optional<Plane> plane;
 
-        bool is_outgrown() const {
+        bool has_too_many_points() const {
             // Fits the plane again after the number of points has grown by this factor.
             constexpr double kRefit = 1.1;
             return sums.n >= kRefit * n_fitted.load(std::memory_order_acquire);

@@ -84,7 +84,7 @@ std::vector<std::string> optional_channel_names() {
     return names;
 }
 
-std::vector<ChannelInfo> wanted_channels(const std::string& names) {
+std::vector<ChannelInfo> parse_channels(const std::string& names) {
     std::vector<ChannelInfo> wanted;
     for (const std::string& name : words_of(names)) {
         const auto found = std::ranges::find(optional_channels(), name, &ChannelInfo::name);
@@ -102,7 +102,7 @@ std::size_t size(const ChannelValues& values) {
     return std::visit([](const auto& v) { return v.size(); }, values);
 }
 
-std::vector<ScanChannel> emptied(const std::vector<ScanChannel>& channels) {
+std::vector<ScanChannel> without_values(const std::vector<ScanChannel>& channels) {
     std::vector<ScanChannel> result;
     for (const auto& [info, values, second] : channels)
         result.push_back(
@@ -131,7 +131,7 @@ void append_return(ScanChannel& of_points, const ScanChannel& of_rays, std::size
     const auto append_one = [&]<class T>(const std::vector<T>& values) {
         const auto* second =
             number == 2 && size(of_rays.second) > 0 ? std::get_if<std::vector<T>>(&of_rays.second) : nullptr;
-        const T other = second ? (*second)[ray] : channel.of_ray ? values[ray] : nothing_of<T>(channel);
+        const T other = second ? (*second)[ray] : channel.of_ray ? values[ray] : missing_value_of<T>(channel);
         std::get<std::vector<T>>(of_points.values).push_back(number == 1 ? values[ray] : other);
     };
     std::visit(append_one, of_rays.values);

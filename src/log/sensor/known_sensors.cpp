@@ -200,7 +200,7 @@ SensorModel rosette() {
 
 }  // namespace
 
-std::vector<BeamFiring> known_firings(const std::string& name) {
+std::vector<BeamFiring> find_beam_firings(const std::string& name) {
     std::vector<BeamFiring> firings;
     std::vector<std::string_view> header;
     const std::vector<std::string> lines = split_lines(table_of(name));
@@ -224,7 +224,7 @@ std::vector<std::string> sensor_names() {
     return names;
 }
 
-std::optional<SensorModel> known_sensor(const std::string& name, int columns, double rate_hz) {
+std::optional<SensorModel> find_built_in_sensor(const std::string& name, int columns, double rate_hz) {
     const auto known = known_name(name, sensor_names());
     if (!known) return {};
     const double rate = rate_hz > 0.0 ? rate_hz : 10.0;

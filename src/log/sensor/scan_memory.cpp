@@ -35,7 +35,7 @@ namespace fs = std::filesystem;
 constexpr std::size_t kSmall = 16 << 10;
 constexpr std::size_t kReserved = std::size_t(1) << 40;  // Size of the reserved address range in bytes.
 
-std::size_t whole_pages(std::size_t bytes) {
+std::size_t round_to_pages(std::size_t bytes) {
     static const auto page = std::size_t(::sysconf(_SC_PAGESIZE));
     return (bytes + page - 1) / page * page;
 }
@@ -73,7 +73,7 @@ public:
     MappedFile& operator=(const MappedFile&) = delete;
 
     void* allocate(std::size_t bytes) {
-        const std::size_t size = whole_pages(bytes);
+        const std::size_t size = round_to_pages(bytes);
         const std::lock_guard lock(mutex_);
         const auto room =
             std::find_if(free_.begin(), free_.end(), [&](const auto& range) { return range.second >= size; });
@@ -94,7 +94,7 @@ public:
     bool holds(const void* array) const { return array >= begin_ && array < begin_ + kReserved; }
 
     void free(void* array, std::size_t bytes) noexcept {
-        const std::size_t size = whole_pages(bytes),
+        const std::size_t size = round_to_pages(bytes),
                           offset = std::size_t(static_cast<std::byte*>(array) - begin_);
         // Gives the disk space of the pages back, if the file system supports it.
         ::fallocate(file_, FALLOC_FL_PUNCH_HOLE | FALLOC_FL_KEEP_SIZE, off_t(offset), off_t(size));

@@ -104,7 +104,7 @@ SensorModel sensor_of_json(const std::string& text, const std::string& name, con
 SensorModel find_sensor(const std::string& name_or_file, const std::vector<std::string>& also_known,
                         double max_range_m) {
     const SensorName name = parse_name(name_or_file);
-    if (const auto known = known_sensor(name.name, name.columns, name.rate_hz)) return *known;
+    if (const auto known = find_built_in_sensor(name.name, name.columns, name.rate_hz)) return *known;
     const std::string extension = fs::path(name.name).extension().string();
     if (extension == ".csv" || extension == ".json" || extension == ".npz" || path_exists(name.name))
         return read_sensor(name, max_range_m);

@@ -53,9 +53,9 @@ double number_of(const Json* json, double missing, const std::string& where) {
 RangeLimits ouster_limits(const Json& json) {
     const Json* line = find(json, "prod_line", {"sensor_info"});
     const std::string product = line && line->is_string() ? line->get<std::string>() : "";
-    const auto known = product.starts_with("OS-0")   ? known_sensor("OS0-128")
-                       : product.starts_with("OS-2") ? known_sensor("OS2-128")
-                                                     : known_sensor("OS1-128");
+    const auto known = product.starts_with("OS-0")   ? find_built_in_sensor("OS0-128")
+                       : product.starts_with("OS-2") ? find_built_in_sensor("OS2-128")
+                                                     : find_built_in_sensor("OS1-128");
     return known->limits;
 }
 

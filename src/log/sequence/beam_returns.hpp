@@ -13,8 +13,8 @@ namespace relidar {
 
 /// Returns the beam number (Sequence::beam_number) of a ray if it has a return closer
 /// than max_range_m. Returns nothing for other rays.
-inline std::optional<std::uint16_t> beam_that_saw(const Sequence& sequence, const Frame& frame,
-                                                  std::size_t ray, double max_range_m) {
+inline std::optional<std::uint16_t> beam_of_return(const Sequence& sequence, const Frame& frame,
+                                                   std::size_t ray, double max_range_m) {
     const float range_m = frame.scan.range_m[ray];
     return range_m > 0.0f && range_m < max_range_m
                ? sequence.beam_number(frame.lidar, frame.scan.rays.channel[ray])
@@ -30,13 +30,13 @@ inline std::vector<Beam*> beams_of(Sequence& sequence) {
 }
 
 /// Calls read(frame) for the given frames, and returns the results. Reads only every n-th
-/// frame if the frames have more than most_rays rays in total.
+/// frame if the frames have more than max_rays rays in total.
 template <class Read>
-auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t most_rays,
+auto read_frames(const Sequence& sequence, const std::vector<int>& positions, std::size_t max_rays,
                  const Read& read) {
     std::size_t rays = 0;
     for (const int position : positions) rays += sequence.frames[std::size_t(position)].scan.range_m.size();
-    const std::size_t stride = rays / most_rays + 1;
+    const std::size_t stride = rays / max_rays + 1;
     std::vector<decltype(read(sequence.frames.front()))> frames((positions.size() + stride - 1) / stride);
     parallel_for(static_cast<int>(frames.size()), [&](int i) {
         frames[std::size_t(i)] = read(sequence.frames[std::size_t(positions[std::size_t(i) * stride])]);

@@ -34,7 +34,7 @@ std::vector<SeenPlace> returns_of(const Sequence& sequence, const Frame& frame) 
     std::vector<SeenPlace> result;
     const Scan& scan = frame.scan;
     for (std::size_t ray = 0; ray < scan.range_m.size(); ++ray) {
-        const auto beam = beam_that_saw(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
+        const auto beam = beam_of_return(sequence, frame, ray, sequence.lidar_of(frame).sensor.max_range_m);
         if (!beam) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
         result.push_back(
@@ -70,7 +70,7 @@ std::vector<glm::vec3> normals_of(const std::vector<SeenPlace>& seen, const Cell
 
 }  // namespace
 
-PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>& positions) {
+PlaceReturns collect_place_returns(const Sequence& sequence, const std::vector<int>& positions) {
     std::vector<SeenPlace> seen = joined(read_frames(
         sequence, positions, kMostCompared, [&](const Frame& frame) { return returns_of(sequence, frame); }));
     {

@@ -25,6 +25,6 @@ struct PlaceReturns {
     std::vector<PlaceReturn> seen;
     std::size_t n_places = 0;
 };
-PlaceReturns returns_of_places(const Sequence& sequence, const std::vector<int>& positions);
+PlaceReturns collect_place_returns(const Sequence& sequence, const std::vector<int>& positions);
 
 }  // namespace relidar

@@ -234,7 +234,7 @@ void add_priors(System& sys, const Model& m, const Layout& at) {
         }
 }
 
-void take_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
+void apply_step(Model& m, const Layout& at, const Eigen::VectorXd& step) {
     if (at.parts.shared) {
         for (std::size_t k = 0; k < m.shared.factor.size(); ++k)
             m.shared.factor[k] = std::clamp(m.shared.factor[k] + step[at.factor(k)], kMinFactor, kMaxFactor);
@@ -293,7 +293,7 @@ Model fitted(const PlaceReturns& returns, std::size_t n_beams, Parts parts) {
         add_priors(sys, m, at);
         sys.h.diagonal() *= 1.0 + damping;
         Model next = m;
-        take_step(next, at, sys.h.ldlt().solve(sys.g));
+        apply_step(next, at, sys.h.ldlt().solve(sys.g));
         fit_albedos(next, returns);
         next.rms = error_of(next, returns);
         const bool is_better = next.rms < m.rms;
@@ -323,7 +323,7 @@ IntensityCalibration calibrate_intensity(Sequence& sequence, const std::vector<i
     sequence.intensity_response = {};
     const std::vector<Beam*> beams = beams_of(sequence);
     for (Beam* beam : beams) beam->intensity_gain = 1.0, beam->intensity_offset = 0.0;
-    const PlaceReturns returns = returns_of_places(sequence, positions);
+    const PlaceReturns returns = collect_place_returns(sequence, positions);
     IntensityCalibration result;
     result.returns = returns.seen.size();
     if (returns.seen.empty()) return result;

@@ -49,7 +49,7 @@ struct Observation {
 std::vector<Observation> observations_of(const Sequence& sequence, const Frame& frame) {
     std::vector<Observation> result;
     for (std::size_t ray = 0; ray < frame.scan.range_m.size(); ++ray) {
-        const auto beam = beam_that_saw(sequence, frame, ray, kMaxRange_m);
+        const auto beam = beam_of_return(sequence, frame, ray, kMaxRange_m);
         if (!beam) continue;
         const WorldReturn w = world_return(sequence, frame, ray);
         result.push_back({glm::vec3(w.point_m), glm::vec3(w.direction), *beam});

@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-TrackPlace find_place(const std::vector<double>& time_s, double t_s) {
+TrackPosition find_place(const std::vector<double>& time_s, double t_s) {
     const auto after = std::upper_bound(time_s.begin(), time_s.end(), t_s);
     const std::ptrdiff_t last = static_cast<std::ptrdiff_t>(time_s.size()) - 2;
     const std::size_t left =
@@ -54,7 +54,7 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
     // a fast test with the centre of the box rejects most points, so that no slerp is
     // needed
     if (track.pose.size() > 1) {
-        const TrackPlace at = find_place(track.time_s, t_s);
+        const TrackPosition at = find_place(track.time_s, t_s);
         const glm::dvec3 centre =
             glm::mix(track.pose[at.left].translation, track.pose[at.left + 1].translation, at.s);
         const glm::dvec3 d = point_m - centre;
@@ -64,14 +64,14 @@ bool BoxTrack::holds(const glm::dvec3& point_m, double t_s, double margin_m) con
     return local.x <= half.x && local.y <= half.y && local.z <= half.z;
 }
 
-TrackPlace PoseTrack::place(double t_s) const {
+TrackPosition PoseTrack::place(double t_s) const {
     if (pose.empty() || pose.size() != time_s.size()) {
         throw DataError(
             fmt::format("found a pose track with {} poses at {} times, expected at least one of each and the "
                         "same number",
                         pose.size(), time_s.size()));
     }
-    return pose.size() == 1 ? TrackPlace{} : find_place(time_s, t_s);
+    return pose.size() == 1 ? TrackPosition{} : find_place(time_s, t_s);
 }
 
 Pose PoseTrack::at(double t_s) const {
@@ -111,7 +111,7 @@ std::size_t Sequence::pose_of(const Frame& frame) const {
 }
 
 PoseTrack Sequence::world_from_sensor(int lidar) const {
-    return moved_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
+    return mounted_track(world_from_vehicle, lidars[std::size_t(lidar)].vehicle_from_sensor);
 }
 
 int find_lidar(const Sequence& sequence, const std::string& name) {
@@ -160,7 +160,7 @@ Sequence without_frames(const Sequence& all) {
             all.rolling_shutter};
 }
 
-PoseTrack moved_track(PoseTrack track, const Pose& sensor_from_moved) {
+PoseTrack mounted_track(PoseTrack track, const Pose& sensor_from_moved) {
     for (Pose& pose : track.pose) pose = pose * sensor_from_moved;
     return track;
 }
@@ -196,7 +196,7 @@ namespace {
 
 /// Returns the mean position of a track in a time interval. Returns nothing if there is
 /// no pose in the interval.
-std::optional<glm::dvec3> mean_place(const PoseTrack& track, double first_s, double last_s) {
+std::optional<glm::dvec3> mean_position(const PoseTrack& track, double first_s, double last_s) {
     constexpr double kSame_s = 1e-6;
     glm::dvec3 sum(0.0);
     std::size_t n = 0;
@@ -217,7 +217,7 @@ bool BoxTrack::moves() const {
     const double drift_m = std::max(kJitter_m, std::min(kDrift_m, 0.5 * std::max(size_m.x, size_m.y)));
     const double step_m = std::max(kJitter_m, kDrift_mps * window_s);
     const auto place = [&](double first_s) {
-        return mean_place(world_from_box, first_s, first_s + window_s);
+        return mean_position(world_from_box, first_s, first_s + window_s);
     };
     const std::optional<glm::dvec3> start = place(t.front());
     for (const double time_s : t) {
@@ -249,7 +249,7 @@ double firing_time(double time_s, const RayTable& rays, std::size_t ray, bool ro
     return rolling_shutter ? time_s + static_cast<double>(rays.time_offset_s[ray]) : time_s;
 }
 
-WorldRay placed_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
+WorldRay place_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
     return {pose * glm::dvec3(rays.origin[ray]),
             glm::normalize(pose.rotation * glm::dvec3(rays.direction[ray]))};
 }
@@ -258,7 +258,7 @@ WorldRay placed_ray(const Pose& pose, const RayTable& rays, std::size_t ray) {
 
 WorldRay world_ray(const PoseTrack& world_from_sensor, double time_s, const RayTable& rays, std::size_t ray,
                    bool rolling_shutter) {
-    return placed_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
+    return place_ray(world_from_sensor.at(firing_time(time_s, rays, ray, rolling_shutter)), rays, ray);
 }
 
 namespace {
@@ -389,8 +389,8 @@ SurfaceReturn surface_return(const Sequence& sequence, const Frame& frame, std::
 WorldReturn world_return(const Sequence& sequence, const Frame& frame, std::size_t ray, std::size_t number) {
     const double t_s = firing_time(frame.time_s, frame.scan.rays, ray, sequence.rolling_shutter);
     const WorldRay w =
-        placed_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor),
-                   frame.scan.rays, ray);
+        place_ray(sequence.world_from_vehicle.at(t_s, sequence.lidar_of(frame).vehicle_from_sensor),
+                  frame.scan.rays, ray);
     const SurfaceReturn surface = surface_return(sequence, frame, ray, number);
     return {w.origin_m + static_cast<double>(surface.range_m) * w.direction, w.direction, t_s,
             surface.intensity};

@@ -53,7 +53,7 @@ bool comes_near(const BoxTrack& box, const Sequence& sequence, const std::vector
 /// Removes tracks that have no box in this part of the log from the list of actors. If
 /// the list becomes empty, also clears the actor classes, because the user has selected
 /// only tracks of other blocks.
-void keep_known(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
+void remove_unknown_tracks(InitialiseOptions& options, const std::vector<BoxTrack>& boxes) {
     if (options.actor_tracks.empty()) return;
     std::vector<std::string> kept;
     for (const std::string& track : words_of(options.actor_tracks))
@@ -80,7 +80,7 @@ BlockLog block_log(const Sequence& sequence, const Split& split, const Block& bl
     std::copy_if(sequence.boxes.begin(), sequence.boxes.end(), std::back_inserter(part.boxes),
                  [&](const BoxTrack& box) { return comes_near(box, sequence, frames); });
     log.config.blocks.length_m = 0.0;
-    keep_known(log.config.init, part.boxes);
+    remove_unknown_tracks(log.config.init, part.boxes);
     return log;
 }
 

@@ -27,14 +27,15 @@ std::vector<double> driven(const std::vector<glm::dvec3>& places) {
 /// Divides the route into sections of equal length. Returns a block with the sweeps of
 /// each section. Leaves out sections without sweeps.
 std::vector<Block> cut(const std::vector<double>& metres, double length_m) {
-    const double way_m = metres.back();
-    const double n = std::max(1.0, std::ceil(way_m / length_m - 1e-9));
+    const double driven_length_m = metres.back();
+    const double n = std::max(1.0, std::ceil(driven_length_m / length_m - 1e-9));
     std::vector<Block> blocks;
     for (std::size_t i = 0; i < metres.size(); ++i) {
-        const double k = way_m > 0.0 ? std::min(n - 1.0, std::floor(metres[i] / way_m * n)) : 0.0;
-        const double begin_m = way_m * k / n;
+        const double k =
+            driven_length_m > 0.0 ? std::min(n - 1.0, std::floor(metres[i] / driven_length_m * n)) : 0.0;
+        const double begin_m = driven_length_m * k / n;
         if (blocks.empty() || blocks.back().begin_m < begin_m)
-            blocks.push_back({begin_m, way_m * (k + 1.0) / n, {}, {}});
+            blocks.push_back({begin_m, driven_length_m * (k + 1.0) / n, {}, {}});
         blocks.back().own.push_back(static_cast<int>(i));
     }
     return blocks;
@@ -65,8 +66,8 @@ std::vector<Block> plan_blocks(const Sequence& sequence, const Split& split, con
     return blocks;
 }
 
-void keep_own_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
-                      std::size_t block) {
+void remove_overlap_surfels(Scene& scene, const Sequence& sequence, const std::vector<Block>& blocks,
+                            std::size_t block) {
     std::vector<bool> is_own(sequence.frames.size(), false);
     for (const int position : blocks[block].own) is_own[std::size_t(position)] = true;
     const NearestPlace<double> nearest(frame_places(sequence));

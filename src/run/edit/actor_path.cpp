@@ -32,7 +32,7 @@ using FieldPlaces = std::vector<int>;
 
 /// Reads the header of a file and returns the column index of each field.
 /// @throws DataError for an unknown name, a missing field, or an angle in both units
-FieldPlaces places_of_header(const std::vector<std::string_view>& header, const std::string& where) {
+FieldPlaces parse_header_columns(const std::vector<std::string_view>& header, const std::string& where) {
     FieldPlaces at = find_columns(header, kNames, where);
     for (const Field field : {kTime, kX, kY, kZ})
         if (at[field] < 0)
@@ -48,7 +48,7 @@ FieldPlaces places_of_header(const std::vector<std::string_view>& header, const 
 
 /// Returns the column index of each field for a file without a header.
 /// @throws DataError if there are too few or too many columns
-FieldPlaces places_without_header(std::size_t n_cells, const std::string& where) {
+FieldPlaces default_columns(std::size_t n_cells, const std::string& where) {
     if (n_cells < kNeeded || n_cells > kUnnamed)
         throw DataError(fmt::format(
             "{}: found {} columns, expected time_s,x,y,z,yaw_deg and optionally pitch_deg,roll_deg, "
@@ -104,7 +104,7 @@ PoseTrack read_trajectory(const std::filesystem::path& path) {
         if (at.empty()) {
             const bool is_header = !parse_number(cells[0]);
             n_cells = is_header ? cells.size() : kUnnamed;
-            at = is_header ? places_of_header(cells, where) : places_without_header(cells.size(), where);
+            at = is_header ? parse_header_columns(cells, where) : default_columns(cells.size(), where);
             if (is_header) continue;
         }
         if (cells.size() > n_cells)

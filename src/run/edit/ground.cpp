@@ -155,7 +155,7 @@ private:
     /// Returns the plane on which most points lie. Candidates are planes through three
     /// random points. The score of a plane depends on the distances of all points from
     /// the plane.
-    static GroundPlane most_common(const std::vector<glm::dvec3>& points) {
+    static GroundPlane most_common_plane(const std::vector<glm::dvec3>& points) {
         Random random(1);
         GroundPlane best{points.front(), {0.0, 0.0, 1.0}};
         double most = 0.0;
@@ -182,7 +182,7 @@ private:
     static std::optional<GroundPlane> plane_of(const std::vector<glm::dvec3>& points,
                                                const Footprint& footprint, double margin_m) {
         if (points.size() < kFewestOnPlane) return {};
-        GroundPlane plane = most_common(points);
+        GroundPlane plane = most_common_plane(points);
         for (int round = 0; round < 3; ++round) {
             const std::vector<glm::dvec3> on = on_plane(plane, points);
             if (on.size() < kFewestOnPlane) return {};

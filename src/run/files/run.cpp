@@ -63,7 +63,7 @@ void link_or_copy(const fs::path& from, const fs::path& to) {
 /// Links or copies the files of the background blocks to `folder`. Returns the blocks
 /// with their new file names.
 /// @param keep  skip files that the run's folder already contains
-std::vector<SceneBlock> own_blocks(const Run& run, const fs::path& folder, bool keep) {
+std::vector<SceneBlock> copy_blocks(const Run& run, const fs::path& folder, bool keep) {
     std::vector<SceneBlock> blocks = run.scene.blocks;
     for (std::size_t i = 0; i < blocks.size(); ++i) {
         const fs::path file = fs::path("blocks") / fmt::format("{:03}", i) / kModelFile;
@@ -93,7 +93,7 @@ void save_scene(const Run& run, const fs::path& folder, bool keep_blocks) {
     // Copy of the scene of the run. If the background consists of blocks, only the actors
     // are in memory.
     Scene scene = run.scene;
-    scene.blocks = own_blocks(run, folder, keep_blocks);
+    scene.blocks = copy_blocks(run, folder, keep_blocks);
     save_model(folder / kModelFile, scene);
 }
 

@@ -26,7 +26,7 @@ Scene read_blocks(const Scene& scene, const std::vector<std::size_t>& blocks) {
     return with_background(scene, background);
 }
 
-Scene whole_scene(const Scene& scene) {
+Scene load_all_blocks(const Scene& scene) {
     if (scene.blocks.empty()) return scene;
     std::vector<std::size_t> all(scene.blocks.size());
     std::iota(all.begin(), all.end(), std::size_t(0));

@@ -161,7 +161,7 @@ struct ManyFrames {
     const Sequence& sequence;
     const Config& config;
     const Progress& progress;
-    const SeeFrame& see;
+    const FrameCallback& see;
 };
 
 /// Renders all frames and computes their metrics, in batches of kScoredAtOnce frames.
@@ -224,11 +224,12 @@ ScoredFrame score_frame(ScanRenderer& renderer, const Config& config, const Sequ
 }
 
 Evaluation evaluate_frames(ScanRenderer& renderer, const Config& config, const Sequence& sequence,
-                           const std::vector<int>& positions, const Progress& progress, const SeeFrame& see) {
+                           const std::vector<int>& positions, const Progress& progress,
+                           const FrameCallback& see) {
     // Adds the drop probability before the correction by the network, because reports
     // show both probabilities.
     if (see && renderer.refines(configured_sensor(config, sequence)))
-        renderer.want_channels("surfel_drop_prob");
+        renderer.enable_channels("surfel_drop_prob");
     std::vector<ScoredFrame> scored = score_all(
         {positions, sequence, config, progress, see}, "rendering held-out frames",
         [&](int, const Frame& frame) { return render_frame(renderer, config, sequence, frame, {}); });
@@ -242,7 +243,7 @@ BoxMotion find_baseline(const std::string& name) {
 }
 
 Evaluation evaluate_baseline(const std::string& name, const Config& config, const Sequence& sequence,
-                             const Split& split, const Progress& progress, const SeeFrame& see) {
+                             const Split& split, const Progress& progress, const FrameCallback& see) {
     const BoxMotion boxes = find_baseline(name);
     const auto project = [&](int position, const Frame& frame) {
         RenderedFrame result = real_frame(config, sequence, frame, {});

@@ -52,7 +52,7 @@ const BoxTrack* box_of(const std::vector<const BoxTrack*>& moving, const glm::dv
 
 /// Converts a point from the world frame to the sensor frame, at the time in the sweep at
 /// which the LiDAR faces the point.
-glm::dvec3 seen_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
+glm::dvec3 place_in_sweep(const Sequence& sequence, const glm::dvec3& world_m, const Frame& frame) {
     const Pose& mounted = sequence.lidar_of(frame).vehicle_from_sensor;
     const glm::dvec3 at_reference = inverse(sequence.world_from_vehicle.at(frame.time_s, mounted)) * world_m;
     const double facing_s = facing_time(sequence, at_reference, moment_of(frame));
@@ -153,7 +153,7 @@ Scan neighbour_points(const Sequence& sequence, int position, const std::vector<
                 world_m =
                     box->world_from_box.at(then_s) * (inverse(box->world_from_box.at(w.time_s)) * w.point_m);
             }
-            append_point(points, seen_in_sweep(sequence, world_m, sweep), frame.scan.intensity[ray]);
+            append_point(points, place_in_sweep(sequence, world_m, sweep), frame.scan.intensity[ray]);
         }
     }
     points.rays.rows = 1;

@@ -14,7 +14,7 @@
 
 #include "html.hpp"
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 namespace {
 
 // Margins of a chart in SVG units. The labels must fit into the margins.
@@ -226,4 +226,4 @@ std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, 
     return svg + "</svg>\n";
 }
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

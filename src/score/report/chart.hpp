@@ -7,7 +7,7 @@
 
 #include <relidar/score/report.hpp>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 /// Number of different curve colours. If a chart has more curves, colours repeat. The
 /// style classes of the colours are c0 ... c7.
@@ -23,4 +23,4 @@ std::string svg_chart(const std::vector<const ReportCurve*>& curves, int width, 
 /// Returns true if svg_chart() draws a running mean for at least one of these curves.
 bool has_running_mean(const std::vector<const ReportCurve*>& curves);
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

@@ -8,7 +8,7 @@
 
 #include <fmt/format.h>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 namespace {
 
 constexpr std::string_view kDigits = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
@@ -65,4 +65,4 @@ std::string format_number(double value) {
 
 std::string png_data_url(const Image& image) { return "data:image/png;base64," + base64(encode_png(image)); }
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

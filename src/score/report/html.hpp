@@ -8,7 +8,7 @@
 
 #include <relidar/base/images.hpp>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 /// Escapes text so that it can be written inside an HTML element or a quoted attribute.
 std::string escape_html(std::string_view text);
@@ -23,4 +23,4 @@ std::string base64(const std::vector<std::uint8_t>& bytes);
 /// Encodes an image as PNG and returns it as a URL of the form data:image/png;base64,...
 std::string png_data_url(const Image& image);
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

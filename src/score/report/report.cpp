@@ -24,8 +24,8 @@
 namespace relidar {
 namespace {
 
-using export_detail::escape_html;
-using export_detail::format_number;
+using report_detail::escape_html;
+using report_detail::format_number;
 
 // Maximum width of an image divided by its height. Wider images, for example 66 x 1030,
 // are stretched vertically so that their rows remain visible.
@@ -166,11 +166,11 @@ std::string key_metrics(const Report& report) {
 std::string chart(const std::string& title, const std::vector<const ReportCurve*>& curves, int width) {
     std::string legend;
     for (std::size_t i = 0; i < curves.size(); ++i)
-        legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % export_detail::kChartColours,
+        legend += fmt::format("<li><i class=\"c{}\"></i>{}</li>", i % report_detail::kChartColours,
                               escape_html(split_group(curves[i]->name).second));
     return fmt::format("<div>{}\n{}<ul class=\"legend\">{}</ul></div>\n",
                        title.empty() ? "" : "<h3>" + escape_html(title) + "</h3>",
-                       export_detail::svg_chart(curves, width, 300), legend);
+                       report_detail::svg_chart(curves, width, 300), legend);
 }
 
 std::string curves(const Report& report) {
@@ -183,7 +183,7 @@ std::string curves(const Report& report) {
                                [&](const auto& known) { return known.first == group; });
         if (it == charts.end()) it = charts.insert(charts.end(), {group, {}});
         it->second.push_back(&curve);
-        means = means || export_detail::has_running_mean({&curve});
+        means = means || report_detail::has_running_mean({&curve});
     }
     std::string body;
     for (const auto& [title, members] : charts) body += chart(title, members, charts.size() > 1 ? 550 : 1130);
@@ -243,7 +243,7 @@ std::string timings(const Report& report) {
 std::string figure(const ReportFigure& figure) {
     std::vector<std::string> urls(figure.images.size());
     parallel_for(static_cast<int>(urls.size()), [&](int i) {
-        urls[std::size_t(i)] = export_detail::png_data_url(figure.images[std::size_t(i)].second);
+        urls[std::size_t(i)] = report_detail::png_data_url(figure.images[std::size_t(i)].second);
     });
     std::string body;
     for (std::size_t i = 0; i < urls.size(); ++i) {
@@ -260,23 +260,23 @@ std::string page(const Report& report) {
     std::string html = "<!DOCTYPE html>\n<html lang=\"en\">\n<head>\n<meta charset=\"utf-8\">\n";
     html += "<meta name=\"viewport\" content=\"width=device-width, initial-scale=1\">\n";
     html += fmt::format("<title>{}</title>\n<style>{}</style>\n</head>\n", escape_html(report.title),
-                        export_detail::kReportStyle);
+                        report_detail::kReportStyle);
     html += fmt::format("<body>\n<main>\n<h1>{}</h1>\n", escape_html(report.title));
     html += fmt::format("<p class=\"summary\">{}</p>\n", escape_html(report.summary));
     for (const ReportView& view : report.views)
-        html += section(view.title, export_detail::view_html(view, report.views.size()));
+        html += section(view.title, report_detail::view_html(view, report.views.size()));
     std::vector<std::string> figures(report.figures.size());
     parallel_for(static_cast<int>(figures.size()),
                  [&](int i) { figures[std::size_t(i)] = figure(report.figures[std::size_t(i)]); });
     for (std::size_t i = 0; i < figures.size(); ++i) html += section(report.figures[i].title, figures[i]);
     html += section("Curves", curves(report));
-    for (const ReportBars& bars : report.bars) html += section(bars.title, export_detail::bars_html(bars));
+    for (const ReportBars& bars : report.bars) html += section(bars.title, report_detail::bars_html(bars));
     for (const ReportTable& texts : report.tables) html += section(texts.title, text_table(texts));
     html += section("Scores", key_metrics(report));
     html += folded("All metrics", metrics(report)) + folded("The run", facts(report)) +
             folded("Time by kernel", timings(report));
     html += "<footer>Written by relidar</footer>\n</main>\n";
-    if (!report.views.empty()) html += export_detail::view_script();
+    if (!report.views.empty()) html += report_detail::view_script();
     return html + "</body>\n</html>\n";
 }
 

@@ -8,7 +8,7 @@
 
 #include "html.hpp"
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 std::string bars_html(const ReportBars& bars) {
     std::string head = "<th>Where</th><th class=\"stack\">Shares</th>", rows;
@@ -35,4 +35,4 @@ std::string bars_html(const ReportBars& bars) {
         head, rows, escape_html(bars.note));
 }
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

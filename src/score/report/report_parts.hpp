@@ -8,7 +8,7 @@
 
 #include <relidar/score/report.hpp>
 
-namespace relidar::export_detail {
+namespace relidar::report_detail {
 
 /// Returns the HTML canvases of a 3D view. The points of the view's clouds are stored as
 /// base64.
@@ -20,4 +20,4 @@ std::string view_script();
 /// Returns stacked bars as an HTML table that also shows the numbers.
 std::string bars_html(const ReportBars& bars);
 
-}  // namespace relidar::export_detail
+}  // namespace relidar::report_detail

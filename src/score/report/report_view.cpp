@@ -21,7 +21,7 @@ namespace relidar {
 // file that defines this function.
 std::span<const std::pair<std::string_view, std::string_view>> report_script_texts();
 
-namespace export_detail {
+namespace report_detail {
 namespace {
 
 // Maximum number of points on a page, which take 5.3 MB as base64.
@@ -101,5 +101,5 @@ std::string view_script() {
     return "<script>\n(() => {\n'use strict';\n" + script + "})();\n</script>\n";
 }
 
-}  // namespace export_detail
+}  // namespace report_detail
 }  // namespace relidar

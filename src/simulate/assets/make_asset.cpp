@@ -57,7 +57,7 @@ std::size_t complete(Surfels& surfels, const BoxSurface& surface) {
         if (!surface.is_mirrored(here)) kept.push_back(i);
         if (surface.is_mirrored(there)) copied.push_back(i);
     }
-    const Surfels more = mirrored_left_right(surfels.permuted(copied));
+    const Surfels more = mirror_left_right(surfels.permuted(copied));
     surfels = surfels.permuted(kept);
     surfels.append(more);
     return copied.size();
@@ -94,14 +94,14 @@ SideShares known_sides(const BoxSurface& surface, ObjectKind kind) {
 
 }  // namespace
 
-BoxSurface seen_surface(const glm::dvec3& size_m, const ActorSightings& sightings) {
+BoxSurface seen_surface(const glm::dvec3& size_m, const ActorObservations& sightings) {
     BoxSurface surface(size_m);
     for (std::size_t i = 0; i < sightings.points_m.size(); ++i)
         surface.add(glm::dvec3(sightings.points_m[i]), glm::dvec3(sightings.directions[i]));
     return surface;
 }
 
-Surfels mirrored_left_right(Surfels surfels) {
+Surfels mirror_left_right(Surfels surfels) {
     for (std::size_t i = 0; i < surfels.size(); ++i) {
         surfels.mean[i].y *= -1.0f;
         // The mirrored quaternion (w, x, y, z) has a mirrored axis and the opposite
@@ -115,7 +115,7 @@ Surfels mirrored_left_right(Surfels surfels) {
     return surfels;
 }
 
-Asset make_asset(const Run& run, const std::string& track, const ActorSightings& sightings) {
+Asset make_asset(const Run& run, const std::string& track, const ActorObservations& sightings) {
     DrivingScene alone = run.driving();
     std::vector<std::string> others;
     for (const Instance& instance : alone.scene.instances)
@@ -174,7 +174,7 @@ Asset make_asset(const Run& run, const std::string& track, const ActorSightings&
     return asset;
 }
 
-std::string only_track(const Run& run) {
+std::string find_only_track(const Run& run) {
     std::vector<std::string> tracks;
     for (const Instance& instance : run.scene.instances)
         if (!instance.track.empty()) tracks.push_back(instance.track);

@@ -45,7 +45,7 @@ std::vector<int> frames_to_look_at(const Run& run, const std::vector<const BoxTr
 }
 
 void add_returns(const RenderedScan& scan, const Run& run, const std::vector<const BoxTrack*>& boxes,
-                 std::map<std::string, ActorSightings>& sightings) {
+                 std::map<std::string, ActorObservations>& sightings) {
     FiringPoses firing(scan);
     for (std::size_t i = 0; i < scan.instance.size(); ++i) {
         const BoxTrack* box = scan.instance[i] > 0 ? boxes[std::size_t(scan.instance[i])] : nullptr;
@@ -56,7 +56,7 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
         const Pose box_from_world =
             inverse(box->world_from_box.at(scan.time_s + double(scan.time_offset_s[i])));
         const Pose& world_from_firing = firing.at(i);
-        ActorSightings& actor = sightings[box->id];
+        ActorObservations& actor = sightings[box->id];
         actor.points_m.push_back(
             glm::vec3(box_from_world * (world_from_firing * seen_m - run.sequence.world_offset_m)));
         actor.directions.push_back(glm::vec3(box_from_world.rotation * world_from_firing.rotation *
@@ -67,11 +67,12 @@ void add_returns(const RenderedScan& scan, const Run& run, const std::vector<con
 
 }  // namespace
 
-std::map<std::string, ActorSightings> sight_actors(Device& device, const Run& run, const Progress& progress) {
+std::map<std::string, ActorObservations> observe_actors(Device& device, const Run& run,
+                                                        const Progress& progress) {
     const std::vector<const BoxTrack*> boxes = boxes_of(run);
     const std::vector<int> positions = frames_to_look_at(run, boxes);
     const std::vector<SensorChoice> sensors = sensors_of(run);
-    std::map<std::string, ActorSightings> sightings;
+    std::map<std::string, ActorObservations> sightings;
     ScanRenderer renderer(device, run.scene, run.config, run.sequence);
     for (std::size_t k = 0; k < positions.size(); ++k) {
         if (progress) progress("measuring the visibility of actors", double(k) / double(positions.size()));

@@ -55,7 +55,7 @@ PendingPoints ScanRenderer::Impl::record_points(const Sweep& sweep, const Pose& 
         .max_range_m = seen_by_log(sweep.sensor).max_range_m,
         .step = settings.scatter[std::size_t(sweep.sensor.lidar)].step,
         .renderer = &lanes->renderer(lane)};
-    const PoseTrack points_from_sensor = seen_from(scan.dataset_from_sensor, dataset_from_points);
+    const PoseTrack points_from_sensor = track_in_frame(scan.dataset_from_sensor, dataset_from_points);
     scan.points = lane.points.record(scan.renderer->stream(), *scan.rays,
                                      {.points_from_sensor = points_from_sensor,
                                       .time_s = sweep.time_s,
@@ -83,12 +83,13 @@ RenderedPoints ScanRenderer::Impl::collect(PendingPoints& scan, Points memory) {
     copy_points(gathered.points, steps, result.points);
     if (settings.coverage.empty()) return result;
     const auto ray_at = [&](std::size_t k) {
-        const std::size_t i = PointsOnDevice::asked_ray(k, rays.size());
+        const std::size_t i = PointsOnDevice::requested_ray(k, rays.size());
         return LookingRay{scan.dataset_from_sensor.at(scan.time_s + double(rays.time_offset_s[i])),
-                          glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.asked_m[k]};
+                          glm::dvec3(rays.origin[i]), glm::dvec3(rays.direction[i]), gathered.requested_m[k]};
     };
-    result.unseen_share = relidar::unseen_share(
-        gathered.asked_m.size(), ray_at, {settings.coverage, sweeps.log().world_offset_m, scan.max_range_m});
+    result.unseen_share =
+        relidar::unseen_share(gathered.requested_m.size(), ray_at,
+                              {settings.coverage, sweeps.log().world_offset_m, scan.max_range_m});
     return result;
 }
 
@@ -104,8 +105,8 @@ void ScanRenderer::Impl::finish_pending() {
     for (PendingPoints& scan : pending) scan.ready = collect(scan);
 }
 
-void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
-                              std::optional<std::uint64_t> sample, Send when) {
+void ScanRenderer::submit_points(const SensorChoice& sensor, const ScanRequest& request, double points_at_s,
+                                 std::optional<std::uint64_t> sample, Send when) {
     Impl& s = *impl_;
     if (s.pending.size() >= kScansInFlight)
         throw UsageError(fmt::format(
@@ -124,7 +125,7 @@ void ScanRenderer::ask_points(const SensorChoice& sensor, const ScanRequest& req
                                                  scan.image.range_m.size(), scan.unseen_share}});
 }
 
-RenderedPoints ScanRenderer::take_points(Points memory) {
+RenderedPoints ScanRenderer::wait_for_points(Points memory) {
     Impl& s = *impl_;
     if (s.pending.empty())
         throw UsageError("cannot read the points of a scan: no scan was requested; call ask_points() first");

@@ -12,7 +12,7 @@ namespace {
 
 /// Returns the unit normal of the surface that each ray hit. The normal is in the
 /// sensor's frame at the firing time of the ray.
-std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedScan& scan) {
+std::vector<glm::vec3> visible_normals(const Rendering& rendering, const RenderedScan& scan) {
     std::vector<glm::vec3> normal(rendering.size(), glm::vec3(0.0f));
     FiringPoses firing(scan);
     for (std::size_t i = 0; i < normal.size(); ++i) {
@@ -25,7 +25,7 @@ std::vector<glm::vec3> seen_normals(const Rendering& rendering, const RenderedSc
 }
 
 ChannelValues normals(const Rendering& rendering, const RenderedScan& scan) {
-    return seen_normals(rendering, scan);
+    return visible_normals(rendering, scan);
 }
 
 ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {

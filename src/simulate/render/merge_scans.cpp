@@ -22,7 +22,7 @@ void append(std::vector<T>& to, const std::vector<T>& from) {
 /// value in new channels.
 /// @throws UsageError if a channel has two types
 void add_channels(RenderedScan& merged, const RenderedScan& scan) {
-    for (const ScanChannel& channel : emptied(scan.channels)) {
+    for (const ScanChannel& channel : without_values(scan.channels)) {
         const auto known =
             std::ranges::find(merged.channels, channel.info.name,
                               [](const ScanChannel& c) -> const std::string& { return c.info.name; });
@@ -30,7 +30,7 @@ void add_channels(RenderedScan& merged, const RenderedScan& scan) {
             merged.channels.push_back(channel);
             std::visit(
                 [&]<class T>(std::vector<T>& values) {
-                    values.assign(merged.image.range_m.size(), nothing_of<T>(channel.info));
+                    values.assign(merged.image.range_m.size(), missing_value_of<T>(channel.info));
                 },
                 merged.channels.back().values);
         } else if (known->values.index() != channel.values.index()) {
@@ -45,7 +45,7 @@ void append_second(ScanChannel& merged, const ScanChannel& own, std::size_t firs
     const auto add = [&]<class T>(const std::vector<T>& values) {
         if (size(merged.second) == 0) merged.second = std::vector<T>{};
         auto& all = std::get<std::vector<T>>(merged.second);
-        all.resize(first_ray, nothing_of<T>(merged.info));
+        all.resize(first_ray, missing_value_of<T>(merged.info));
         append(all, values);
     };
     std::visit(add, own.second);
@@ -93,7 +93,7 @@ void append_channels(RenderedScan& merged, const RenderedScan& scan, RigPoses& p
         const ChannelInfo& info = channel.info;
         const auto add = [&]<class T>(std::vector<T>& all) {
             const std::vector<T>* own = find_values<T>(scan.channels, info.name);
-            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : nothing_of<T>(info));
+            for (std::size_t i = 0; i < n; ++i) all.push_back(own ? (*own)[i] : missing_value_of<T>(info));
             if constexpr (std::is_same_v<T, glm::vec3>)
                 for (std::size_t i = 0; own && info.turns && i < n; ++i)
                     all[first_ray + i] = glm::vec3(poses.rig_from_firing(i).rotation * glm::dvec3((*own)[i]));
@@ -111,7 +111,7 @@ void fill_second_returns(RenderedScan& merged) {
     for (SecondReturn& second : merged.second_returns) second.range_m.resize(n), second.intensity.resize(n);
     for (ScanChannel& channel : merged.channels)
         if (size(channel.second) > 0)
-            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, nothing_of<T>(channel.info)); },
+            std::visit([&]<class T>(std::vector<T>& v) { v.resize(n, missing_value_of<T>(channel.info)); },
                        channel.second);
 }
 
@@ -139,7 +139,7 @@ RenderedScan merge_scans(const std::vector<RenderedScan>& scans, const std::vect
     RenderedScan merged;
     const Pose sensor_from_rig = inverse(rig_from_sensor[0]);
     merged.world_from_sensor = scans[0].world_from_sensor * sensor_from_rig;
-    merged.track = moved_track(scans[0].track, sensor_from_rig);
+    merged.track = mounted_track(scans[0].track, sensor_from_rig);
     merged.time_s = scans[0].time_s;
     std::size_t rings = 0;
     double unseen_rays = 0.0;

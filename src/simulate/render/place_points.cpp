@@ -43,7 +43,7 @@ std::vector<shared::SensorPose> poses_of(const RenderedScan& scan,
     const PoseTrack track =
         scan.track.pose.empty() ? PoseTrack{{scan.time_s}, {scan.world_from_sensor}} : scan.track;
     const auto [first_s, last_s] = std::ranges::minmax(scan.time_offset_s);
-    return poses_through_sweep(seen_from(track, *dataset_from_points), scan.time_s, double(first_s),
+    return poses_through_sweep(track_in_frame(track, *dataset_from_points), scan.time_s, double(first_s),
                                double(last_s));
 }
 
@@ -69,7 +69,7 @@ Points place_points(const RenderedScan& scan, const Config& config,
                   .ring = std::vector<std::uint16_t>(n),
                   .time_offset_s = std::vector<float>(n),
                   .instance = std::vector<std::int32_t>(n),
-                  .channels = emptied(scan.channels),
+                  .channels = without_values(scan.channels),
                   .world_from_points = dataset_from_points.value_or(scan.world_from_sensor),
                   .time_s = scan.time_s};
     if (of == PointsOf::returns && !scan.second_returns.empty()) points.return_number.resize(n);

@@ -53,7 +53,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::record(Stream& stream, con
          .asked = asked_.address(),
          .n_rays = std::uint32_t(n),
          .n_poses = std::uint32_t(poses.size()),
-         .n_asked = std::uint32_t(n_asked(n)),
+         .n_requested = std::uint32_t(n_requested(n)),
          .of_image = how.of_image ? 1u : 0u});
     return read_back(stream, n, n_capped);
 }
@@ -76,7 +76,7 @@ std::shared_ptr<PointsOnDevice::Slot> PointsOnDevice::read_back(Stream& stream, 
     slot.n_rays = n_rays;
     slot.points->record(stream, points_.buffer(), n_rays * sizeof(shared::ReturnedPoint));
     slot.count.record(stream, count_.buffer(), sizeof(std::uint32_t));
-    slot.asked.record(stream, asked_.buffer(), n_asked(n_rays) * sizeof(float));
+    slot.asked.record(stream, asked_.buffer(), n_requested(n_rays) * sizeof(float));
     slot.capped.record(stream, n_capped.buffer(), sizeof(std::uint32_t));
     return *place;
 }
@@ -86,7 +86,7 @@ PointsOnDevice::Gathered PointsOnDevice::wait(Stream& stream, Slot& slot) {
         return *static_cast<const std::uint32_t*>(readback.wait(stream));
     };
     return {{static_cast<const shared::ReturnedPoint*>(slot.points->wait(stream)), number(slot.count)},
-            {static_cast<const float*>(slot.asked.wait(stream)), n_asked(slot.n_rays)},
+            {static_cast<const float*>(slot.asked.wait(stream)), n_requested(slot.n_rays)},
             number(slot.capped)};
 }
 

@@ -54,8 +54,8 @@ public:
 
     struct Gathered {
         std::span<const shared::ReturnedPoint> points;
-        /// surface ranges of the sampled rays, whose indices asked_ray() returns
-        std::span<const float> asked_m;
+        /// surface ranges of the sampled rays, whose indices requested_ray() returns
+        std::span<const float> requested_m;
         std::uint32_t n_capped;
     };
     /// Waits until the points of a slot are on the host.
@@ -63,9 +63,11 @@ public:
     static Gathered wait(Stream& stream, Slot& slot);
     /// Returns the index of sampled ray k. The surface range of a sampled ray is copied
     /// to the host even if the ray does not return.
-    /// @param k index below n_asked()
-    static std::size_t asked_ray(std::size_t k, std::size_t n_rays) { return k * n_rays / n_asked(n_rays); }
-    static std::size_t n_asked(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
+    /// @param k index below n_requested()
+    static std::size_t requested_ray(std::size_t k, std::size_t n_rays) {
+        return k * n_rays / n_requested(n_rays);
+    }
+    static std::size_t n_requested(std::size_t n_rays) { return std::min(n_rays, kAskedRays); }
 
 private:
     Device& device_;
@@ -76,7 +78,7 @@ private:
     Array<std::uint32_t, shared::ReturnPlaces> places_;
     Array<std::uint32_t, shared::ScanTotal> count_;
     Array<shared::ReturnedPoint> points_;
-    Array<float, shared::AskedRanges> asked_;
+    Array<float, shared::RequestedRanges> asked_;
     std::vector<std::shared_ptr<Slot>> slots_;
 
     void make_room(Stream& stream, std::size_t n_rays);

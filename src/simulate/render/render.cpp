@@ -39,7 +39,7 @@ void check_has_normals(const Config& config, const ChannelInfo& channel, const c
 }
 
 TraceOptions traced_with(const Config& config) {
-    for (const ChannelInfo& channel : wanted_channels(config.render.channels))
+    for (const ChannelInfo& channel : parse_channels(config.render.channels))
         check_has_normals(config, channel, "setting render.channels");
     return rendering_trace_options(config);
 }
@@ -128,7 +128,7 @@ ScanRenderer::Impl::Impl(Device& on, const Scene& all, const Config& settings_of
     : device(on),
       config(with_farthest(settings_of_run, sequence)),
       first_origin_m(first_origin(sequence)),
-      settings{.channels = wanted_channels(config.render.channels),
+      settings{.channels = parse_channels(config.render.channels),
                .scatter = std::vector<IntensityScatter>(sequence.lidars.size())},
       sweeps(config, all, sequence),
       scene(device, all, settings_of_run, {.accel = {}, .trace = traced_with(config)}),
@@ -198,7 +198,7 @@ ScanRenderer::Impl::TracedScan ScanRenderer::Impl::trace(const Sweep& sweep, con
     scan.time_s = sweep.time_s;
     // The host computes the inputs of a network from these channels.
     std::vector<ChannelInfo> channels = settings.channels;
-    if (lanes->network() && !has_channel(kIncidence)) channels.push_back(wanted_channels(kIncidence).front());
+    if (lanes->network() && !has_channel(kIncidence)) channels.push_back(parse_channels(kIncidence).front());
     add_ray_channels(scan, measured, needs_rendering(channels) ? renderer.download_rendering() : Rendering{},
                      channels);
     return {std::move(scan), corrects_drops ? rays->refined(renderer.stream()) : std::span<const float>{}};
@@ -271,7 +271,7 @@ RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::u
     add_scan_channels(scan,
                       {seen_by_log(sensor), sweeps.log().world_from_sensor(sensor.lidar), sweep.instances},
                       settings.channels);
-    tell_unseen(scan, seen_by_log(sensor));
+    set_unseen_share(scan, seen_by_log(sensor));
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drops(scan, drops);
     else if (plan.network != Network::none) correct_drops(scan);
@@ -299,8 +299,8 @@ void ScanRenderer::refine_drops(const DropNetwork& network) {
     impl_->lanes->set_network(network);
 }
 
-void ScanRenderer::want_channels(const std::string& names) {
-    for (const ChannelInfo& channel : wanted_channels(names)) {
+void ScanRenderer::enable_channels(const std::string& names) {
+    for (const ChannelInfo& channel : parse_channels(names)) {
         if (impl_->has_channel(channel.name)) continue;
         check_has_normals(impl_->config, channel, "choosing channels");
         impl_->settings.channels.push_back(channel);

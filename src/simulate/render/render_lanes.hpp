@@ -70,8 +70,8 @@ private:
     RenderLane first_;
     std::deque<RenderLane> others_ = {};  ///< lanes for further parallel scans
     int most_;
-    std::optional<Strands> batch_ = {};  ///< commands of scans that were recorded but not submitted
-    std::size_t n_batch_ = 0;            ///< number of scans in the batch
+    std::optional<StreamLanes> batch_ = {};  ///< commands of scans that were recorded but not submitted
+    std::size_t n_batch_ = 0;                ///< number of scans in the batch
 };
 
 }  // namespace relidar

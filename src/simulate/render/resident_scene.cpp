@@ -20,11 +20,11 @@ ResidentScene::ResidentScene(Device& device, const Scene& scene, const Config& c
       model_(config.image),
       options_(options),
       memory_bytes_(config.render.memory_mib * kMiB),
-      owns_models_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends),
+      has_model_copy_(config.image.sh_direction == ShDirection::surfel || scene.surfels.bends),
       scene_(scene.blocks.empty() ? Scene{} : scene),
       last_needed_(scene.blocks.size(), 0) {
     if (scene.blocks.empty())
-        renderer_.emplace(device, owns_models_ ? own_models(scene) : scene, model_, options_);
+        renderer_.emplace(device, has_model_copy_ ? copy_shared_models(scene) : scene, model_, options_);
 }
 
 void ResidentScene::load(const std::vector<std::size_t>& blocks) {
@@ -32,7 +32,7 @@ void ResidentScene::load(const std::vector<std::size_t>& blocks) {
     renderer_.reset();  // frees the memory of the old renderer before the new renderer allocates memory
     loaded_.clear();
     Scene scene = read_blocks(scene_, blocks);
-    if (owns_models_) scene = own_models(std::move(scene));
+    if (has_model_copy_) scene = copy_shared_models(std::move(scene));
     const std::uint64_t before = device_.allocated_bytes();
     renderer_.emplace(device_, scene, model_, options_);
     bytes_per_surfel_ =
@@ -42,7 +42,7 @@ void ResidentScene::load(const std::vector<std::size_t>& blocks) {
 
 /// Returns the blocks that a scan needs, together with loaded blocks that still fit into
 /// memory. Prefers the most recently needed blocks.
-std::vector<std::size_t> ResidentScene::with_kept(std::vector<std::size_t> blocks) const {
+std::vector<std::size_t> ResidentScene::add_kept_blocks(std::vector<std::size_t> blocks) const {
     double bytes = 0.0;
     for (const std::size_t i : blocks) bytes += scene_.blocks[i].count * bytes_per_surfel_;
     std::vector<std::size_t> others;
@@ -69,7 +69,7 @@ void ResidentScene::bring(const glm::vec3& sensor_m, double reach_m) {
         last_needed_[i] = scans_;
     }
     if (!renderer_ || !std::includes(loaded_.begin(), loaded_.end(), needed.begin(), needed.end()))
-        load(with_kept(std::move(needed)));
+        load(add_kept_blocks(std::move(needed)));
 }
 
 std::unique_ptr<Renderer> ResidentScene::copy() {

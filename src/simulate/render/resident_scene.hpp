@@ -42,13 +42,13 @@ public:
 
 private:
     void load(const std::vector<std::size_t>& blocks);
-    std::vector<std::size_t> with_kept(std::vector<std::size_t> needed) const;
+    std::vector<std::size_t> add_kept_blocks(std::vector<std::size_t> needed) const;
 
     Device& device_;
     const ImageModel model_;
     const RendererOptions options_;
     const double memory_bytes_;
-    const bool owns_models_;
+    const bool has_model_copy_;
     Scene scene_;  ///< blocks, and the parts that are always in memory; empty if the scene has no blocks
     std::optional<Renderer> renderer_;
     std::vector<std::size_t> loaded_;  ///< blocks on the device, in ascending order

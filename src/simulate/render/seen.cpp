@@ -12,7 +12,7 @@ namespace {
 // A ray counts as observed if the log observed at least this share of its path.
 constexpr float kSeen = 0.5f;
 
-bool looks_elsewhere(float share) { return share < kSeen; }
+bool is_mostly_unseen(float share) { return share < kSeen; }
 
 LookingRay looking_ray(const RenderedScan& scan, std::size_t i) {
     return {scan.world_from_firing(i), glm::dvec3(scan.image.origin[i]), glm::dvec3(scan.image.direction[i]),
@@ -35,7 +35,7 @@ double unseen_share(std::size_t n, const std::function<LookingRay(std::size_t)>&
                     const SeenByLog& log) {
     std::vector<float> shares(n);
     for_each_block(n, [&](std::size_t k) { shares[k] = seen_share(ray_at(k), log); });
-    return double(std::ranges::count_if(shares, looks_elsewhere)) / double(n);
+    return double(std::ranges::count_if(shares, is_mostly_unseen)) / double(n);
 }
 
 std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::size_t>& rays,
@@ -46,13 +46,13 @@ std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::
     return shares;
 }
 
-void tell_unseen(RenderedScan& scan, const SeenByLog& log) {
+void set_unseen_share(RenderedScan& scan, const SeenByLog& log) {
     const std::size_t n = scan.median_range_m.size();
     if (log.coverage.empty() || n == 0) return;
-    const auto ray_at = [&](std::size_t k) { return looking_ray(scan, PointsOnDevice::asked_ray(k, n)); };
+    const auto ray_at = [&](std::size_t k) { return looking_ray(scan, PointsOnDevice::requested_ray(k, n)); };
     if (const std::vector<float>* shares = find_values<float>(scan.channels, "seen"))
-        scan.unseen_share = double(std::ranges::count_if(*shares, looks_elsewhere)) / double(shares->size());
-    else scan.unseen_share = unseen_share(PointsOnDevice::n_asked(n), ray_at, log);
+        scan.unseen_share = double(std::ranges::count_if(*shares, is_mostly_unseen)) / double(shares->size());
+    else scan.unseen_share = unseen_share(PointsOnDevice::n_requested(n), ray_at, log);
 }
 
 }  // namespace relidar

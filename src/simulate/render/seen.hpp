@@ -39,6 +39,6 @@ std::vector<float> seen_shares(const RenderedScan& scan, const std::vector<std::
 /// Sets RenderedScan::unseen_share, the share of unobserved rays. Uses the channel "seen"
 /// if the scan has it. Otherwise uses a sample of kAskedRays rays. Leaves the share empty
 /// if the log has no coverage.
-void tell_unseen(RenderedScan& scan, const SeenByLog& log);
+void set_unseen_share(RenderedScan& scan, const SeenByLog& log);
 
 }  // namespace relidar

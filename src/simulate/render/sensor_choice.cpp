@@ -40,7 +40,7 @@ bool rolls_like_log(const Config& config, const Sequence& sequence) {
     return config.sensor.rolling_shutter == RollingShutter::yes || sequence.rolling_shutter;
 }
 
-SensorChoice own_sensor(const Config& config, const Sequence& sequence, int lidar) {
+SensorChoice log_sensor(const Config& config, const Sequence& sequence, int lidar) {
     const Lidar& own = sequence.lidars[std::size_t(lidar)];
     const SpinningSensor& sensor = own.sensor;
     const RangeLimits limits = overlap(sensor.range_limits(), configured_limits(config, sequence));
@@ -67,7 +67,7 @@ SensorChoice grid_choice(const RangeGrid& grid, const Config& config, const Sequ
     if (method != "project") {
         throw UsageError(fmt::format("sensor.grid_method: found \"{}\", expected project or cast", method));
     }
-    SensorChoice choice = own_sensor(config, sequence, lidar);
+    SensorChoice choice = log_sensor(config, sequence, lidar);
     choice.grid = grid;
     choice.limits = overlap(choice.limits, limits);
     choice.name = grid.name;
@@ -127,7 +127,7 @@ SensorChoice sensor_in_sweep(const SensorChoice& sensor, std::span<const Frame> 
 }
 
 SensorChoice configured_sensor(const Config& config, const Sequence& sequence, int lidar) {
-    if (config.sensor.grid == "native") return own_sensor(config, sequence, lidar);
+    if (config.sensor.grid == "native") return log_sensor(config, sequence, lidar);
     return grid_choice(find_grid(config.sensor.grid), config, sequence, lidar);
 }
 
@@ -148,7 +148,7 @@ SensorChoice sensor_choice(const MountedSensor& mounted, int lidar) {
 
 SensorChoice choose_sensor(const std::string& name_or_file, const Config& config, const Sequence& sequence,
                            int lidar) {
-    if (known_name(name_or_file, {"native"})) return own_sensor(config, sequence, lidar);
+    if (known_name(name_or_file, {"native"})) return log_sensor(config, sequence, lidar);
     if (known_name(name_or_file, {kitti360_grid().name}))
         return grid_choice(kitti360_grid(), config, sequence, lidar);
     return sensor_choice(find_sensor(name_or_file, {"native"}), lidar);
@@ -161,7 +161,7 @@ RenderedScan project_scan(const RenderedScan& scan, const RangeGrid& grid) {
     RenderedScan result = empty_scan(cells, scan);
     for_each_pair(scan, result,
                   [n]<class T>(const ChannelInfo& channel, const std::vector<T>&, std::vector<T>& of_cells) {
-                      of_cells.assign(n, nothing_of<T>(channel));
+                      of_cells.assign(n, missing_value_of<T>(channel));
                   });
     result.time_offset_s.assign(n, 0.0f);
     // Drop probability of the ray whose values a cell stores. 2 means that the cell

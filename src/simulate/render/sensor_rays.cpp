@@ -102,7 +102,7 @@ std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_
     return poses;
 }
 
-PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame) {
+PoseTrack track_in_frame(PoseTrack track, const Pose& world_from_frame) {
     const Pose frame_from_world = inverse(world_from_frame);
     for (Pose& pose : track.pose) pose = frame_from_world * pose;
     return track;

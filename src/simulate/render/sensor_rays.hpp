@@ -106,6 +106,6 @@ std::vector<std::uint32_t> drop_channels(const std::vector<std::string>& names);
 std::vector<shared::SensorPose> poses_through_sweep(const PoseTrack& world_from_sensor, double time_s,
                                                     double first_s, double last_s);
 /// Transforms the poses of a track from the world frame to another frame.
-PoseTrack seen_from(PoseTrack track, const Pose& world_from_frame);
+PoseTrack track_in_frame(PoseTrack track, const Pose& world_from_frame);
 
 }  // namespace relidar

@@ -95,7 +95,7 @@ PoseTrack SweepMaker::in_dataset(const PoseTrack& world_from_thing) const {
 Sweep SweepMaker::drive(const SensorChoice& sensor, double time_s, PoseTrack world_from_sensor,
                         const ActorPoses* world_from_actor) {
     Lidar& lidar = log_.lidars[std::size_t(sensor.lidar)];
-    log_.world_from_vehicle = moved_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
+    log_.world_from_vehicle = mounted_track(std::move(world_from_sensor), inverse(lidar.vehicle_from_sensor));
     log_.rolling_shutter = has_rolling_shutter(sensor, config_);
     lidar.pattern = sensor.pattern;
     // The start azimuth comes from the pattern of the sensor, or from the LiDAR that the
@@ -117,7 +117,7 @@ Sweep SweepMaker::make(const SensorChoice& sensor, double time_s, const Pose& se
     const bool is_elsewhere =
         sensor_offset.translation != glm::dvec3(0.0) || sensor_offset.rotation != Pose{}.rotation;
     const PoseTrack track = log_.world_from_sensor(sensor.lidar);
-    return drive(sensor, time_s, is_elsewhere ? moved_track(with_fine_turns(track), sensor_offset) : track,
+    return drive(sensor, time_s, is_elsewhere ? mounted_track(with_fine_turns(track), sensor_offset) : track,
                  nullptr);
 }
 

@@ -30,10 +30,10 @@ template <class PoseAt>
 Velocity velocity_of(const PoseAt& world_from_thing, double time_s) {
     const Twist twist =
         twist_between(world_from_thing(time_s - kVelocityStep_s), world_from_thing(time_s + kVelocityStep_s));
-    const glm::dquat to_own = glm::conjugate(world_from_thing(time_s).rotation);
+    const glm::dquat thing_from_world = glm::conjugate(world_from_thing(time_s).rotation);
     const double span_s = 2.0 * kVelocityStep_s;
-    return {to_own * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
-            to_own * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
+    return {thing_from_world * glm::dvec3(twist[0], twist[1], twist[2]) / span_s,
+            thing_from_world * glm::dvec3(twist[3], twist[4], twist[5]) / span_s};
 }
 
 /// Subset of the rays of a scan, spread evenly over the scan.

@@ -94,17 +94,17 @@ std::string viewpoint(const Pose& pose) {
 void write_ply(const std::filesystem::path& path, const Points& points, const FileNotes& notes) {
     check_lengths(points);
     std::string text = "ply\nformat binary_little_endian 1.0\n";
-    for (const auto& note : notes) text += fmt::format("comment {}\n", export_detail::note_line(note));
+    for (const auto& note : notes) text += fmt::format("comment {}\n", report_detail::note_line(note));
     text += fmt::format("element vertex {}\n", points.size());
     for (const Field& field : fields_of(points))
         text += fmt::format("property {} {}\n", field.ply_type, ply_name(field.name));
-    export_detail::write_file(path, text + "end_header\n" + packed_records(points));
+    report_detail::write_file(path, text + "end_header\n" + packed_records(points));
 }
 
 void write_pcd(const std::filesystem::path& path, const Points& points, const FileNotes& notes) {
     check_lengths(points);
     std::string header = "# .PCD v0.7 - Point Cloud Data file format\n", names, sizes, types, counts;
-    for (const auto& note : notes) header += fmt::format("# {}\n", export_detail::note_line(note));
+    for (const auto& note : notes) header += fmt::format("# {}\n", report_detail::note_line(note));
     for (const Field& field : fields_of(points)) {
         names += fmt::format(" {}", field.name);
         sizes += fmt::format(" {}", field.bytes);
@@ -115,12 +115,12 @@ void write_pcd(const std::filesystem::path& path, const Points& points, const Fi
     header += fmt::format("VERSION 0.7\nFIELDS{}\nSIZE{}\nTYPE{}\nCOUNT{}\n", names, sizes, types, counts);
     header += fmt::format("WIDTH {}\nHEIGHT 1\nVIEWPOINT {}\nPOINTS {}\nDATA binary\n", n,
                           viewpoint(points.world_from_points), n);
-    export_detail::write_file(path, header + packed_records(points));
+    report_detail::write_file(path, header + packed_records(points));
 }
 
 void write_kitti_bin(const std::filesystem::path& path, const Points& points) {
     check_lengths(points);
-    export_detail::write_file(path, packed_records({points.position_m, points.intensity}));
+    report_detail::write_file(path, packed_records({points.position_m, points.intensity}));
 }
 
 }  // namespace relidar

@@ -82,7 +82,7 @@ ScanFolder::ScanFolder(fs::path folder, ScanFormat format, Joining)
                 fmt::format("cannot write scans: the format \"{}\" is unknown{} (known formats: {})", name,
                             did_you_mean(name, known), fmt::join(known, ", ")));
     check_writable(folder_);
-    channels_ = wanted_channels(format_.config.render.channels);
+    channels_ = parse_channels(format_.config.render.channels);
 }
 
 ScanFolder ScanFolder::joining(fs::path folder, ScanFormat format) {

@@ -22,7 +22,7 @@ ScanChannel& source_channel(RenderedScan& scan) {
     const auto found = std::ranges::find_if(scan.channels, has_name);
     const bool is_there = found != scan.channels.end();
     ScanChannel& channel =
-        is_there ? *found : scan.channels.emplace_back(ScanChannel{wanted_channels(kSource).front(), {}});
+        is_there ? *found : scan.channels.emplace_back(ScanChannel{parse_channels(kSource).front(), {}});
     const Sources nothing(scan.image.range_m.size(), std::int32_t(PointSource::nothing));
     channel.values = nothing;
     if (!scan.second_returns.empty()) channel.second = nothing;
@@ -35,8 +35,9 @@ void forget_surface(RenderedScan& scan, std::size_t ray) {
     scan.instance[ray] = -1;
     for (ScanChannel& channel : scan.channels)
         if (!channel.info.of_ray)
-            std::visit([&]<class T>(std::vector<T>& values) { values[ray] = nothing_of<T>(channel.info); },
-                       channel.values);
+            std::visit(
+                [&]<class T>(std::vector<T>& values) { values[ray] = missing_value_of<T>(channel.info); },
+                channel.values);
 }
 
 /// Applies the weather to the rays of a scan.

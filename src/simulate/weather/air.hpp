@@ -26,7 +26,7 @@ inline constexpr double kLight_m_s = 299792458.0;
 inline double nearest_m(const WeatherSensor& sensor) { return std::max(kOverlap_m, sensor.min_range_m); }
 inline double pulse_m(const WeatherSensor& sensor) { return kLight_m_s * sensor.pulse_s; }
 /// Returns the width of a beam at a range.
-inline double beam_m(const WeatherSensor& sensor, double range_m) {
+inline double beam_diameter_m(const WeatherSensor& sensor, double range_m) {
     return sensor.aperture_m + sensor.divergence_rad * range_m;
 }
 

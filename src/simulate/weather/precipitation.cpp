@@ -52,7 +52,7 @@ public:
         double expected = 0.0, before = 0.0;
         for (double r = nearest_m(sensor_); r <= sensor_.max_range_m + kParticleStep_m;
              r += kParticleStep_m) {
-            const double area = 0.25 * kPi * beam_m(sensor_, r) * beam_m(sensor_, r),
+            const double area = 0.25 * kPi * beam_diameter_m(sensor_, r) * beam_diameter_m(sensor_, r),
                          density = area * falling_.per_m3_mm / falling_.slope_per_mm *
                                    std::exp(-falling_.slope_per_mm * smallest_mm(r));
             if (!expected_.empty()) expected += 0.5 * (before + density) * kParticleStep_m;
@@ -72,7 +72,7 @@ public:
             if (range_m >= std::min(ray.free_m, sensor_.max_range_m)) return;
             const double wide_mm =
                 falling_.widening * (smallest_mm(range_m) + waiting() / falling_.slope_per_mm);
-            const double share = std::min(1e-3 * wide_mm / beam_m(sensor_, range_m), 1.0),
+            const double share = std::min(1e-3 * wide_mm / beam_diameter_m(sensor_, range_m), 1.0),
                          reflectivity =
                              falling_.reflectivity * share * share * std::exp(-2.0 * alpha_ * range_m);
             candidates.push_back(
@@ -95,7 +95,7 @@ private:
         const double share = sensor_.threshold(range_m) * range_m * range_m *
                              std::exp(2.0 * alpha_ * range_m) / falling_.reflectivity;
         if (share > 1.0) return std::numeric_limits<double>::infinity();
-        return 1e3 * beam_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
+        return 1e3 * beam_diameter_m(sensor_, range_m) * std::sqrt(share) / falling_.widening;
     }
 };
 

@@ -177,8 +177,8 @@ float drop_probability(const Rendering& r, std::size_t i) {
 
 /// Computes how bright the wet ground is, and the rays that it mirrors. Leaves out
 /// mirrored rays whose light is weaker than the light of the ground.
-MirroredRays wet_the_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
-                            std::vector<WetRay>& wet) {
+MirroredRays mirror_in_wet_ground(const WeatherInput& input, const std::vector<glm::dvec3>& up,
+                                  std::vector<WetRay>& wet) {
     const RenderedScan& scan = input.scan;
     const double share = film_share(input.weather.wet_mm);
     MirroredRays mirrored;
@@ -208,7 +208,7 @@ MirroredRays wet_the_ground(const WeatherInput& input, const std::vector<glm::dv
 std::vector<WetRay> wet_rays(const WeatherInput& input) {
     const std::vector<glm::dvec3> up = level_ground(input.scan);
     std::vector<WetRay> wet(up.size());
-    const auto [rays, of_ray] = wet_the_ground(input, up, wet);
+    const auto [rays, of_ray] = mirror_in_wet_ground(input, up, wet);
     if (of_ray.empty()) return wet;
     const Rendering r = input.trace(rays);
     for (std::size_t k = 0; k < r.size(); ++k) {

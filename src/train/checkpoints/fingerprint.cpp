@@ -102,7 +102,7 @@ std::string hash_scene(const Scene& scene) {
     return hash.hex();
 }
 
-std::string found_in(const Checkpoint& checkpoint, const std::string& key) {
+std::string fingerprint_of(const Checkpoint& checkpoint, const std::string& key) {
     const auto it = checkpoint.texts.find(key);
     return it == checkpoint.texts.end() ? "nothing" : it->second;
 }
@@ -142,7 +142,7 @@ void check_same(const std::vector<ConfigKey>& settings, const Checkpoint& checkp
 }
 
 void check_same(const Checkpoint& checkpoint, const Mark& mark, const std::string& doing) {
-    const std::string saved = found_in(checkpoint, mark.key);
+    const std::string saved = fingerprint_of(checkpoint, mark.key);
     if (saved != mark.value) throw DataError(differs(doing, mark.what, mark.value, saved));
 }
 

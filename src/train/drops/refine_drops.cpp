@@ -21,14 +21,14 @@
 namespace relidar {
 namespace {
 
-bool looks_at_grid(const Config& config) {
+bool uses_grid(const Config& config) {
     return config.refine.image == "grid" && config.sensor.grid != "native";
 }
 
 /// Returns the rays of a frame's LiDAR. With refine.image = grid, returns one ray for
 /// each grid cell.
 SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame& frame) {
-    if (!looks_at_grid(config)) return nominal_rays_of(config, sequence, frame);
+    if (!uses_grid(config)) return nominal_rays_of(config, sequence, frame);
     SensorChoice sensor = configured_sensor(config, sequence, frame.lidar);
     // same setting as in the scans from which the network learns
     sensor.rolling_shutter = sequence.rolling_shutter;
@@ -39,7 +39,7 @@ SensorChoice rays_of(const Config& config, const Sequence& sequence, const Frame
 /// column by a fraction of the spacing. The surfels are fitted to the sensor's rays, so
 /// these rays look better than the rays of held-out frames. The rotated rays avoid this
 /// difference.
-RayTable turned_rays(RayTable rays, float share) {
+RayTable rotate_rays(RayTable rays, float share) {
     const RayTable original = rays;
     // Minimum cosine of the angle between neighbouring columns. The column after the last
     // column of a narrow field of view is at the opposite end, so it is skipped.
@@ -72,7 +72,7 @@ std::vector<float> measured_cell_drops(const Config& config, const Frame& frame,
 /// Returns the training frames that have rows and columns. Returns only frames with the
 /// most frequent image shape.
 std::vector<int> images_of(const Config& config, const Sequence& sequence, const std::vector<int>& train) {
-    if (looks_at_grid(config)) return train;
+    if (uses_grid(config)) return train;
     std::map<std::pair<int, int>, std::vector<int>> by_shape;
     for (const int position : train) {
         const RayTable& rays = sequence.frames[std::size_t(position)].scan.rays;
@@ -98,7 +98,7 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
     ScanRenderer renderer(device, run.scene, config, run.sequence);
     const Unknown masks = masks_of(config, run.scene);
     const std::vector<std::string> channels = drop_channel_names(config.refine);
-    if (kind_of(config.image.primitive).has_normals) renderer.want_channels("incidence");
+    if (kind_of(config.image.primitive).has_normals) renderer.enable_channels("incidence");
     std::vector<DropImage> images;
     for (const int position : positions) {
         if (session.progress)
@@ -107,11 +107,11 @@ std::vector<DropImage> training_images(Device& device, const Run& run, const Con
         SensorChoice sensor = rays_of(config, run.sequence, frame);
         const bool parted = config.refine.network == "pixel" && !sensor.grid;
         const Stripes stripes(parted ? stripe_share(sensor.rays) : 1, sensor.rays, images.size());
-        sensor.rays = stripes.rays(turned_rays(std::move(sensor.rays), 0.5f));
+        sensor.rays = stripes.rays(rotate_rays(std::move(sensor.rays), 0.5f));
         const RenderedScan scan = renderer.render(sensor, frame.time_s);
         images.push_back(drop_image(scan, channels, first_origin(run.sequence)));
         std::vector<float> dropped = measured_drops(run.sequence, frame, masks);
-        if (looks_at_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
+        if (uses_grid(config)) dropped = measured_cell_drops(config, frame, dropped);
         images.back().dropped = stripes.values(dropped);
         for (std::size_t i = 0; i < scan.image.drop_prob.size(); ++i)
             // Excludes rays that are dropped with certainty, whatever the network
@@ -145,7 +145,7 @@ DropNetwork refine_drops(Device& device, const Run& run, const RefineSession& se
     };
     DropNetwork network = train_drop_network(device, images, config.refine, config.train.seed, after_step,
                                              start ? &*start : nullptr);
-    if (looks_at_grid(config)) network.image = config.sensor.grid;
+    if (uses_grid(config)) network.image = config.sensor.grid;
     return stopped ? DropNetwork{} : network;
 }
 

@@ -74,7 +74,7 @@ void check_refine_resumable(const Checkpoint& checkpoint, const Run& run) {
     refine_state(checkpoint);  // throws an error if the state is incomplete
 }
 
-void take_refine_settings(const Checkpoint& checkpoint, Config& config) {
+void restore_refine_settings(const Checkpoint& checkpoint, Config& config) {
     for (const auto& [key, value] : settings_in(checkpoint)) set_key(config, key, value);
 }
 

@@ -43,8 +43,8 @@ std::vector<MaskedBox> masked_boxes_in(const Sequence& sequence, const SweepMome
         if (is_actor || !box.present(sweep.time_s)) continue;
         const glm::dvec3 half_size_m = 0.5 * box.size_m + kMoverMargin_m;
         const InstancePose placed = pose_in_sweep(sequence, box.world_from_box, half_size_m, sweep);
-        const double way_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
-        result.push_back({placed, half_size_m, glm::length(half_size_m) + way_m});
+        const double driven_length_m = glm::length(placed.motion.velocity_mps) * placed.motion.half_span_s;
+        result.push_back({placed, half_size_m, glm::length(half_size_m) + driven_length_m});
     }
     return result;
 }
@@ -80,7 +80,7 @@ void make_targets(const Sequence& sequence, const Frame& frame, const Unknown& m
     });
 }
 
-std::uint32_t most_rays(std::span<const FrameData> frames) {
+std::uint32_t max_rays(std::span<const FrameData> frames) {
     std::uint32_t most = 0;
     for (const FrameData& frame : frames) most = std::max(most, frame.n_rays);
     return most;

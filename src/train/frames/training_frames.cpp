@@ -89,11 +89,11 @@ TrainingFrames::TrainingFrames(Device& device, const Sequence& sequence, const s
     std::uint64_t bytes = 0;
     for (const FrameData& frame : frames_) {
         bytes += std::uint64_t(frame.n_rays) * bytes_per_ray();
-        if (bytes > use_.stay_bytes) break;
+        if (bytes > use_.resident_bytes) break;
         ++n_staying_;
     }
     keep_on_device(device);
-    const std::uint32_t n = most_rays(std::span(frames_).subspan(n_staying_));
+    const std::uint32_t n = max_rays(std::span(frames_).subspan(n_staying_));
     if (n == 0) return;
     shared_ = std::make_shared<FrameArrays>(FrameArrays{{device, n, "training rays"},
                                                         {device, n, "training targets"},
@@ -127,7 +127,7 @@ TrainingFrames::HostFrame TrainingFrames::prepare(std::size_t i) const {
     make_targets(sequence_, frame, use_.unknown, host.rays, host.targets);
     if (use_.moves_rays)
         for (const float offset_s : frame.scan.rays.time_offset_s) {
-            const TrackPlace place =
+            const TrackPosition place =
                 sequence_.world_from_vehicle.place(firing_time(sequence_, frame, offset_s));
             host.places.push_back(
                 {static_cast<std::uint32_t>(place.left - data.first_knot), static_cast<float>(place.s)});

@@ -20,7 +20,7 @@ namespace relidar {
 struct FrameUse {
     Unknown unknown;
     bool moves_rays = false;  ///< true if vehicle poses are corrected; FrameArrays::places is then needed
-    std::uint64_t stay_bytes = ~0ull;  ///< maximum device memory for frames that stay on the device
+    std::uint64_t resident_bytes = ~0ull;  ///< maximum device memory for frames that stay on the device
     /// If set, the rays are the cells of this grid (see on_grid()) instead of the fired
     /// rays.
     std::optional<RangeGrid> grid = {};
@@ -41,7 +41,7 @@ public:
     /// Returns which measurements have weight 0 in training.
     const Unknown& unknown() const { return use_.unknown; }
     /// Returns the number of frames that stay on the device.
-    std::size_t n_staying() const { return n_staying_; }
+    std::size_t n_resident() const { return n_staying_; }
 
     /// Uploads frame i in the stream if it is not on the device. The arrays of the frame
     /// are valid until another frame is uploaded.

@@ -11,7 +11,7 @@
 namespace relidar {
 namespace {
 
-std::uint32_t most_knots(const std::vector<FrameData>& frames) {
+std::uint32_t max_knots(const std::vector<FrameData>& frames) {
     std::uint32_t most = 0;
     for (const FrameData& frame : frames) most = std::max(most, frame.n_knots);
     return most;
@@ -20,8 +20,8 @@ std::uint32_t most_knots(const std::vector<FrameData>& frames) {
 }  // namespace
 
 MovedRays::MovedRays(Device& device, const std::vector<FrameData>& frames)
-    : most_knots_(most_knots(frames)),
-      moved_(device, most_rays(frames), "moved rays"),
+    : most_knots_(max_knots(frames)),
+      moved_(device, max_rays(frames), "moved rays"),
       knots_(device, most_knots_, "sensor poses"),
       rows_(device, std::size_t(kRows) * 6 * most_knots_, "pose gradients"),
       move_(device, "train/move_rays"),

@@ -27,8 +27,8 @@ public:
     RunView(Device& device, const Run& run)
         : run_(run), renderer_(device, run.scene, view_config(run.config), run.sequence) {}
 
-    std::vector<SeenSurface> look(int position, const std::vector<std::size_t>& rays,
-                                  const PoseTrack& world_from_vehicle) {
+    std::vector<VisibleSurface> look(int position, const std::vector<std::size_t>& rays,
+                                     const PoseTrack& world_from_vehicle) {
         const Frame& frame = run_.sequence.frames[std::size_t(position)];
         SensorChoice sensor;
         sensor.rays = some_rays(frame.scan.rays, rays), sensor.follows_sweeps = false;
@@ -37,9 +37,9 @@ public:
         const Pose& mounted = run_.sequence.lidar_of(frame).vehicle_from_sensor;
         const glm::dvec3& offset_m = run_.sequence.world_offset_m;
         const RenderedScan scan = renderer_.render(
-            sensor, {frame.time_s, shifted_track(moved_track(world_from_vehicle, mounted), offset_m), {}});
+            sensor, {frame.time_s, shifted_track(mounted_track(world_from_vehicle, mounted), offset_m), {}});
         const std::vector<glm::vec3>& normals = *find_values<glm::vec3>(scan.channels, "normal");
-        std::vector<SeenSurface> surfaces(rays.size());
+        std::vector<VisibleSurface> surfaces(rays.size());
         FiringPoses firing(scan);
         for (std::size_t i = 0; i < rays.size(); ++i) {
             const std::int32_t instance = scan.instance[i];

@@ -84,7 +84,7 @@ PoseRefiner::~PoseRefiner() = default;
 
 RefinedPoses PoseRefiner::poses() const { return {poses_.world_from_vehicle, poses_.boxes}; }
 
-WantedGradients PoseRefiner::wanted() const {
+GradientSelection PoseRefiner::wanted() const {
     return {.rays = sensor_.has_value(), .poses = !actors_.empty()};
 }
 
@@ -132,7 +132,7 @@ void PoseRefiner::fetch(Stream& stream) {
     for (std::size_t i = 0; i < coming_.step.size(); ++i) fetch(stream, i);
 }
 
-void PoseRefiner::take_oldest_step(Stream& stream) {
+void PoseRefiner::apply_oldest_step(Stream& stream) {
     const std::span<const float> gradient = fetch(stream, 0);
     const int step = static_cast<int>(coming_.step.front());
     if (rays_) {
@@ -161,9 +161,9 @@ void PoseRefiner::take_oldest_step(Stream& stream) {
     drop_first(coming_.gradient, floats_of_rays_ + floats_of_instances_);
 }
 
-void PoseRefiner::take_steps(Stream& stream, int last) {
+void PoseRefiner::apply_steps(Stream& stream, int last) {
     if (coming_.step.empty() || int(coming_.step.front()) > last) return;
-    while (!coming_.step.empty() && int(coming_.step.front()) <= last) take_oldest_step(stream);
+    while (!coming_.step.empty() && int(coming_.step.front()) <= last) apply_oldest_step(stream);
     update_poses();
 }
 
@@ -172,7 +172,7 @@ void PoseRefiner::update_poses() {
     for (const Actor& actor : actors_) poses_.boxes[actor.box].world_from_box = actor.correction.corrected();
 }
 
-bool PoseRefiner::take_over() {
+bool PoseRefiner::restore() {
     const std::size_t n = coming_.step.size();
     const bool sound =
         (!sensor_ || sensor_->is_sound()) &&

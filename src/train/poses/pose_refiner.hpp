@@ -26,7 +26,7 @@ struct Gradients;
 struct RefinedPoses;
 struct SampledBatch;
 struct TrainConfig;
-struct WantedGradients;
+struct GradientSelection;
 
 class PoseRefiner {
 public:
@@ -40,18 +40,18 @@ public:
 
     bool is_active() const { return is_active_; }
     /// Returns which gradients record() needs from a backward pass.
-    WantedGradients wanted() const;
+    GradientSelection wanted() const;
     /// Applies the corrected poses to a frame that is on the device. Moves its rays and
     /// its actors, and updates its sensor position.
     void place(Stream& stream, FrameData& frame);
     /// Records GPU commands that compute the pose gradients of a batch and copy them to
-    /// the host. take_steps() uses them later.
+    /// the host. apply_steps() uses them later.
     /// @param step  counts from 1
     void record(Stream& stream, std::size_t frame_index, const FrameData& frame, const SampledBatch& batch,
                 const Gradients& gradients, int step);
     /// Updates the poses with the gradients of all pending iterations up to `last`, in
     /// order. Waits for gradients that are not ready yet.
-    void take_steps(Stream& stream, int last);
+    void apply_steps(Stream& stream, int last);
     /// Waits for the pending gradients, so that a checkpoint can store them. Does not
     /// update the poses.
     void fetch(Stream& stream);
@@ -70,7 +70,7 @@ public:
     }
     /// Applies the corrections after the state was read from a checkpoint.
     /// @return false if the state is invalid
-    bool take_over();
+    bool restore();
 
 private:
     struct Actor {
@@ -108,7 +108,7 @@ private:
     /// Returns the gradients of the i-th pending iteration. Waits until the gradients are
     /// on the host.
     std::span<float> fetch(Stream& stream, std::size_t i);
-    void take_oldest_step(Stream& stream);
+    void apply_oldest_step(Stream& stream);
     void update_poses();
 };
 

@@ -76,7 +76,7 @@ protected:
         double cost() {
             bvh.record_cost(stream);
             stream.submit();
-            return bvh.take_cost(stream).value();
+            return bvh.read_cost(stream).value();
         }
     };
 

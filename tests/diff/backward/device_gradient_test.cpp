@@ -94,7 +94,7 @@ protected:
             renderer.keep_hits = way.kept;
             Passes passes(device(), settings.image, scene, upstream, renderer, way.options);
             passes.run();
-            const test::GatheredHits hits = test::take_gathered_hits(passes);
+            const test::GatheredHits hits = test::download_gathered_hits(passes);
             EXPECT_EQ(hits.most > hits.capacity, way.options.hits_per_ray == 2) << title;
             expect_rows(image, expected, d_rays, passes.gradients(), title + ", " + way.name, how);
         }

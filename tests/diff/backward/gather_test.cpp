@@ -141,14 +141,14 @@ TEST_F(Gather, SumsRowsOverManyBlocks) {
             EXPECT_LE(group.worst_error(), test::kKernelGradient) << name;
             EXPECT_EQ(group.missing_rows(), 0u) << name;
         }
-        const test::GatheredHits hits = test::take_gathered_hits(many);
+        const test::GatheredHits hits = test::download_gathered_hits(many);
         EXPECT_EQ(hits.capacity, 64u * many.rays.size());
         std::uint64_t n_hits = 0;
         for (const std::uint32_t n : to_rendering(many.renderer.rendered().rendered->download()).hits)
             n_hits += n;
         EXPECT_EQ(hits.most, n_hits);
         EXPECT_GT(n_hits, 5000u);
-        EXPECT_EQ(test::take_gathered_hits(many).most, 0u);
+        EXPECT_EQ(test::download_gathered_hits(many).most, 0u);
     }
 }
 
@@ -177,7 +177,7 @@ TEST_F(Gather, EmptySlotsAndSmallerBatches) {
     many.run();
     EXPECT_EQ(many.gradients().records.download(), once.gradients().records.download())
         << "room does not matter";
-    EXPECT_EQ(test::take_gathered_hits(many).capacity, 1u << 20);
+    EXPECT_EQ(test::download_gathered_hits(many).capacity, 1u << 20);
 }
 
 TEST_F(Gather, RoomForNothingIsRefused) {

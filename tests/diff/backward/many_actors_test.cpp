@@ -114,7 +114,7 @@ TEST_F(ManyActors, ImageAndGradientsAgreeWithTheReference) {
 }
 
 /// Returns targets 0.1 m behind and 0.1 brighter than the first rendering.
-std::vector<DeviceTarget> targets_beside(const std::vector<shared::RenderedRay>& rendered) {
+std::vector<DeviceTarget> targets_near(const std::vector<shared::RenderedRay>& rendered) {
     std::vector<DeviceTarget> targets;
     for (const shared::RenderedRay& r : rendered)
         targets.push_back({.range_m = r.depth + 0.1f, .intensity = r.intensity + 0.1f, .weight = 1.0f});
@@ -128,7 +128,7 @@ std::vector<float> train(Passes& passes) {
     Device& device = renderer.stream().device();
     passes.run_forward();
     renderer.stream().finish();
-    const std::vector<DeviceTarget> values = targets_beside(passes.renderer.rendered().rendered->download());
+    const std::vector<DeviceTarget> values = targets_near(passes.renderer.rendered().rendered->download());
     const Array<DeviceTarget> targets(device, std::span<const DeviceTarget>(values), "targets");
     const Array<float> terms(device, kLossTerms, "loss terms");
     const auto n = static_cast<std::uint32_t>(values.size());

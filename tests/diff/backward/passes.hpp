@@ -98,7 +98,7 @@ struct GatheredHits {
     std::uint64_t most = 0;  ///< hits of the largest batch since the last readback
     std::uint64_t capacity = 0;
 };
-inline GatheredHits take_gathered_hits(Passes& passes) {
+inline GatheredHits download_gathered_hits(Passes& passes) {
     const BackwardPass& backward = passes.renderer.backward_pass();
     if (!backward.most_hits()) return {};
     const GatheredHits hits{backward.most_hits()->download()[0], backward.hit_capacity()};

@@ -61,8 +61,7 @@ void expect_allotted(Device& device, std::uint32_t largest) {
             EXPECT_EQ(actual[i], action[i] == RELIDAR_DENSIFY_DROP ? 0 : 1 + copies[i]);
             EXPECT_EQ(fate[i], action[i] == RELIDAR_DENSIFY_CLONE && copies[i] == 0 ? RELIDAR_DENSIFY_KEEP
                                                                                     : action[i]);
-            EXPECT_EQ(plan.allotted_before(cumulative[i] + weight[i]) - plan.allotted_before(cumulative[i]),
-                      copies[i])
+            EXPECT_EQ(plan.sum_before(cumulative[i] + weight[i]) - plan.sum_before(cumulative[i]), copies[i])
                 << "what the host expects";
         }
     }

@@ -37,10 +37,10 @@ struct Observed {
           n(scene.size()) {}
 
     void show(const std::vector<float>& d_mean, const std::vector<std::uint32_t>& is_touched,
-              std::uint32_t frame, bool whole_frame) {
+              std::uint32_t frame, bool is_full_frame) {
         gradients.mean.upload(d_mean);
         touched.upload(is_touched);
-        densifier.observe(stream, scene, {&gradients, &touched, frame, whole_frame});
+        densifier.observe(stream, scene, {&gradients, &touched, frame, is_full_frame});
         stream.finish();
     }
 };

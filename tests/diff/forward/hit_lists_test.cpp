@@ -69,7 +69,7 @@ struct Placed {
         Array<shared::RenderedRay> rendered(stream.device(), rays.size(), "rendered rays");
         forward.run(stream, scene, accel, batch(), rendered, kept);
         stream.finish();
-        EXPECT_EQ(forward.take_pass_cap_count(), 0u);
+        EXPECT_EQ(forward.reset_pass_cap_count(), 0u);
         return rendered.download();
     }
 
@@ -176,7 +176,7 @@ TEST_F(Lists, RenderWhatTheyHaveRoomFor) {
     const std::vector<shared::RenderedRay> expected = placed.render({.order = HitOrder::chunks});
     EXPECT_TRUE(std::ranges::any_of(expected, [](const auto& ray) { return ray.n_hits > 60; }));
     for (const int requested_room : {1, 60, 512}) {
-        const int room = std::min(requested_room, static_cast<int>(most_list_room(device())));
+        const int room = std::min(requested_room, static_cast<int>(max_list_capacity(device())));
         const std::vector<shared::RenderedRay> actual = placed.render_lists(requested_room);
         for (std::size_t i = 0; i < actual.size(); ++i) {
             if (expected[i].n_hits > static_cast<std::uint32_t>(room))
@@ -271,7 +271,7 @@ TEST_F(Lists, Grow) {
         placed.stream.finish();
         EXPECT_EQ(differences(rendered.download(), expected), 0u) << "room " << lists.room();
     }
-    EXPECT_GE(lists.room(), std::min(most, most_list_room(device())));
+    EXPECT_GE(lists.room(), std::min(most, max_list_capacity(device())));
     EXPECT_LT(lists.room(), 4 * most);
 }
 

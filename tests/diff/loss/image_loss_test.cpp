@@ -92,7 +92,7 @@ TEST_F(ImageLossTest, AgreesWithReference) {
         }
 }
 
-TEST_F(ImageLossTest, MaskedRaysTakeNoPartAndStrideSelects) {
+TEST_F(ImageLossTest, MaskedRaysAreIgnoredAndStrideSelects) {
     Data d = random_data(64, 9);
     for (std::size_t i = 0; i < 64; ++i) d.targets[i].weight = i % 4 == 1 ? 1.0f : 0.0f;
     ImageLoss loss(device(), {});

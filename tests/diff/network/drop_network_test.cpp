@@ -160,17 +160,18 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
         options.epochs = 4;
         const std::vector<DropImage> images = some_images(options, 6);
         std::vector<RefineProgress> uninterrupted, parts;
-        const auto told_to = [](std::vector<RefineProgress>& lines) {
+        const auto collect_into = [](std::vector<RefineProgress>& lines) {
             return [&](const RefineProgress& p, const auto&) { return lines.push_back(p), true; };
         };
-        const DropNetwork expected = train_drop_network(device(), images, options, 1, told_to(uninterrupted));
+        const DropNetwork expected =
+            train_drop_network(device(), images, options, 1, collect_into(uninterrupted));
         ASSERT_EQ(uninterrupted.size(), 12u);
         const RefineState in_an_epoch = state_after(device(), images, options, 4),
                           at_its_end = state_after(device(), images, options, 6, &in_an_epoch);
         EXPECT_EQ(at_its_end.step, 6);
         EXPECT_GE(at_its_end.seconds, in_an_epoch.seconds);
         const DropNetwork resumed =
-            train_drop_network(device(), images, options, 1, told_to(parts), &at_its_end);
+            train_drop_network(device(), images, options, 1, collect_into(parts), &at_its_end);
         EXPECT_EQ(resumed.parameters, expected.parameters) << name;
         EXPECT_EQ(resumed.running, expected.running) << name;
         EXPECT_EQ(resumed.normalisation, expected.normalisation) << name;
@@ -181,7 +182,7 @@ TEST_F(DropNetworkTest, GoesOnWithTheSameBits) {
             EXPECT_EQ(parts[i].entropy, uninterrupted[i + 6].entropy);
         }
         const RefineState all = state_after(device(), images, options, 12, &in_an_epoch);
-        EXPECT_EQ(train_drop_network(device(), images, options, 1, told_to(parts), &all).parameters,
+        EXPECT_EQ(train_drop_network(device(), images, options, 1, collect_into(parts), &all).parameters,
                   expected.parameters);
         EXPECT_EQ(parts.size(), 6u) << "nothing was left to do";
         options.epochs = 1;

@@ -291,13 +291,13 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
     for (const Sizes& size : {Sizes{{4, 3, 13}, {4, 7, 26}}, Sizes{{1, 33, 515}, {1, 66, 1030}}}) {
         const ImageBatch values = test::random_images(size.small, 3, 1),
                          d_output = test::random_images(size.large, 3, 2);
-        const ImageBatch wide = ringed(values, 1), wide_asked = cropped(d_output, -2);
-        const memory::desc of_from = images_like(wide), of_to = images_like(wide_asked);
+        const ImageBatch wide = ringed(values, 1), wide_gradient = cropped(d_output, -2);
+        const memory::desc of_from = images_like(wide), of_to = images_like(wide_gradient);
         const auto forward = onednn::describe<dnnl::resampling_forward>(
             engine_, prop_kind::forward_training, algorithm::resampling_linear, of_from, of_to);
         const auto backward = onednn::describe_backward<dnnl::resampling_backward>(
             engine_, forward, algorithm::resampling_linear, of_from, of_to);
-        memory in = given(wide), d_out = given(wide_asked), out = empty(of_to), d_in = empty(of_from);
+        memory in = given(wide), d_out = given(wide_gradient), out = empty(of_to), d_in = empty(of_from);
         execute(dnnl::resampling_forward(forward), {{DNNL_ARG_SRC, in}, {DNNL_ARG_DST, out}});
         execute(dnnl::resampling_backward(backward), {{DNNL_ARG_DIFF_DST, d_out}, {DNNL_ARG_DIFF_SRC, d_in}});
         refine::Resample resample(device());
@@ -309,7 +309,7 @@ TEST_F(OneDnnResample, UpsamplingAgrees) {
         resample.upsample_vjp(stream, d_to.slice(), d_from.slice());
         stream.finish();
         // Single precision positions a pixel of 1030 with an error of about 3e-5.
-        EXPECT_LT(worst_error(to.read(), cropped(images_of(out, wide_asked), 2)), 5e-5);
+        EXPECT_LT(worst_error(to.read(), cropped(images_of(out, wide_gradient), 2)), 5e-5);
         EXPECT_LT(worst_error(d_from.read(), folded(images_of(d_in, wide), 1)), 5e-5);
     }
 }

@@ -85,7 +85,7 @@ TEST_F(Differentiable, HostGradientsAgreeWithTheReference) {
     }
 }
 
-TEST_F(Differentiable, LanesThatAreEmptyAreZeroAndNothingUnaskedComesBack) {
+TEST_F(Differentiable, EmptyLanesAreZeroAndOnlyRequestedValuesReturn) {
     std::vector<reference::PixelGradient> d_rendered = test::random_upstream(scene.rays.size(), 6);
     for (reference::PixelGradient& g : d_rendered) g = {.depth = g.depth};
     const GradientOptions bit_equal{.sums = {.reduction = Reduction::gather}};

@@ -230,9 +230,9 @@ TEST(UndoCompensation, BringsPointsBackToTheirOwnTimes) {
 TEST(Tracks, LabelsJoinByIdAndTheWorldMovesAsOne) {
     Sequence log;
     for (int i = 0; i < 3; ++i) add_frame(log, i, 0.1 * i, {{1, 0, 0, 0}, {1000.0 + i, 5.0, 0.0}});
-    log.boxes = tracks_of({{"b", "Car", {4, 2, 1.5}, 0.0, {{1, 0, 0, 0}, {1010, 5, 0}}},
-                           {"a", "Van", {5, 2, 2}, 0.0, {}},
-                           {"b", "Car", {4, 2, 1.5}, 0.1, {{1, 0, 0, 0}, {1011, 5, 0}}}});
+    log.boxes = build_tracks({{"b", "Car", {4, 2, 1.5}, 0.0, {{1, 0, 0, 0}, {1010, 5, 0}}},
+                              {"a", "Van", {5, 2, 2}, 0.0, {}},
+                              {"b", "Car", {4, 2, 1.5}, 0.1, {{1, 0, 0, 0}, {1011, 5, 0}}}});
     ASSERT_EQ(log.boxes.size(), 2u);
     EXPECT_EQ(log.boxes[0].id, "b");
     EXPECT_EQ(log.boxes[0].world_from_box.time_s, (std::vector<double>{0.0, 0.1}));

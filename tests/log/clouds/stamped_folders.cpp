@@ -113,7 +113,7 @@ BoreasFolder::BoreasFolder(const std::string& name, int angles, int columns)
     drive.start_m = {-3.0, -4.0, 0.9};
     drive.world_m = {312.5, -204.25, 12.0};
     drive.vehicle_from_lidar.rotation = rotation_of(-42.6 * kDegree, 0.0, 0.0);
-    drive.beams = std::get<SpinningSensor>(known_sensor("VLS-128")->pattern).beams;
+    drive.beams = std::get<SpinningSensor>(find_built_in_sensor("VLS-128")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans;
     drive.first_azimuth_rad = 0.0;
     drive.cast();
@@ -176,7 +176,7 @@ OnceFolder::OnceFolder(const std::string& name, bool w_first, int columns) : Sta
     drive.rate_rad_s = 0.1, drive.start_m = {-12.0, -6.0, 1.45};
     // x axis to the left, y axis backward
     drive.vehicle_from_lidar.rotation = rotation_of(kPi / 2.0, 0.0, 0.0);
-    drive.beams = std::get<SpinningSensor>(known_sensor("Pandar40P")->pattern).beams;
+    drive.beams = std::get<SpinningSensor>(find_built_in_sensor("Pandar40P")->pattern).beams;
     drive.columns = columns, drive.n_scans = kScans, drive.step_s = 0.5;
     // Half a step after backward, because a point exactly there may belong to either end
     // of the turn.

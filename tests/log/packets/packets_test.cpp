@@ -25,7 +25,7 @@ constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000;
 SpinningSensor sensor_named(const std::string& name) {
     // A VLS-128 fires every 55.3 us, not every 53.3 us as its manual states.
     const int columns = name == "VLS-128" ? 1808 : 0;
-    return std::get<SpinningSensor>(known_sensor(name, columns)->pattern);
+    return std::get<SpinningSensor>(find_built_in_sensor(name, columns)->pattern);
 }
 
 /// Returns the range that ray `i` measures. It is a multiple of 8 mm, and every fifth ray
@@ -176,7 +176,7 @@ TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
     const double start_s = 1e-9 * double(log_start_ns(log) - kStart_ns);
     const std::vector<BeamFiring> beams = std::string(name).starts_with("OS")
                                               ? std::vector<BeamFiring>(sensor.beams.size())
-                                              : known_firings(name);
+                                              : find_beam_firings(name);
     // [ring, nearest firing] of each written return
     const double step_s = sensor.period_s / sensor.columns;
     const double phase = sensor.first_azimuth_rad == kPi ? 0.0 : 0.5;

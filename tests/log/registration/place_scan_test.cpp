@@ -16,9 +16,9 @@ namespace {
 constexpr double kSides_m[3][2] = {{-20.0, 25.0}, {-7.0, 9.0}, {-1.7, 6.0}};
 
 /// Returns the wall that a ray from inside hits.
-SeenSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) {
+VisibleSurface wall_of(const glm::dvec3& origin_m, const glm::dvec3& direction) {
     double nearest = std::numeric_limits<double>::infinity();
-    SeenSurface wall;
+    VisibleSurface wall;
     for (int axis = 0; axis < 3; ++axis) {
         const double side = kSides_m[axis][direction[axis] > 0.0 ? 1 : 0],
                      t = (side - origin_m[axis]) / direction[axis];
@@ -68,8 +68,8 @@ ScanPlacement placed(const Sequence& log, std::size_t pose, const RegisterOption
         [&](int position, const std::vector<std::size_t>& rays, const PoseTrack& world_from_vehicle) {
             const Frame& frame = log.frames[std::size_t(position)];
             const PoseTrack world_from_sensor =
-                moved_track(world_from_vehicle, log.lidar_of(frame).vehicle_from_sensor);
-            std::vector<SeenSurface> seen;
+                mounted_track(world_from_vehicle, log.lidar_of(frame).vehicle_from_sensor);
+            std::vector<VisibleSurface> seen;
             for (const std::size_t i : rays) {
                 const WorldRay ray = world_ray(world_from_sensor, frame.time_s, frame.scan.rays, i, true);
                 seen.push_back(wall_of(ray.origin_m, ray.direction));
@@ -132,7 +132,7 @@ Sequence drive_of_two() {
         other.lidar = 1;
         for (std::size_t i = 0; i < frame.scan.rays.size(); ++i) {
             const WorldRay ray = world_ray(second, frame.time_s, frame.scan.rays, i, true);
-            const SeenSurface wall = wall_of(ray.origin_m, ray.direction);
+            const VisibleSurface wall = wall_of(ray.origin_m, ray.direction);
             other.scan.range_m[i] =
                 wall.normal.y == 0.0 ? static_cast<float>(glm::distance(wall.point_m, ray.origin_m)) : 0.0f;
         }

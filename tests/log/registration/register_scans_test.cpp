@@ -39,8 +39,8 @@ Registration registered(const Sequence& street, int test_every = 0) {
 
 /// Checks the required accuracy of poses, 1 cm and 0.05 degrees, for training and test
 /// scans.
-void expect_found(const Registration& registration, const PoseTrack& exact, const Split& split,
-                  const char* what) {
+void expect_registered(const Registration& registration, const PoseTrack& exact, const Split& split,
+                       const char* what) {
     const PoseError train = error_of(registration.world_from_vehicle, exact, split.train);
     EXPECT_LT(train.median_m, 0.005) << what;
     EXPECT_LT(train.median_deg, 0.02) << what;
@@ -75,11 +75,12 @@ TEST(RegisterScans, FindsPosesBackAfterNoiseAndDrift) {
     const Sequence street = street_of(21);
     const PoseTrack& exact = street.world_from_vehicle;
     const Split split = split_frames(street, 10);
-    expect_found(
+    expect_registered(
         registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 1)), 10), exact,
         split, "noise of 5 cm and 0.3 degrees");
-    expect_found(registered(test::with_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree)), 10),
-                 exact, split, "drift of 20 cm");
+    expect_registered(
+        registered(test::with_poses(street, test::drifting(exact, 0.2, 0.3 * test::kDegree)), 10), exact,
+        split, "drift of 20 cm");
 }
 
 /// Three sweeps, one held out: the planes of two scans need more points of each scan.
@@ -107,7 +108,7 @@ TEST(RegisterScans, WithoutARollingShutterToo) {
     }
     street.rolling_shutter = false;
     const PoseTrack exact = street.world_from_vehicle;
-    expect_found(
+    expect_registered(
         registered(test::with_poses(street, test::perturbed(exact, 0.05, 0.3 * test::kDegree, 2)), 5), exact,
         split_frames(street, 5), "all rays at once");
 }

@@ -97,7 +97,7 @@ TEST(SeveralLidars, AreFollowedWithoutPoses) {
     PoseTrack none = street.world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
     RegisterOptions blind;
-    blind.given_motion = false;
+    blind.use_pose_motion = false;
     const Registration registration =
         register_scans(test::with_poses(street, none), split_frames(street, 5), blind);
     ASSERT_TRUE(registration.done);

@@ -47,7 +47,8 @@ PoseTrack with_drift_and_jumps(const PoseTrack& exact) {
     const std::size_t n = exact.pose.size();
     for (std::size_t k = 1; k < n; ++k) {
         Pose step = inverse(exact.pose[k - 1]) * exact.pose[k];
-        const double way_m = glm::length(step.translation), turn_rad = 0.01 * way_m * kPi / 180.0;
+        const double driven_length_m = glm::length(step.translation),
+                     turn_rad = 0.01 * driven_length_m * kPi / 180.0;
         step.translation *= 1.01;
         step.rotation = glm::normalize(step.rotation * glm::angleAxis(turn_rad, glm::dvec3(0, 0, 1)) *
                                        glm::angleAxis(0.3 * turn_rad, glm::dvec3(0, 1, 0)));

@@ -23,17 +23,17 @@ protected:
         return drive;
     }
 
-    static Registration registered(const PoseTrack& initial_poses, bool given_motion, const Split& split) {
+    static Registration registered(const PoseTrack& initial_poses, bool use_pose_motion, const Split& split) {
         Sequence wrong = drive();
         set_vehicle_poses(wrong, initial_poses);
         RegisterOptions options;
-        options.given_motion = given_motion;
+        options.use_pose_motion = use_pose_motion;
         return register_scans(wrong, split, options);
     }
 
     /// Requires 2 cm and 0.05 degrees over the complete drive, including held-out scans,
     /// without lost scans.
-    static void expect_found(const Registration& registration, const char* what) {
+    static void expect_registered(const Registration& registration, const char* what) {
         std::vector<int> all;
         for (std::size_t k = 0; k < drive().frames.size(); ++k) all.push_back(static_cast<int>(k));
         const test::PoseError error =
@@ -54,21 +54,21 @@ TEST_P(WholeDrive, FindsPosesBackFromDriftAndJumps) {
         test::error_of(initial_poses, drive().world_from_vehicle, {0, last / 3, 2 * last / 3, last}).worst_m,
         1.0)
         << "the start is far off";
-    expect_found(registered(initial_poses, true, split_frames(drive(), 10)), "drift and jumps");
+    expect_registered(registered(initial_poses, true, split_frames(drive(), 10)), "drift and jumps");
 }
 
 // RegisterScans.LongStreetStaysWhereItIs covers several segments.
 class WholeDriveExact : public WholeDrive {};
 
 TEST_P(WholeDriveExact, Stays) {
-    expect_found(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact");
+    expect_registered(registered(drive().world_from_vehicle, true, split_frames(drive(), 10)), "exact");
 }
 
 TEST_P(WholeDrive, NeedsNoPoses) {
     PoseTrack none = drive().world_from_vehicle;
     for (Pose& pose : none.pose) pose = {};
     const Registration registration = registered(none, false, split_frames(drive(), 10));
-    expect_found(registration, "no poses");
+    expect_registered(registration, "no poses");
     const Split split = split_frames(drive(), 10);
     EXPECT_EQ(
         registration.world_from_vehicle.pose[std::size_t(split.train[split.train.size() / 2])].translation,

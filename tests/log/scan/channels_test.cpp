@@ -19,7 +19,7 @@ using testing::HasSubstr;
 
 std::string refusal(const std::string& names) {
     try {
-        wanted_channels(names);
+        parse_channels(names);
     } catch (const UsageError& error) {
         return error.what();
     }
@@ -27,11 +27,11 @@ std::string refusal(const std::string& names) {
 }
 
 TEST(ChannelList, IsAskedForByNames) {
-    const std::vector<ChannelInfo> channel_infos = wanted_channels("seen, normal,seen");
+    const std::vector<ChannelInfo> channel_infos = parse_channels("seen, normal,seen");
     ASSERT_EQ(channel_infos.size(), 2u) << "each once";
     EXPECT_EQ(channel_infos[0].name, "seen");
     EXPECT_EQ(channel_infos[1].name, "normal");
-    EXPECT_TRUE(wanted_channels("").empty());
+    EXPECT_TRUE(parse_channels("").empty());
     EXPECT_THAT(refusal("normal,sean"),
                 HasSubstr("the channel \"sean\" is unknown, did you mean seen?, expected some of normal, "
                           "incidence, spread, seen"));

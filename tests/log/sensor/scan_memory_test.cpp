@@ -29,7 +29,7 @@ namespace fs = std::filesystem;
 /// Runs checks in a separate process, because memory limit and file folder are per
 /// process.
 template <class Checks>
-void in_own_process(const Checks& checks) {
+void run_in_child_process(const Checks& checks) {
     EXPECT_EXIT(
         {
             checks();
@@ -47,7 +47,7 @@ std::uint64_t anonymous_bytes() {
 }
 
 TEST(ScanMemory, IsUnlimitedUntilItIsLimited) {
-    in_own_process([] {
+    run_in_child_process([] {
         const ScanArray<float> array(1 << 20, 1.0f);
         EXPECT_EQ(scan_memory_use().in_memory, 4u << 20);
         EXPECT_EQ(scan_memory_use().in_file, 0u);
@@ -55,7 +55,7 @@ TEST(ScanMemory, IsUnlimitedUntilItIsLimited) {
 }
 
 TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
-    in_own_process([] {
+    run_in_child_process([] {
         limit_scan_memory(0, fs::temp_directory_path());
         const ScanArray<float> alone(1 << 18, 1.0f);
         EXPECT_EQ(scan_memory_use().in_file, 0u);
@@ -70,7 +70,7 @@ TEST(ScanMemory, ProcessesOfAMachineShareTheDefault) {
 }
 
 TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
-    in_own_process([] {
+    run_in_child_process([] {
         limit_scan_memory(3 << 20, fs::temp_directory_path());
         std::mt19937 random(1);
         std::vector<ScanArray<std::uint32_t>> arrays;
@@ -105,7 +105,7 @@ TEST(ScanMemory, KeepsWhatIsWrittenWhereverItLies) {
 }
 
 TEST(ScanMemory, ServesSeveralThreads) {
-    in_own_process([] {
+    run_in_child_process([] {
         limit_scan_memory(1 << 20, fs::temp_directory_path());
         std::vector<std::thread> threads;
         for (std::uint32_t t = 0; t < 4; ++t)
@@ -123,7 +123,7 @@ TEST(ScanMemory, ServesSeveralThreads) {
 /// A log larger than the memory limit must not increase the anonymous memory of the
 /// process and must be read back equal.
 TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
-    in_own_process([] {
+    run_in_child_process([] {
         const SyntheticOptions street{.n_frames = 40, .rows = 32, .columns = 512};
         const Sequence whole = make_synthetic_street(street);  // 29 MB
         const std::uint64_t of_scans = scan_memory_use().in_memory, before = anonymous_bytes();
@@ -143,12 +143,12 @@ TEST(ScanMemory, ALogThatDoesNotFitIsTheSame) {
 }
 
 TEST(ScanMemory, AFolderThatCannotTakeThemIsNamed) {
-    in_own_process([] {
+    run_in_child_process([] {
         limit_scan_memory(1, "/proc/nowhere");
         EXPECT_THAT(error_message<DataError>([] { ScanArray<float>(1 << 20); }),
                     testing::HasSubstr("into memory in '/proc/nowhere': No such file"));
     });
-    in_own_process([] {
+    run_in_child_process([] {
         const rlimit small{8 << 20, 8 << 20};
         ASSERT_EQ(::setrlimit(RLIMIT_FSIZE, &small), 0);
         std::signal(SIGXFSZ, SIG_IGN);

@@ -299,7 +299,7 @@ TEST(Rigs, SensorsAreMountedAsTheFileSays) {
 
 /// The JSON object of a sensor must make the same rays in a file, in a rig and as text.
 TEST(SensorFiles, EveryKindReadsBackToTheSameBits) {
-    RayTable cones = make_rays(*known_sensor("rosette"), 0.37);
+    RayTable cones = make_rays(*find_built_in_sensor("rosette"), 0.37);
     for (std::size_t i = 0; i < cones.size(); ++i) cones.ray_divergence_rad.push_back(1e-3f / float(i + 1));
     std::vector<SensorModel> sensors{
         {"cones", "", {0.5, 90.0}, cones},

@@ -41,7 +41,7 @@ TEST(PoseTrack, WhatIsMountedGoesRoundBendsOfFineTurns) {
         {turned(0.0, {0, 0, 0}), turned(0.8, {1, 0, 0}), turned(0.8, {2, 0, 1}), turned(-0.4, {1, 4, 0})}};
     const PoseTrack fine = with_fine_turns(track);
     const Pose mounted = turned(0.3, {2, 1, 0.5});
-    const PoseTrack coarse_ride = moved_track(track, mounted), ride = moved_track(fine, mounted);
+    const PoseTrack coarse_ride = mounted_track(track, mounted), ride = mounted_track(fine, mounted);
     double largest_m = 0.0, coarse_m = 0.0;
     for (double t = 0.0; t <= 3.0; t += 0.01) {
         EXPECT_LT(glm::distance(fine.at(t).translation, track.at(t).translation), 1e-12)

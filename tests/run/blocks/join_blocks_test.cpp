@@ -66,7 +66,7 @@ protected:
         const BlockLog part = block_log(log, run.split, blocks[k], run.config);
         folders.push_back(run.folder / "blocks" / ("00" + std::to_string(k)));
         relidar::Run block{folders.back(), part.config, part.sequence, part.split, whole};
-        keep_own_surfels(block.scene, log, blocks, k);
+        remove_overlap_surfels(block.scene, log, blocks, k);
         block.scene.sensor_drop = {1, 2, {0.25f * float(k), 0.5f}};
         // poses as after refinement
         for (Pose& pose : block.sequence.world_from_vehicle.pose) pose.translation.z += 0.001 * double(k);
@@ -115,7 +115,7 @@ TEST_F(JoinedBlocks, HasEverySurfelOnceAndTheCarOfTheBlockThatSawItMost) {
     EXPECT_EQ(read.scene.instances[1].track, "car");
     EXPECT_EQ(read.scene.surfels.mean[read.scene.models[1].first].x, 0.0f) << "the car of block 0";
 
-    const Scene all = whole_scene(read.scene);
+    const Scene all = load_all_blocks(read.scene);
     EXPECT_TRUE(all.blocks.empty());
     const auto places = [](const Scene& scene) {
         std::multiset<std::tuple<float, float, float>> found;
@@ -144,7 +144,7 @@ TEST_F(JoinedBlocks, TakesPosesAndDropsFromTheBlocks) {
 TEST_F(JoinedBlocks, RendersAsOnePieceWithFewBlocksOnTheDevice) {
     Config config = run.config;
     config.render.memory_mib = 0;
-    const Scene one = whole_scene(run.scene);
+    const Scene one = load_all_blocks(run.scene);
     const SensorChoice sensor = configured_sensor(config, log);
     const std::uint64_t before = device().allocated_bytes();
     std::uint64_t most = 0;
@@ -181,7 +181,7 @@ TEST_F(JoinedBlocks, NamesTheFileThatIsWrong) {
                 HasSubstr("blocks/002/model.safetensors is missing"));
     fs::create_directories(folders[2]);
     fs::copy_file(folders[0] / kModelFile, folders[2] / kModelFile);
-    EXPECT_THAT(data_error([&] { whole_scene(load_run(run.folder).scene); }),
+    EXPECT_THAT(data_error([&] { load_all_blocks(load_run(run.folder).scene); }),
                 HasSubstr("blocks/002/model.safetensors: found "));
     Scene scene = run.scene;
     scene.blocks[1].file = folder / "aside" / kModelFile;  // outside of the run's folder

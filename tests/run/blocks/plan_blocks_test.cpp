@@ -172,7 +172,7 @@ TEST(KeepOwnSurfels, EachPlaceBelongsToTheBlockOfTheNearestSweep) {
     std::size_t kept = 0;
     for (std::size_t k = 0; k < blocks.size(); ++k) {
         Scene scene = all;
-        keep_own_surfels(scene, log, blocks, k);
+        remove_overlap_surfels(scene, log, blocks, k);
         kept += scene.models[0].count;
         for (std::uint32_t i = 0; i < scene.models[0].count; ++i) {
             std::size_t nearest = 0;

@@ -151,7 +151,7 @@ TEST_F(ConfigFile, ShortFormReadsBackToTheSame) {
 TEST(Config, ChannelsAreAList) {
     Config config;
     set_key(config, "render.channels", "normal, seen");
-    EXPECT_EQ(wanted_channels(config.render.channels).size(), 2u);
+    EXPECT_EQ(parse_channels(config.render.channels).size(), 2u);
     set_key(config, "render.channels", "");
     EXPECT_NE(
         set_error("render.channels", "normal,sean").find("found \"normal,sean\", expected some of normal, "),

@@ -178,13 +178,13 @@ TEST(Edit, ModelsKeepTheirBox) {
     const DrivingScene kept = remove_track(example(), "van"),
                        inserted = insert_track(remove_track(example(), "car"), example(), "car", {});
     for (const DrivingScene* d : {&kept, &inserted}) {
-        const Scene own = own_models(d->scene);
+        const Scene own = copy_shared_models(d->scene);
         for (const Scene* scene : {&d->scene, &own})
             EXPECT_EQ(scene->models[scene->instances.back().model].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f));
     }
     Scene twice = example().scene;
     twice.instances.push_back({2, "car-copy-1"});
-    EXPECT_EQ(own_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
+    EXPECT_EQ(copy_shared_models(twice).models[3].half_size_m, glm::vec3(2.1f, 1.1f, 0.85f))
         << "a model of its own for the second placement";
 }
 

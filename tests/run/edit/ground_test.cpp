@@ -64,13 +64,13 @@ DrivingScene slope() {
     return d;
 }
 
-Start put_down(const DrivingScene& d, const GroundPlace& place, const std::string& track) {
+Start place_on_ground(const DrivingScene& d, const GroundPlace& place, const std::string& track) {
     return start_on_ground({d.scene, d.sequence}, place, {d.scene, d.sequence}, track);
 }
 
 /// Returns the pose of the van at a position, in relidar's world.
 Pose placed(const DrivingScene& d, double x, double y, std::optional<double> yaw_rad = {}) {
-    Start start = put_down(d, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
+    Start start = place_on_ground(d, {{x + kWorldOffset_m.x, y + kWorldOffset_m.y}, yaw_rad, 3.0}, "van");
     EXPECT_EQ(start.speed_mps, 3.0);
     start.dataset_from_box.translation -= kWorldOffset_m;
     return start.dataset_from_box;
@@ -107,7 +107,7 @@ TEST(Ground, PathFollowsAHill) {
     for (int i = 0; i < 5; ++i) d.sequence.frames[std::size_t(i)].time_s = i;
     GroundPlace place{{kWorldOffset_m.x - 16.0, kWorldOffset_m.y}, 0.0, 10.0};
     place.clearance_m = 0.0;
-    const Start start = put_down(d, place, "van");
+    const Start start = place_on_ground(d, place, "van");
     ASSERT_EQ(start.dataset_path.pose.size(), 5u);
     const DrivingScene edited = copy_track(d, "van", start);
     const BoxTrack* copy = find_box(edited.sequence, "van-copy-1");
@@ -199,7 +199,7 @@ TEST_F(GroundOfBlocks, IsFoundInTheirFiles) {
 }
 
 std::string refusal(const DrivingScene& d, const glm::dvec2& dataset_m, const std::string& track = "van") {
-    return error_message<UsageError>([&] { (void)put_down(d, {dataset_m}, track); });
+    return error_message<UsageError>([&] { (void)place_on_ground(d, {dataset_m}, track); });
 }
 
 TEST(Ground, SaysWhereThereIsNone) {
@@ -246,7 +246,7 @@ TEST(Ground, OfTheStreetIsWhereItsCarsDrive) {
     // the street is flat
     const glm::dvec3 there = car.world_from_box.pose.front().translation + d.sequence.world_offset_m;
     for (const glm::dvec2 beside : {glm::dvec2(0.0, 0.0), glm::dvec2(-6.0, 3.0), glm::dvec2(8.0, 0.0)}) {
-        const Pose pose = put_down(d, {glm::dvec2(there) + beside}, car.id).dataset_from_box;
+        const Pose pose = place_on_ground(d, {glm::dvec2(there) + beside}, car.id).dataset_from_box;
         EXPECT_NEAR(pose.translation.z, there.z, 0.03) << beside.x << "," << beside.y;
         EXPECT_GT((pose.rotation * glm::dvec3(0, 0, 1)).z, std::cos(0.015)) << beside.x << "," << beside.y;
     }

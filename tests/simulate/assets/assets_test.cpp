@@ -23,16 +23,16 @@ const Pose kAhead{{1, 0, 0, 0}, {10.0, 0.0, -0.5}};  // its rear faces the LiDAR
 class Sightings : public test::DeviceTest {
 protected:
     double seen(const relidar::Run& run, BoxSide side) {
-        const auto sightings = sight_actors(device(), run);
+        const auto sightings = observe_actors(device(), run);
         return sightings.empty() ? 0.0 : seen_surface(kCarSize_m, sightings.at("7")).seen(side);
     }
 };
 
 TEST_F(Sightings, AreOnTheSideThatIsTurnedToTheSensor) {
     const relidar::Run run = run_of(plates(), kAhead);
-    const auto sightings = sight_actors(device(), run);
+    const auto sightings = observe_actors(device(), run);
     ASSERT_EQ(sightings.count("7"), 1u);
-    const ActorSightings& actor = sightings.at("7");
+    const ActorObservations& actor = sightings.at("7");
     ASSERT_GT(actor.points_m.size(), 100u);
     for (const glm::vec3& point_m : actor.points_m)
         EXPECT_LT(point_m.x, -1.6f) << "at the rear, or on the rim of a side";
@@ -66,7 +66,7 @@ TEST_F(Sightings, WhatHidesAnActorHidesIt) {
 TEST_F(Sightings, HeldOutFramesDoNotCount) {
     relidar::Run run = run_of(plates(), kAhead);
     run.split = {{}, {0, 1, 2}};
-    EXPECT_TRUE(sight_actors(device(), run).empty());
+    EXPECT_TRUE(observe_actors(device(), run).empty());
 }
 
 TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
@@ -81,7 +81,7 @@ TEST(MakeAsset, LeavesOutWhatCanShowNowhere) {
 }
 
 TEST(MakeAsset, OnlyVehiclesAreMirrored) {
-    ActorSightings left = from_outside(plates().mean);
+    ActorObservations left = from_outside(plates().mean);
     for (std::size_t i = left.points_m.size(); i-- > 0;) {
         if (left.points_m[i].y > 0.9f) continue;
         left.points_m.erase(left.points_m.begin() + std::ptrdiff_t(i)),
@@ -107,12 +107,12 @@ TEST(MakeAsset, IsARunOfThatActorAlone) {
     run.sequence.boxes.push_back({"8", "Pedestrian", {1, 1, 2}, {}});  // without a model
     const Asset asset = make_asset(run, "7", {});
     EXPECT_EQ(asset.facts.name, "car-7");
-    EXPECT_EQ(only_track(asset.run), "car-7");
+    EXPECT_EQ(find_only_track(asset.run), "car-7");
     ASSERT_EQ(asset.run.sequence.boxes.size(), 1u);
     EXPECT_EQ(asset.run.sequence.boxes[0].id, "car-7");
     EXPECT_EQ(asset.run.scene.models.size(), 2u);
     EXPECT_THROW(make_asset(run, "nobody", {}), UsageError);
-    EXPECT_THROW(only_track(run), UsageError) << "it has two";
+    EXPECT_THROW(find_only_track(run), UsageError) << "it has two";
 }
 
 class AssetFiles : public TemporaryFolder {};

@@ -31,8 +31,8 @@ inline Surfels random_surfels(std::size_t n, const glm::vec3& low_m, const glm::
 }
 
 /// Returns sightings of points by rays towards the centre.
-inline ActorSightings from_outside(const std::vector<glm::vec3>& points_m, double nearest_m = 8.0) {
-    ActorSightings sightings{points_m, {}, nearest_m};
+inline ActorObservations from_outside(const std::vector<glm::vec3>& points_m, double nearest_m = 8.0) {
+    ActorObservations sightings{points_m, {}, nearest_m};
     for (const glm::vec3& point_m : points_m) sightings.directions.push_back(-glm::normalize(point_m));
     return sightings;
 }

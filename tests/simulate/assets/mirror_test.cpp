@@ -37,7 +37,7 @@ TEST(Mirror, CovarianceIsMirrored) {
     Surfels discs = anywhere(50), ellipsoids = discs;
     make_primitive(ellipsoids, Primitive::gaussian, 0.3);
     for (const Surfels* surfels : {&discs, &ellipsoids}) {
-        const Surfels other = mirrored_left_right(*surfels);
+        const Surfels other = mirror_left_right(*surfels);
         for (std::size_t i = 0; i < surfels->size(); ++i) {
             EXPECT_EQ(other.mean[i], glm::vec3(kMirror * glm::dvec3(surfels->mean[i])));
             EXPECT_LT(difference(covariance(other, i), kMirror * covariance(*surfels, i) * kMirror), 1e-9);
@@ -48,7 +48,7 @@ TEST(Mirror, CovarianceIsMirrored) {
 TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
     const Surfels surfels = anywhere(20);
     const std::vector<reference::Surfel> here = test::to_reference(surfels),
-                                         there = test::to_reference(mirrored_left_right(surfels));
+                                         there = test::to_reference(mirror_left_right(surfels));
     std::mt19937 random(9);
     std::normal_distribution<double> normal;
     for (std::size_t i = 0; i < here.size(); ++i) {
@@ -65,7 +65,7 @@ TEST(Mirror, HarmonicsAreThoseOfTheMirroredDirection) {
 }
 
 TEST(Mirror, TwiceIsNoChange) {
-    const Surfels surfels = anywhere(5), twice = mirrored_left_right(mirrored_left_right(surfels));
+    const Surfels surfels = anywhere(5), twice = mirror_left_right(mirror_left_right(surfels));
     EXPECT_EQ(twice.mean, surfels.mean);
     EXPECT_EQ(twice.rotation, surfels.rotation);
     EXPECT_EQ(twice.sh, surfels.sh);

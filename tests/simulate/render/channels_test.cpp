@@ -199,16 +199,17 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
 TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
     const RenderedScan found = scan();
     const std::vector<float>& velocity = *find_values<float>(found.channels, "velocity");
-    const glm::dvec3 way_m =
+    const glm::dvec3 driven_length_m =
         log.world_from_vehicle.pose[2].translation - log.world_from_vehicle.pose[0].translation;
-    ASSERT_NEAR(glm::length(way_m) / (log.frames[2].time_s - log.frames[0].time_s),
+    ASSERT_NEAR(glm::length(driven_length_m) / (log.frames[2].time_s - log.frames[0].time_s),
                 SyntheticOptions{}.speed_mps, 0.01);
     std::size_t n_standing = 0;
     for (std::size_t i = 0; i < velocity.size(); ++i) {
         if (found.instance[i] != 0) continue;
         const glm::dvec3 direction =
             found.world_from_firing(i).rotation * glm::dvec3(found.image.direction[i]);
-        ASSERT_NEAR(velocity[i], -SyntheticOptions{}.speed_mps * glm::dot(direction, glm::normalize(way_m)),
+        ASSERT_NEAR(velocity[i],
+                    -SyntheticOptions{}.speed_mps * glm::dot(direction, glm::normalize(driven_length_m)),
                     0.01);
         ++n_standing;
     }
@@ -220,12 +221,12 @@ TEST_F(RenderedChannels, AreWantedByName) {
     EXPECT_THROW(ScanRenderer(device(), scene, config, log), UsageError);
     config.render.channels.clear();
     ScanRenderer renderer(device(), scene, config, log);
-    renderer.want_channels("spread");
-    renderer.want_channels("spread");
+    renderer.enable_channels("spread");
+    renderer.enable_channels("spread");
     EXPECT_EQ(renderer.render(configured_sensor(config, log), 0.1).channels.size(), 1u);
     config.image.primitive = Primitive::gaussian;
     scene.surfels.resize(scene.surfels.size(), Primitive::gaussian);
-    EXPECT_THROW(ScanRenderer(device(), scene, config, log).want_channels("normal"), UsageError)
+    EXPECT_THROW(ScanRenderer(device(), scene, config, log).enable_channels("normal"), UsageError)
         << "3D Gaussians have none";
 }
 

@@ -231,9 +231,9 @@ TEST_F(CompensatedLog, PointsOfTheServiceToo) {
     ScanRenderer renderer(device(), run);
     for (const char* name : {"native", "VLP-16:96x10"}) {
         const bool rolls = name != std::string("native");
-        renderer.ask_points(choose_sensor(name, run.config, run.sequence),
-                            {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
-        const Points points = renderer.take_points().points;
+        renderer.submit_points(choose_sensor(name, run.config, run.sequence),
+                               {kFirst_s, run.sequence.world_from_vehicle}, kFirst_s + 0.05);
+        const Points points = renderer.wait_for_points().points;
         ASSERT_GT(points.size(), 20u);
         double later = 0.0;
         for (std::size_t i = 0; i < points.size(); ++i) {

@@ -19,7 +19,7 @@
 namespace relidar {
 namespace {
 
-struct Wish {
+struct PointRequest {
     SensorChoice sensor;
     ScanRequest request;
     double points_at_s;
@@ -54,26 +54,26 @@ protected:
         renderer.reset();
         DeviceTest::TearDown();
     }
-    RenderedPoints on_host(const Wish& wish) {
+    RenderedPoints on_host(const PointRequest& wish) {
         const RenderedScan scan = renderer->render(wish.sensor, wish.request, wish.sample);
         return {place_points(scan, config, wish.request.dataset_from_sensor.at(wish.points_at_s)),
                 scan.image.range_m.size(), scan.unseen_share};
     }
-    void ask(const Wish& wish, ScanRenderer::Send when = ScanRenderer::Send::now) {
-        renderer->ask_points(wish.sensor, wish.request, wish.points_at_s, wish.sample, when);
+    void ask(const PointRequest& wish, ScanRenderer::Send when = ScanRenderer::Send::now) {
+        renderer->submit_points(wish.sensor, wish.request, wish.points_at_s, wish.sample, when);
     }
-    RenderedPoints alone(const Wish& wish) {
+    RenderedPoints alone(const PointRequest& wish) {
         ask(wish);
-        return renderer->take_points();
+        return renderer->wait_for_points();
     }
-    void ask_together(const std::vector<Wish>& wishes) {
-        for (const Wish& wish : wishes)
+    void ask_together(const std::vector<PointRequest>& wishes) {
+        for (const PointRequest& wish : wishes)
             ask(wish, &wish == &wishes.back() ? ScanRenderer::Send::now : ScanRenderer::Send::with_next);
     }
     /// Returns scans of a rig with several sensors, some of them equal, at two times,
     /// with two sets of actors.
-    std::vector<Wish> rig() const {
-        std::vector<Wish> wishes;
+    std::vector<PointRequest> rig() const {
+        std::vector<PointRequest> wishes;
         for (const char* name :
              {"VLP-16:300x10", "HDL-32E:256x10", "VLP-16:300x10", "VLP-16:300x10", "HDL-32E:256x10"}) {
             const double k = double(wishes.size());
@@ -188,23 +188,23 @@ TEST_F(PointsOfScans, AreThoseOfTheScan) {
         config.render.points = points;
         make_renderer();
         for (const double at_s : {middle_s(), middle_s() + 0.05, middle_s() - 0.4}) {
-            const Wish wish{sensor("native"), {middle_s(), bend()}, at_s};
+            const PointRequest wish{sensor("native"), {middle_s(), bend()}, at_s};
             const RenderedPoints expected = on_host(wish);
             ask(wish);
             EXPECT_LT(expected.points.size(), expected.n_rays) << "some rays are dropped";
-            expect_equal(renderer->take_points(), expected, points);
+            expect_equal(renderer->wait_for_points(), expected, points);
         }
     }
 }
 
 TEST_F(PointsOfScans, OfASensorThatStandsAndAmongActorsOfTheCaller) {
     make_renderer();
-    const Wish stands{sensor("native"), {middle_s(), {{0.0}, {bend().at(middle_s())}}}, 0.0};
-    const Wish alone{sensor("native"), {middle_s(), bend(), ActorPoses{}}, middle_s()};
+    const PointRequest stands{sensor("native"), {middle_s(), {{0.0}, {bend().at(middle_s())}}}, 0.0};
+    const PointRequest alone{sensor("native"), {middle_s(), bend(), ActorPoses{}}, middle_s()};
     const RenderedPoints standing = on_host(stands), empty = on_host(alone);
     ask(stands), ask(alone);
-    expect_equal(renderer->take_points(), standing, "stands");
-    expect_equal(renderer->take_points(), empty, "no actor");
+    expect_equal(renderer->wait_for_points(), standing, "stands");
+    expect_equal(renderer->wait_for_points(), empty, "no actor");
 }
 
 /// Keeps two scans pending at any time, from different sensors and positions, and renders
@@ -213,16 +213,16 @@ TEST_F(PointsOfScans, ManyInFlightDoNotMix) {
     make_renderer();
     const std::vector<SensorChoice> sensors = {sensor("native"), sensor("VLP-16:300x10"),
                                                sensor("HDL-32E:256x10")};
-    std::vector<Wish> wishes;
+    std::vector<PointRequest> wishes;
     for (int k = 0; k < 9; ++k)
         wishes.push_back({sensors[std::size_t(k % 3)], {middle_s() - 0.4 + 0.1 * k, bend()}, middle_s()});
     std::vector<RenderedPoints> expected;
-    for (const Wish& wish : wishes) expected.push_back(on_host(wish));
+    for (const PointRequest& wish : wishes) expected.push_back(on_host(wish));
     ask(wishes[0]);
     for (std::size_t k = 0; k < wishes.size(); ++k) {
         if (k + 1 < wishes.size()) ask(wishes[k + 1]);
         if (k % 4 == 1) renderer->render(sensors[0], {middle_s(), bend(), ActorPoses{}});
-        expect_equal(renderer->take_points(), expected[k], "scan " + std::to_string(k));
+        expect_equal(renderer->wait_for_points(), expected[k], "scan " + std::to_string(k));
     }
 }
 
@@ -233,9 +233,9 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
     for (const ShDirection direction : {ShDirection::surfel, ShDirection::ray}) {
         config.image.sh_direction = direction;
         make_renderer();
-        const std::vector<Wish> wishes = rig();
+        const std::vector<PointRequest> wishes = rig();
         std::vector<RenderedPoints> expected;
-        for (const Wish& wish : wishes) expected.push_back(alone(wish));
+        for (const PointRequest& wish : wishes) expected.push_back(alone(wish));
         expect_equal(expected[2], on_host(wishes[2]), "without actors");
         for (const int n : {2, 3, 5, 1}) {
             const std::string what = std::to_string(n) + " side by side, scan ";
@@ -244,7 +244,8 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
             ask_together(wishes), ask_together(wishes);
             ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
             for (std::size_t k = 0; k < 2 * wishes.size() + 2; ++k)
-                expect_equal(renderer->take_points(), expected[k % wishes.size()], what + std::to_string(k));
+                expect_equal(renderer->wait_for_points(), expected[k % wishes.size()],
+                             what + std::to_string(k));
         }
     }
 }
@@ -254,8 +255,8 @@ TEST_F(PointsOfScans, OfScansSideBySideAreThoseOfEachAlone) {
 TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     make_renderer();
     renderer->side_by_side(3);
-    const std::vector<Wish> wishes = rig();
-    Wish wrong = wishes[0], sampled = wishes[1];
+    const std::vector<PointRequest> wishes = rig();
+    PointRequest wrong = wishes[0], sampled = wishes[1];
     wrong.request.dataset_from_sensor.time_s.clear();
     sampled.sample = 7;
     const std::vector<RenderedPoints> expected = {alone(wishes[0]), alone(sampled), alone(wishes[2]),
@@ -269,7 +270,7 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
     ask(wishes[3], ScanRenderer::Send::with_next);
     EXPECT_THROW(ask(wrong), DataError);
     for (const RenderedPoints& of_one : expected)
-        expect_equal(renderer->take_points(), of_one, "one of four");
+        expect_equal(renderer->wait_for_points(), of_one, "one of four");
     EXPECT_THAT([&] { renderer->side_by_side(0); },
                 testing::ThrowsMessage<UsageError>(testing::HasSubstr("found 0 scans")));
     ask(wishes[0], ScanRenderer::Send::with_next), ask(wishes[1], ScanRenderer::Send::with_next);
@@ -280,8 +281,9 @@ TEST_F(PointsOfScans, OfScansSideBySideBesideOthers) {
 /// Tests scans that a network corrects, with images of two shapes.
 TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     make_renderer();
-    const std::vector<Wish> wishes = {{sensor("native"), {middle_s(), bend()}, middle_s()},
-                                      {sensor("VLP-16:300x10"), {middle_s() + 0.1, bend()}, middle_s()}};
+    const std::vector<PointRequest> wishes = {
+        {sensor("native"), {middle_s(), bend()}, middle_s()},
+        {sensor("VLP-16:300x10"), {middle_s() + 0.1, bend()}, middle_s()}};
     const RenderedScan scan = renderer->render(wishes[0].sensor, wishes[0].request);
     const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 1e-2};
     DropImage image = drop_image(scan, drop_channel_names(options), first_origin(log));
@@ -295,24 +297,24 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
     EXPECT_NE(expected[0].points.size(), before) << "a network that says something";
     ask(wishes[0]), ask(wishes[1]);
     for (const RenderedPoints& scan_expected : expected)
-        expect_equal(renderer->take_points(), scan_expected, "refined");
+        expect_equal(renderer->wait_for_points(), scan_expected, "refined");
     // Images of one shape share as much memory as possible.
-    std::vector<Wish> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
+    std::vector<PointRequest> beside = {wishes[0], wishes[0], wishes[0], wishes[1]};
     for (std::size_t k = 0; k < 3; ++k) beside[k].request.time_s += 0.1 * double(k);
-    std::vector<RenderedPoints> expected_beside;
-    for (const Wish& wish : beside) expected_beside.push_back(alone(wish));
+    std::vector<RenderedPoints> expected_points;
+    for (const PointRequest& wish : beside) expected_points.push_back(alone(wish));
     renderer->side_by_side(3);
     // In the first round each scan allocates its memory and waits for the others.
     for (int round = 0; round < 2; ++round) {
         ask_together(beside);
-        for (const RenderedPoints& scan_expected : expected_beside)
-            expect_equal(renderer->take_points(), scan_expected, "refined side by side");
+        for (const RenderedPoints& scan_expected : expected_points)
+            expect_equal(renderer->wait_for_points(), scan_expected, "refined side by side");
     }
     renderer->side_by_side(1);
     std::vector<std::uint64_t> buffers;
     for (int round = 0; round < 3; ++round) {  // one network processes images of two shapes alternately
-        expect_equal(alone(beside[2]), expected_beside[2], "by turns");
-        expect_equal(alone(beside[3]), expected_beside[3], "by turns");
+        expect_equal(alone(beside[2]), expected_points[2], "by turns");
+        expect_equal(alone(beside[3]), expected_points[3], "by turns");
         buffers.push_back(impl_of(device()).n_buffers);
     }
     EXPECT_EQ(buffers[2], buffers[0]) << "memory is found once";
@@ -323,7 +325,7 @@ TEST_F(PointsOfScans, AreDroppedAsTheNetworkSays) {
 TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
     config.sensor.divergence_mrad = 3.0;
     make_renderer();
-    Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
+    PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     const RefineOptions options{.network = "pixel", .epochs = 60, .rate = 2e-2};
     DropImage image = drop_image(renderer->render(wish.sensor, wish.request), drop_channel_names(options),
                                  first_origin(log));
@@ -352,14 +354,14 @@ TEST_F(PointsOfScans, NetworksBringNothingBackFromBeyondTheLimits) {
 
 TEST_F(PointsOfScans, HaveTheStepsOfTheLog) {
     make_renderer();
-    const Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
+    const PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     const double step = 1.0 / 64.0;
     IntensityScatter scatter;
     scatter.step = step;
     renderer->scatter_intensities({scatter});
     const RenderedPoints expected = on_host(wish);
     ask(wish);
-    const RenderedPoints found = renderer->take_points();
+    const RenderedPoints found = renderer->wait_for_points();
     expect_equal(found, expected, "steps");
     for (const float intensity : found.points.intensity)
         EXPECT_NEAR(double(intensity) / step, std::round(double(intensity) / step), 1e-5);
@@ -371,45 +373,45 @@ TEST_F(PointsOfScans, OfGridsSubRaysSamplesAndWeatherAreTheSame) {
     make_renderer();
     SensorChoice parted = sensor("VLP-16:300x10");
     parted.returns = 2;
-    std::vector<Wish> wishes = {{sensor("kitti360"), {middle_s(), bend()}, middle_s()},
-                                {parted, {middle_s(), bend()}, middle_s()},
-                                {sensor("native"), {middle_s(), bend()}, middle_s(), 7}};
-    for (const Wish& wish : wishes) {
+    std::vector<PointRequest> wishes = {{sensor("kitti360"), {middle_s(), bend()}, middle_s()},
+                                        {parted, {middle_s(), bend()}, middle_s()},
+                                        {sensor("native"), {middle_s(), bend()}, middle_s(), 7}};
+    for (const PointRequest& wish : wishes) {
         const RenderedPoints expected = on_host(wish);
         ask(wish);
-        expect_equal(renderer->take_points(), expected, wish.sensor.name);
+        expect_equal(renderer->wait_for_points(), expected, wish.sensor.name);
     }
     renderer->set_weather({.fog_visibility_m = 60.0});
-    const Wish fog{sensor("native"), {middle_s(), bend()}, middle_s()};
+    const PointRequest fog{sensor("native"), {middle_s(), bend()}, middle_s()};
     const RenderedPoints expected = on_host(fog);
     ask(fog);
-    expect_equal(renderer->take_points(), expected, "fog");
+    expect_equal(renderer->wait_for_points(), expected, "fog");
 }
 
 TEST_F(PointsOfScans, MayBeLeftBehind) {
-    const Wish wish{sensor("native"), {middle_s(), bend()}, middle_s()};
+    const PointRequest wish{sensor("native"), {middle_s(), bend()}, middle_s()};
     make_renderer();
     const RenderedPoints expected = on_host(wish);
     ask(wish), ask(wish);
     make_renderer();  // the validation layer reports memory that is still in use
     ask(wish);
-    expect_equal(renderer->take_points(), expected, "of the next renderer");
+    expect_equal(renderer->wait_for_points(), expected, "of the next renderer");
 }
 
 TEST_F(PointsOfScans, AreTakenAsOftenAsAskedFor) {
     make_renderer();
-    const Wish wish{sensor("VLP-16:300x10"), {middle_s(), bend()}, middle_s()};
+    const PointRequest wish{sensor("VLP-16:300x10"), {middle_s(), bend()}, middle_s()};
     const auto says = [](const char* text) {
         return testing::ThrowsMessage<UsageError>(testing::HasSubstr(text));
     };
-    EXPECT_THAT([&] { renderer->take_points(); }, says("no scan was requested"));
+    EXPECT_THAT([&] { renderer->wait_for_points(); }, says("no scan was requested"));
     for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) ask(wish);
     EXPECT_THAT([&] { ask(wish); }, says("64 requested scans were not read"));
-    for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) renderer->take_points();
-    Wish wrong = wish;
+    for (std::size_t k = 0; k < ScanRenderer::kScansInFlight; ++k) renderer->wait_for_points();
+    PointRequest wrong = wish;
     wrong.request.dataset_from_sensor.time_s.clear();
     EXPECT_THROW(ask(wrong), DataError);
-    EXPECT_THAT([&] { renderer->take_points(); }, says("no scan was requested"))
+    EXPECT_THAT([&] { renderer->wait_for_points(); }, says("no scan was requested"))
         << "a request that was refused";
 }
 

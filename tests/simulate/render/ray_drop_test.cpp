@@ -141,8 +141,8 @@ TEST_F(RayDrop, OfRaysThatMeetNothingIsCertain) {
                 EXPECT_GT(n_empty, 100u) << name;
                 EXPECT_EQ(place_points(scan, of_scan, {}).size(), n_returns)
                     << name << ", README's recipe and points";
-                renderer.ask_points(sensor, request, request.time_s);
-                EXPECT_EQ(renderer.take_points().points.size(), n_returns)
+                renderer.submit_points(sensor, request, request.time_s);
+                EXPECT_EQ(renderer.wait_for_points().points.size(), n_returns)
                     << name << ", points of the device";
             }
 }

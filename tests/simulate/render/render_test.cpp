@@ -485,7 +485,7 @@ TEST_F(Render, EachPlacementOfAModelIsLitFromTheSensor) {
     }
 }
 
-TEST_F(Render, OnlyWhatIsShownIsMet) {
+TEST_F(Render, OnlyVisibleActorsAreHit) {
     Sequence sequence = cross_sequence();
     const Scene scene = two_placements(sequence);
     const SensorChoice sensor = configured_sensor({}, sequence);

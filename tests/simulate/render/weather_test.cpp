@@ -240,7 +240,7 @@ TEST_F(RenderedWeather, IsThatOfTheNextScan) {
     renderer.set_weather({});
     expect_same(render("native"), clear);
     expect_same(render("native", 3), clear_sample);
-    renderer.want_channels("source");
+    renderer.enable_channels("source");
     const RenderedScan said = render("native");
     expect_same(said, clear);
     for (std::size_t i = 0; i < said.image.range_m.size(); ++i)

@@ -244,7 +244,7 @@ public:
         }
     }
     double alpha() const { return alpha_; }
-    double beam_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
+    double beam_diameter_m(double r) const { return sensor_.aperture_m + sensor_.divergence_rad * r; }
     void expect_as(const Air& air, PointSource source) const;
 
 private:
@@ -307,8 +307,8 @@ TEST(Weather, RainReturnsAsItsIntegral) {
             // share of the beam's area
             const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.02;
             if (share > 1.0) return 0.0;
-            const double mm = 1000.0 * model.beam_m(r) * std::sqrt(share);
-            return kPi / 4.0 * std::pow(model.beam_m(r), 2) * 8000.0 / slope * std::exp(-slope * mm);
+            const double mm = 1000.0 * model.beam_diameter_m(r) * std::sqrt(share);
+            return kPi / 4.0 * std::pow(model.beam_diameter_m(r), 2) * 8000.0 / slope * std::exp(-slope * mm);
         });
         model.expect_as(air_of({.rain_mm_h = rate}, sensor), PointSource::rain);
     }
@@ -322,8 +322,10 @@ TEST(Weather, SnowReturnsAsItsIntegral) {
     model.of_particles([&](double r, double power) {
         const double share = power * r * r * std::exp(2.0 * model.alpha() * r) / 0.25;
         if (share > 1.0) return 0.0;
-        const double melted_mm = 1000.0 * model.beam_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
-        return kPi / 4.0 * std::pow(model.beam_m(r), 2) * 3800.0 / 2.55 * std::exp(-2.55 * melted_mm);
+        const double melted_mm =
+            1000.0 * model.beam_diameter_m(r) * std::sqrt(share) / std::pow(10.0, 1.0 / 3.0);
+        return kPi / 4.0 * std::pow(model.beam_diameter_m(r), 2) * 3800.0 / 2.55 *
+               std::exp(-2.55 * melted_mm);
     });
     model.expect_as(air_of({.snow_mm_h = rate}, sensor), PointSource::snow);
 }
@@ -376,10 +378,12 @@ double false_returns(const Weather& weather, double reflectivity) {
         }
     if (weather.rain_mm_h > 0.0)
         for (double r = 1.005; r < 80.0; r += 0.01) {
-            const double share = reflectivity * std::exp(2.0 * alpha * r) / 0.02, beam_m = 0.01 + 0.003 * r;
+            const double share = reflectivity * std::exp(2.0 * alpha * r) / 0.02,
+                         beam_diameter_m = 0.01 + 0.003 * r;
             if (share > 1.0) break;
-            const double per_m3 = 8000.0 / slope * std::exp(-slope * 1e3 * beam_m * std::sqrt(share));
-            none *= std::exp(-per_m3 * kPi / 4.0 * beam_m * beam_m * 0.01);
+            const double per_m3 =
+                8000.0 / slope * std::exp(-slope * 1e3 * beam_diameter_m * std::sqrt(share));
+            none *= std::exp(-per_m3 * kPi / 4.0 * beam_diameter_m * beam_diameter_m * 0.01);
         }
     return 1.0 - none;
 }

@@ -112,16 +112,16 @@ double scans_per_second(Device& device, const Run& run) {
     const double first_s = path.time_s.front(), length_s = path.time_s.back() - first_s;
     const auto request = [&](int scan) {
         const double time_s = first_s + length_s * (scan + 0.5) / kScans;
-        renderer.ask_points(sensor, {time_s, path}, time_s);
+        renderer.submit_points(sensor, {time_s, path}, time_s);
     };
     request(0);
-    renderer.take_points();  // The first scan is not timed, because it allocates memory.
+    renderer.wait_for_points();  // The first scan is not timed, because it allocates memory.
     const Clock::time_point start = Clock::now();
     request(0);
     for (int scan = 1; scan <= kScans; ++scan) {
         stop_if_interrupted();
         if (scan < kScans) request(scan);
-        renderer.take_points();
+        renderer.wait_for_points();
     }
     return 1e3 * kScans / ms_since(start);
 }

@@ -51,7 +51,7 @@ BenchCase make_run_case(const Run& run) {
         bench.rays.time_s.push_back(rolls ? table.time_offset_s[i] : 0.0f);
     }
     bench.placed = place_instances(run.scene, run.sequence, moment_of(frame));
-    bench.scene = whole_scene(run.scene);
+    bench.scene = load_all_blocks(run.scene);
     bench.config = run.config;
     return bench;
 }

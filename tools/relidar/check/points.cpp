@@ -21,8 +21,8 @@ Finding check_points(CheckedDevice& checked) {
     const SensorChoice sensor = choose_sensor("VLP-16:128x10", config, log);
     const PoseTrack track = shifted_track(log.world_from_sensor(0), log.world_offset_m);
     const double time_s = log.frames[1].time_s;
-    renderer.ask_points(sensor, {time_s, track}, time_s);
-    const Points actual = renderer.take_points().points;
+    renderer.submit_points(sensor, {time_s, track}, time_s);
+    const Points actual = renderer.wait_for_points().points;
     const Points expected = place_points(renderer.render(sensor, {time_s, track}), config, track.at(time_s));
     if (actual.size() != expected.size() || actual.size() == 0)
         return wrong(fmt::format("{} points, expected {}", actual.size(), expected.size()));

@@ -27,7 +27,7 @@ Finding check_float_swaps(CheckedDevice& checked) { return judge_sums(sum_error(
 
 Finding check_subgroups(CheckedDevice& checked) {
     const DeviceInfo& info = checked.device().info();
-    if (!info.known_subgroups) return unsupported("no subgroups of a known size");
+    if (!info.has_known_subgroups) return unsupported("no subgroups of a known size");
     const std::vector<int> sizes = subgroup_sizes(checked.device());
     for (const int lanes : sizes) {
         const Trusting trusting(DeviceTrust{.subgroup_size = lanes});

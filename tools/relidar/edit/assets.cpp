@@ -48,7 +48,7 @@ std::string sides_text(const AssetFacts& facts) {
 
 /// Returns the reason why an actor is not saved as an asset. Returns an empty text if it
 /// is saved.
-std::string reason_against(const AssetFacts& facts, const ActorSightings& sightings, double least) {
+std::string reason_against(const AssetFacts& facts, const ActorObservations& sightings, double least) {
     if (sightings.points_m.empty()) return "no ray of the training frames hits this actor";
     if (facts.score() >= least) return "";
     return fmt::format(
@@ -101,14 +101,16 @@ void run_assets(const AssetOptions& options) {
     const std::vector<std::string> tracks = actors_of(run);
     Device device(device_options(options.device));
     Progress progress(options.quiet);
-    const std::map<std::string, ActorSightings> sightings = sight_actors(device, run, shown_by(progress));
+    const std::map<std::string, ActorObservations> sightings =
+        observe_actors(device, run, make_progress(progress));
     std::vector<std::vector<std::string>> rows{{"asset", "class", "score", "front", "rear", "left", "right",
                                                 "top", "completed", "nearest_m", "surfels"}};
     std::set<std::string> used_names;
     std::string skipped;
     for (const std::string& track : tracks) {
         const auto seen = sightings.find(track);
-        const ActorSightings actor_sightings = seen == sightings.end() ? ActorSightings{} : seen->second;
+        const ActorObservations actor_sightings =
+            seen == sightings.end() ? ActorObservations{} : seen->second;
         Asset asset = make_asset(run, track, actor_sightings);
         if (const std::string reason = reason_against(asset.facts, actor_sightings, options.least);
             !reason.empty()) {

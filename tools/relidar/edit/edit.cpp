@@ -46,7 +46,7 @@ bool is_same(const PoseTrack& a, const PoseTrack& b) {
 }
 
 /// Returns the track names of actors that are new or whose poses have changed.
-std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequence& before) {
+std::vector<std::string> list_new_tracks(const DrivingScene& driving, const Sequence& before) {
     std::vector<std::string> placed;
     for (const Instance& instance : driving.scene.instances) {
         const BoxTrack *now = find_box(driving.sequence, instance.track),
@@ -61,7 +61,7 @@ std::vector<std::string> placed_tracks(const DrivingScene& driving, const Sequen
 /// distance from the sensor.
 std::string sparse_actors(const DrivingScene& driving, const Sequence& before) {
     std::string text;
-    for (const std::string& track : placed_tracks(driving, before)) {
+    for (const std::string& track : list_new_tracks(driving, before)) {
         const ActorDetail detail = actor_detail(driving, track);
         if (!detail.is_sparse()) continue;
         text += fmt::format(
@@ -81,7 +81,7 @@ void run_edit(const EditOptions& options) {
     const NewRun edited(options.out, options.force);
     Run run = load_run(options.run);
     if (!options.ply.empty())
-        run.scene = read_surfel_ply(options.ply, whole_scene(run.scene), run.config.image.primitive);
+        run.scene = read_surfel_ply(options.ply, load_all_blocks(run.scene), run.config.image.primitive);
     const std::string origin = absolute_path(options.run);
     DrivingScene driving{std::move(run.scene), std::move(run.sequence)};
     const Sequence before = without_frames(driving.sequence);

@@ -151,7 +151,7 @@ AppliedEdit move(DrivingScene driving, const TypedEdit& edit) {
 }
 
 /// Returns true if the actor is present in at least one frame of the log.
-bool is_ever_present(const DrivingScene& driving, const std::string& track) {
+bool is_present_in_any_frame(const DrivingScene& driving, const std::string& track) {
     const BoxTrack* box = find_box(driving.sequence, track);
     return box && std::ranges::any_of(driving.sequence.frames,
                                       [&](const Frame& f) { return box->present(f.time_s); });
@@ -160,7 +160,7 @@ bool is_ever_present(const DrivingScene& driving, const std::string& track) {
 /// Returns a note if an edit makes an actor absent from frames of the log.
 /// @param before track of the actor before the edit; null for a new actor
 std::string absence_note(const DrivingScene& driving, const std::string& track, const BoxTrack* before) {
-    if (!is_ever_present(driving, track))
+    if (!is_present_in_any_frame(driving, track))
         return fmt::format(
             "track {} is not visible in any frame, because all its times are outside the log's time", track);
     return before ? lost_frames_note(*before, driving.sequence) : "";
@@ -208,7 +208,7 @@ ExternalActor load_external_actor(const TypedEdit& edit, const std::string& what
     const auto [folder, named_track] =
         named ? cut(edit, what, what.rfind('#')) : std::pair(what, std::string());
     Run run = load_run(folder);
-    const std::string track = named ? named_track : only_track(run);
+    const std::string track = named ? named_track : find_only_track(run);
     DrivingScene owner = run.driving();
     return {folder, track, std::move(run), std::move(owner)};
 }

@@ -118,7 +118,7 @@ void add_edited_scores(ScoredFrame& frame, const Config& config, const Scan& bef
 }
 
 /// Removes the frames that other processes score.
-void keep_share(std::vector<int>& positions, const Ranks& ranks) {
+void keep_rank_share(std::vector<int>& positions, const Ranks& ranks) {
     const ProcessGroup::Share share = ranks.group().share(positions.size());
     positions = {positions.begin() + std::ptrdiff_t(share.begin),
                  positions.begin() + std::ptrdiff_t(share.end)};
@@ -140,7 +140,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
         options.out.empty() ? run.folder / "metrics.json" : std::filesystem::path(options.out),
         options.pictures, ranks);
     check_held_out(run.split, run.folder.string());
-    keep_share(run.split.test, ranks);
+    keep_rank_share(run.split.test, ranks);
     Device device(device_options(options.device));
     const Sequence log = load_dataset(run.config, options.quiet);
     std::vector<Scan> before;
@@ -154,7 +154,7 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
     std::optional<Evaluation> baseline;
     if (!options.baseline.empty())
         baseline = joined(evaluate_baseline(options.baseline, run.config, run.sequence, run.split,
-                                            shown_until_interrupted(progress)),
+                                            stop_on_interrupt(progress)),
                           ranks);
     ScanRenderer renderer(device, run);
     std::size_t n_seen = 0;
@@ -162,9 +162,9 @@ void score_run(const EvalOptions& options, const Ranks& ranks, const std::string
         if (!before.empty()) add_edited_scores(frame, run.config, before[n_seen++]);
         output.draw(frame, run.config);
     };
-    Evaluation evaluation = joined(evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                                                   shown_until_interrupted(progress), see),
-                                   ranks);
+    Evaluation evaluation = joined(
+        evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress), see),
+        ranks);
     if (!ranks.is_first()) return;
     if (!options.quiet) print(edit_note(run));
     write_results(output, evaluation, run.config,
@@ -197,15 +197,14 @@ void score_log(const EvalOptions& options, const Ranks& ranks) {
     config = with_farthest(std::move(config), log);
     Split split = split_frames(log, config.dataset.test_every, config.dataset.test_frames);
     check_held_out(split, options.target);
-    keep_share(split.test, ranks);
+    keep_rank_share(split.test, ranks);
 
     catch_interrupts();
     const auto start = std::chrono::steady_clock::now();
     Progress progress(options.quiet);
     const auto see = [&](const ScoredFrame& frame) { output.draw(frame, config); };
     const Evaluation evaluation = joined(
-        evaluate_baseline(options.baseline, config, log, split, shown_until_interrupted(progress), see),
-        ranks);
+        evaluate_baseline(options.baseline, config, log, split, stop_on_interrupt(progress), see), ranks);
     if (ranks.is_first())
         write_results(output, evaluation, config, {"", "none", 0, seconds_since(start)}, options.quiet);
 }

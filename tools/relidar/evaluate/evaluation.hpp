@@ -16,7 +16,7 @@ class Ranks;
 
 /// Returns a callback that shows the progress of an evaluation. After Ctrl-C the callback
 /// throws an Error with exit code 130, which ends the evaluation.
-relidar::Progress shown_until_interrupted(Progress& progress);
+relidar::Progress stop_on_interrupt(Progress& progress);
 
 /// Returns the five most important scores for the terminal, one per line. A score is left
 /// out if the evaluation does not have it.

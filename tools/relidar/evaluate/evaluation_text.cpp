@@ -151,8 +151,8 @@ std::vector<std::vector<std::string>> actor_rows(const Evaluation& evaluation) {
     return rows;
 }
 
-relidar::Progress shown_until_interrupted(Progress& progress) {
-    return [show = shown_by(progress)](std::string_view what, double done) {
+relidar::Progress stop_on_interrupt(Progress& progress) {
+    return [show = make_progress(progress)](std::string_view what, double done) {
         stop_if_interrupted();
         show(what, done);
     };

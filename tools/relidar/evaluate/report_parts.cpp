@@ -11,8 +11,8 @@
 
 namespace relidar::cli {
 
-ReportView points_beside(const ScoredFrame& frame, const Config& config, const std::string& title,
-                         const std::string& real_name) {
+ReportView compare_points(const ScoredFrame& frame, const Config& config, const std::string& title,
+                          const std::string& real_name) {
     const RangeImage &rendered = frame.rendered.image, &real = frame.real;
     const std::vector<float>& range_m = point_ranges(frame.rendered, config);
     FiringPoses sensor(frame.rendered, inverse(frame.rendered.world_from_sensor));

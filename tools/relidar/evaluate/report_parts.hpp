@@ -20,8 +20,8 @@ namespace relidar::cli {
 /// Creates a 3D view of the real and the simulated points of a frame. The points are in
 /// the sensor frame at the time of the frame.
 /// @param real label of the real points
-ReportView points_beside(const ScoredFrame& frame, const Config& config, const std::string& title,
-                         const std::string& real);
+ReportView compare_points(const ScoredFrame& frame, const Config& config, const std::string& title,
+                          const std::string& real);
 
 /// Returns bars that show the share of rays with small and large range errors. The rays
 /// of all frames are grouped by their real range.

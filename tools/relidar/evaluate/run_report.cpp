@@ -64,7 +64,7 @@ Report make_report(const Run& run, const TrainResult& result, const Device& devi
                     {"relidar", RELIDAR_VERSION}};
     if (const std::vector<BoxTrack> masked = masked_boxes(run.scene, run.sequence, run.config.init);
         !masked.empty())
-        report.facts.emplace_back("Moving boxes masked out", names_of(masked));
+        report.facts.emplace_back("Moving boxes masked out", list_boxes(masked));
     report.curves = loss_curves(result);
     if (const MetricRow times = mean_times(result.times); !times.empty())
         report.timings_ms.emplace_back("Training: mean of one launch", times);
@@ -103,7 +103,7 @@ void add_evaluation(Report& report, const Evaluation& evaluation, const Run& run
                                        evaluation.kernel_ms);
     const ScoredFrame& shown = evaluation.frames[evaluation.frames.size() / 2];
     const std::string name = fmt::format("Frame {}, {}", shown.frame, title.column);
-    report.views.push_back(points_beside(shown, run.config, name + ": points", title.real));
+    report.views.push_back(compare_points(shown, run.config, name + ": points", title.real));
     report.bars.push_back(errors_by_range(evaluation, fmt::format("Errors by range, {}", title.column)));
     report.tables.push_back({fmt::format("Moving objects, {}", title.column),
                              "Points of all frames in each moving box, the highest share of errors above "

@@ -49,7 +49,8 @@ std::string box_notes(const std::vector<BoxSummary>& boxes) {
     std::vector<std::string> guesses, continued;
     for (const BoxSummary& b : boxes) {
         if (!b.size_guess.empty()) guesses.push_back(b.id);
-        if (b.n_beside > 0) continued.push_back(fmt::format("{} ({} frames)", b.id, b.n_beside));
+        if (b.n_unlabelled_frames > 0)
+            continued.push_back(fmt::format("{} ({} frames)", b.id, b.n_unlabelled_frames));
     }
     std::string text;
     if (!guesses.empty())
@@ -96,7 +97,7 @@ Json json_of(const BoxSummary& b) {
                  {"surfels", b.n_surfels}};
     if (b.instance) json["instance"] = *b.instance;
     if (!b.size_guess.empty()) json["size_guess"] = b.size_guess;
-    if (b.n_beside > 0) json["beside_labels"] = b.n_beside;
+    if (b.n_unlabelled_frames > 0) json["beside_labels"] = b.n_unlabelled_frames;
     return json;
 }
 
@@ -141,7 +142,7 @@ BoxSummary summarise(const Sequence& sequence, const BoxTrack& box) {
     summary.category = box.category;
     summary.size_m = box.size_m;
     summary.size_guess = box.size_guess;
-    summary.n_beside = box.n_before + box.n_after;
+    summary.n_unlabelled_frames = box.n_before + box.n_after;
     for (const Frame& frame : sequence.frames) {
         if (!box.present(frame.time_s)) continue;
         if (summary.n_frames++ == 0) summary.first_frame = frame.index;
@@ -250,7 +251,7 @@ LogSummary summarise(const Sequence& sequence, const InitialiseOptions& options)
     log.n_scans_read = std::size_t(
         std::ranges::count_if(sequence.frames, [](const Frame& f) { return f.scan.range_m.size() > 0; }));
     for (const BoxTrack& box : sequence.boxes) log.boxes.push_back(summarise(sequence, box));
-    log.masked = names_of(unwanted_boxes(sequence, options));
+    log.masked = list_boxes(unselected_boxes(sequence, options));
     return log;
 }
 
@@ -260,7 +261,7 @@ RunSummary summarise(const Run& run) {
     // Actors that were removed by edits are left out, because the list of edits names
     // them.
     summary.log.masked =
-        run.edits.empty() ? names_of(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
+        run.edits.empty() ? list_boxes(masked_boxes(run.scene, run.sequence, run.config.init)) : "";
     summary.preset = run.config.preset;
     summary.iterations = run.config.train.iterations;
     summary.n_surfels = count_surfels(run.scene);

@@ -33,7 +33,7 @@ struct BoxSummary {
     std::string size_guess;
     /// Number of poses of a labelled track that were discovered before its first or after
     /// its last label.
-    std::size_t n_beside = 0;
+    std::size_t n_unlabelled_frames = 0;
 };
 
 struct LidarSummary {

@@ -60,7 +60,7 @@ void list_sensors() {
     std::vector<std::vector<std::string>> rows{
         {"name", "rays", "azimuth", "elevation", "scan", "range", "divergence", "figures"}};
     for (const std::string& name : sensor_names()) {
-        const SensorModel sensor = *known_sensor(name);
+        const SensorModel sensor = *find_built_in_sensor(name);
         const RayTable rays = make_rays(sensor);
         const Extent e = extent_of(rays);
         const bool round = e.left_deg - e.right_deg > 350.0;

@@ -34,7 +34,7 @@ void convert_to_packets(const Sequence& sequence, const ConvertOptions& options)
             fmt::format("--out {}: found a file of this name, expected a new one, or --force", options.out));
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
     Progress progress(options.quiet);
-    const relidar::Progress shown = shown_by(progress);
+    const relidar::Progress shown = make_progress(progress);
     const std::size_t n = save_packets(sequence, out, [&](std::string_view what, double done) {
         stop_if_interrupted();
         shown(what, done);
@@ -59,7 +59,7 @@ void run_convert(const ConvertOptions& options) {
     if (std::filesystem::path(options.out).extension() == ".pcap")
         return convert_to_packets(sequence, options);
     Progress progress(options.quiet);
-    const relidar::Progress shown = shown_by(progress);
+    const relidar::Progress shown = make_progress(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
     save_folder(sequence, options.out,
                 {options.overwrite, has_poses, [&](std::string_view what, double done) {

@@ -44,7 +44,7 @@ void export_frames(const ExportOptions& options) {
     const Run run = load_run(options.run);
     const std::vector<int> positions = choose_frames(run, options.frames, options.quiet);
     const LockedFolder folder(options.out);
-    const Scene scene = whole_scene(run.scene);
+    const Scene scene = load_all_blocks(run.scene);
     const glm::dvec3& offset = run.sequence.world_offset_m;
     catch_interrupts();
     Progress progress(options.quiet);
@@ -83,7 +83,7 @@ void run_export(const ExportOptions& options) {
     }
     const Run run = load_run(options.run);
     const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
-    if (*format == ".ply") write_surfel_ply(out, whole_scene(run.scene));
+    if (*format == ".ply") write_surfel_ply(out, load_all_blocks(run.scene));
     else write_trajectory(out, sensor_path(run.sequence));
     const std::string written = *format == ".ply"
                                     ? sizes(run.scene)

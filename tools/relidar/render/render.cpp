@@ -309,7 +309,7 @@ public:
         for (const TargetSensor& w : targets_) {
             stop_if_interrupted();
             scans.push_back(
-                drives() ? renderer_.render(w.sensor, {sweep.time_s, moved_track(track_, w.mounting)},
+                drives() ? renderer_.render(w.sensor, {sweep.time_s, mounted_track(track_, w.mounting)},
                                             options_.sample)
                          : renderer_.render(w.sensor, sweep.time_s, offset_ * w.mounting, options_.sample));
             trace_ms_ += scans.back().trace_ms;
@@ -333,9 +333,9 @@ public:
             "{:.1f} ms per scan, {:.3f} Mrays/s{}\n",
             n_all, n_rays_ / n, options_.out, fmt::join(parse_formats(options_.formats), ", "),
             100.0 * n_returns_ / n_rays_,
-            knows_seen_ ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
-                                      100.0 * n_unseen_ / n_rays_)
-                        : "",
+            has_seen_share_ ? fmt::format(", {:.1f} % of the rays cross space that the log has not observed",
+                                          100.0 * n_unseen_ / n_rays_)
+                            : "",
             trace_ms_ / n, trace_ms_ > 0.0 ? 1e-3 * n_rays_ / trace_ms_ : 0.0,
             n_processes > 1 ? fmt::format(" in the first of {} processes", n_processes) : "");
     }
@@ -349,13 +349,13 @@ private:
     const PoseTrack track_;
     std::vector<Pose> mountings_;
     double trace_ms_ = 0.0, n_rays_ = 0.0, n_returns_ = 0.0, n_unseen_ = 0.0;
-    bool knows_seen_ = false;
+    bool has_seen_share_ = false;
 
     void count(const RenderedScan& scan) {
         for (std::size_t i = 0; i < scan.image.range_m.size(); ++i)
             n_returns_ += returned(scan.image.drop_prob[i], scan.image.range_m[i]);
         if (!scan.unseen_share) return;
-        knows_seen_ = true;
+        has_seen_share_ = true;
         n_unseen_ += *scan.unseen_share * double(scan.image.range_m.size());
     }
 };
@@ -370,7 +370,7 @@ void run_render(const RenderOptions& typed_options) {
     const Pose offset = parse_offset(options.offset);
     const bool drives = !options.trajectory.file.empty();
     const PoseTrack track =
-        drives ? moved_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
+        drives ? mounted_track(read_trajectory(options.trajectory.file), offset) : PoseTrack{};
     std::optional<LockedFolder> folder;
     // Only the first process creates this object, because its destructor removes the
     // folder if the folder is empty.

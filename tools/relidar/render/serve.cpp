@@ -82,14 +82,14 @@ serve::ServerOptions server_options(const ServeOptions& options) {
 /// and gRPC starts and ends threads all the time. Scans are allocated on one thread and
 /// freed on another, which leaves gaps in each heap. The memory of the process would grow
 /// for hours (docs/service.md).
-void share_one_heap() {
+void limit_malloc_arenas() {
 #ifdef __GLIBC__
     mallopt(M_ARENA_MAX, 1);
 #endif
 }
 
 void run_serve(const ServeOptions& options) {
-    share_one_heap();
+    limit_malloc_arenas();
     raise_descriptor_limit();
     const serve::ServerOptions server_settings = server_options(options);
     if (!options.quiet) note_weather(server_settings.weather);

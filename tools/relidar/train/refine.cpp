@@ -53,7 +53,7 @@ std::optional<Checkpoint> find_start(const RefineOptions& options) {
 /// Returns the command line that resumes this training.
 std::string resume_command(const RefineOptions& options) {
     std::string command = "relidar refine --resume " + shell_word(options.run);
-    for (const std::string& word : device_words(options.device)) command += " " + word;
+    for (const std::string& word : device_arguments(options.device)) command += " " + word;
     return command;
 }
 
@@ -63,7 +63,7 @@ void train_network(Device& device, Run& run, const RefineOptions& options, const
     if (start && !options.quiet) print(fmt::format("resume  from step {}\n", start->iteration));
     const std::filesystem::path checkpoints = network_checkpoint_folder(run.folder);
     catch_interrupts();
-    if (!refine_shown(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
+    if (!refine_with_progress(device, run, options.quiet, {.checkpoints = checkpoints, .start = start})) {
         const bool can_go_on = !list_checkpoints(checkpoints).empty();
         throw Error(ExitCode::interrupted,
                     fmt::format("interrupted: the network of {} is unchanged{}", run.folder.string(),
@@ -78,8 +78,7 @@ Evaluation score(Device& device, Run run, bool refined, bool quiet) {
     run.config.refine.enabled = refined;
     ScanRenderer renderer(device, run);
     Progress progress(quiet);
-    return evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                           shown_until_interrupted(progress));
+    return evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress));
 }
 
 /// Scores the run without and with the ray-drop network. Prints both scores and writes
@@ -100,7 +99,7 @@ void run_refine(const RefineOptions& options) {
     if (is_run(options.run)) lock.emplace(options.run);
     Run run = load_run(options.run);
     const std::optional<Checkpoint> start = find_start(options);
-    if (start) take_refine_settings(*start, run.config);
+    if (start) restore_refine_settings(*start, run.config);
     std::vector<std::string> used = rendering_settings();
     used.insert(used.end(), {"dataset.", "refine.", "train.seed", "train.checkpoint_minutes"});
     check_sets(options.sets, used, "refine");

@@ -56,7 +56,7 @@ bool is_file(const fs::path& path) {
 
 /// Decides which argument is the log and which is the run folder. `--resume` may come
 /// before either of them.
-TrainOptions sorted_out(TrainOptions options) {
+TrainOptions resolve_options(TrainOptions options) {
     if (options.out.empty()) options.out = options.resume_folder;
     else if (options.dataset.empty())
         options.dataset = options.resume_folder == options.out ? "" : options.resume_folder;
@@ -64,8 +64,8 @@ TrainOptions sorted_out(TrainOptions options) {
         throw UsageError("DATASET is required (see `relidar train --help`)");
     if (options.out.empty())
         throw UsageError("--out is required, or --resume with a run folder (see `relidar train --help`)");
-    const bool knows_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
-    if (options.dataset.empty() && !knows_log)
+    const bool has_stored_log = options.resume && is_file(fs::path(options.out) / kConfigFile);
+    if (options.dataset.empty() && !has_stored_log)
         throw UsageError(
             fmt::format("DATASET is required, because {} has no config.toml that names the log (see `relidar "
                         "train --help`)",
@@ -171,14 +171,14 @@ void announce(const Sequence& sequence, const Split& split, const Device& device
 /// Returns the command line that resumes this training.
 std::string resume_command(const TrainOptions& options) {
     std::string command = "relidar train --resume " + shell_word(options.out);
-    for (const std::string& word : device_words(options.device)) command += " " + word;
+    for (const std::string& word : device_arguments(options.device)) command += " " + word;
     return command;
 }
 
 /// Trains the scene. If training fails, the error message names the last checkpoint and
 /// the command that resumes the training.
-TrainResult train_or_tell(Device& device, const Run& run, const TrainOptions& options,
-                          const Checkpoint* start, StageTimes& stages) {
+TrainResult train_with_hint(Device& device, const Run& run, const TrainOptions& options,
+                            const Checkpoint* start, StageTimes& stages) {
     const fs::path checkpoints = checkpoint_folder(run.folder);
     try {
         return train_logged(
@@ -204,8 +204,8 @@ Error interrupted_while(const char* what, const Run& run, const TrainOptions& op
 
 /// Runs the steps between the training of the scene and the training of its ray-drop
 /// network.
-void complete_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
-    if (!complete_scene_shown(device, run, options.quiet, stages))
+void complete_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
+    if (!complete_scene_with_progress(device, run, options.quiet, stages))
         throw interrupted_while("held-out scans were aligned and intensity scatter was learned", run,
                                 options);
 }
@@ -219,8 +219,8 @@ Evaluation score(Device& device, const Run& run, const TrainOptions& options) {
     const auto start = std::chrono::steady_clock::now();
     Evaluation evaluation;
     try {
-        evaluation = evaluate_frames(renderer, run.config, run.sequence, run.split.test,
-                                     shown_until_interrupted(progress));
+        evaluation =
+            evaluate_frames(renderer, run.config, run.sequence, run.split.test, stop_on_interrupt(progress));
     } catch (const Error& error) {
         if (error.code() != ExitCode::interrupted) throw;
         throw interrupted_while("held-out frames were scored", run, options);
@@ -284,7 +284,7 @@ std::optional<Checkpoint> find_network_start(const Run& run) {
 /// Trains the ray-drop network of a saved scene and saves the network. If the log has no
 /// suitable training data, or if the device cannot run the network, only a note is
 /// printed.
-void refine_or_tell(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
+void refine_with_hint(Device& device, Run& run, const TrainOptions& options, StageTimes& stages) {
     const std::optional<Checkpoint> start = find_network_start(run);
     if (!start) remove_network_checkpoints(run.folder);
     else if (!options.quiet)
@@ -294,10 +294,10 @@ void refine_or_tell(Device& device, Run& run, const TrainOptions& options, Stage
         note(error.what());
     };
     try {
-        if (!refine_shown(device, run, options.quiet,
-                          {.checkpoints = network_checkpoint_folder(run.folder),
-                           .start = start ? &*start : nullptr,
-                           .stages = &stages}))
+        if (!refine_with_progress(device, run, options.quiet,
+                                  {.checkpoints = network_checkpoint_folder(run.folder),
+                                   .start = start ? &*start : nullptr,
+                                   .stages = &stages}))
             throw interrupted_while("the ray-drop network was trained", run, options);
     } catch (const DataError& error) {
         // The checkpoints have no use, because resuming would end with the same error.
@@ -338,11 +338,11 @@ void finish_scene(const TrainOptions& options, const Config& config, const std::
         print("resume  after the last iteration\n");
     }
     catch_interrupts();
-    if (!run.held_out_placed) complete_or_tell(device, run, options, stages);
+    if (!run.held_out_placed) complete_with_hint(device, run, options, stages);
     // The checkpoints still exist if an earlier process was killed before it removed
     // them.
     if (has_network) remove_network_checkpoints(run.folder);
-    else if (config.refine.enabled) refine_or_tell(device, run, options, stages);
+    else if (config.refine.enabled) refine_with_hint(device, run, options, stages);
     TrainResult result = logged_result(run.folder);
     result.peak_device_bytes = device.peak_bytes();
     finish(device, run, result, options, command_line, stages);
@@ -369,7 +369,7 @@ void check_ranks(const Ranks& ranks, bool in_blocks) {
 
 void run_train(const TrainOptions& given, const std::string& command_line) {
     const Ranks ranks;
-    TrainOptions options = sorted_out(given);
+    TrainOptions options = resolve_options(given);
     options.quiet = options.quiet || !ranks.is_first();
     options.device = ranks.device(options.device);
     Config config = config_of(options);
@@ -406,7 +406,7 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (!options.quiet) announce(sequence, split, device, start ? &*start : nullptr);
 
     catch_interrupts();
-    prepare_log_shown(sequence, split, config, options.quiet, ranks.group(), &stages);
+    prepare_log_with_progress(sequence, split, config, options.quiet, ranks.group(), &stages);
     if (start) check_resumable(*start, sequence, split, config);
     if (folder) clear_folder(folder->path(), config, resume && in_blocks, start.has_value());
     ranks.wait_for_all();
@@ -414,15 +414,15 @@ void run_train(const TrainOptions& given, const std::string& command_line) {
     if (in_blocks) stages.begin("train");
     TrainResult result = in_blocks
                              ? train_blocks(device, run, {ranks, options.quiet, resume_command(options)})
-                             : train_or_tell(device, run, options, start ? &*start : nullptr, stages);
+                             : train_with_hint(device, run, options, start ? &*start : nullptr, stages);
     if (!ranks.is_first()) return;
     end_progress_line();
     start.reset();
-    if (!in_blocks) take_result(run, result);
+    if (!in_blocks) move_result(run, result);
     stages.begin("save");
     save_run(run);
-    if (!result.interrupted) complete_or_tell(device, run, options, stages);
-    if (config.refine.enabled && !result.interrupted) refine_or_tell(device, run, options, stages);
+    if (!result.interrupted) complete_with_hint(device, run, options, stages);
+    if (config.refine.enabled && !result.interrupted) refine_with_hint(device, run, options, stages);
     finish(device, run, result, options, command_line, stages);
 }
 

@@ -146,7 +146,7 @@ private:
         std::error_code failed;
         // An error is ignored here, because locking the folder reports the same error.
         fs::create_directories(folder, failed);
-        const std::unique_ptr<FolderLock> lock = FolderLock::take_if_free(folder);
+        const std::unique_ptr<FolderLock> lock = FolderLock::try_lock(folder);
         if (!lock) return false;
         BlockLog log = block_log(run_.sequence, run_.split, blocks_[k], run_.config);
         if (fs::is_regular_file(folder / "scene.json", failed)) {
@@ -201,8 +201,8 @@ private:
 
     void save(std::size_t k, BlockLog log, const fs::path& folder, TrainResult& result) const {
         Run part{folder, log.config, std::move(log.sequence), log.split, {}, {}};
-        take_result(part, result);
-        keep_own_surfels(part.scene, run_.sequence, blocks_, k);
+        move_result(part, result);
+        remove_overlap_surfels(part.scene, run_.sequence, blocks_, k);
         save_run(part);
         remove_checkpoints(checkpoint_folder(folder));
     }

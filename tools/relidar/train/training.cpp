@@ -73,9 +73,9 @@ private:
 
 /// Places the held-out scans, shows the progress, and prints how far the scans moved.
 /// After Ctrl-C the scans keep their previous poses.
-void place_shown(Device& device, Run& run, bool quiet) {
+void place_with_progress(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
-    const HeldOutPlacement placed = place_held_out(device, run, {shown_by(progress), interrupted});
+    const HeldOutPlacement placed = place_held_out(device, run, {make_progress(progress), interrupted});
     end_progress_line();
     if (quiet || placed.scans == 0) return;
     print(
@@ -87,8 +87,8 @@ void place_shown(Device& device, Run& run, bool quiet) {
 
 }  // namespace
 
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet,
-                       const ProcessGroup& group, StageTimes* stages) {
+void prepare_log_with_progress(Sequence& sequence, const Split& split, const Config& config, bool quiet,
+                               const ProcessGroup& group, StageTimes* stages) {
     Progress progress(quiet);
     const auto tell = [&](const std::string& line) {
         if (quiet) return;
@@ -96,7 +96,7 @@ void prepare_log_shown(Sequence& sequence, const Split& split, const Config& con
         print(line + "\n");
         std::fflush(stdout);
     };
-    prepare_log(sequence, split, config, {tell, interrupted, shown_by(progress), stages, group});
+    prepare_log(sequence, split, config, {tell, interrupted, make_progress(progress), stages, group});
 }
 
 TrainResult train_logged(Device& device, const Sequence& sequence, const Split& split, const Config& config,
@@ -105,7 +105,7 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
     LogFile log(folder / "log.jsonl",
                 session.start ? resumed_log(*session.start, config) : std::vector<TrainProgress>{});
     Progress progress(quiet);
-    session.progress = [show = shown_by(progress)](std::string_view what, double done) {
+    session.progress = [show = make_progress(progress)](std::string_view what, double done) {
         if (interrupted()) throw Error(ExitCode::interrupted, "interrupted while the training was prepared");
         show(what, done);
     };
@@ -128,28 +128,28 @@ namespace {
 
 /// Measures the noise of intensities and shows the progress. After Ctrl-C the noise
 /// remains unknown.
-void learn_scatter_shown(Device& device, Run& run, bool quiet) {
+void learn_scatter_with_progress(Device& device, Run& run, bool quiet) {
     Progress progress(quiet);
-    run.intensity_scatter = learn_scatter(device, run, {shown_by(progress), interrupted});
+    run.intensity_scatter = learn_scatter(device, run, {make_progress(progress), interrupted});
     end_progress_line();
 }
 
 }  // namespace
 
-bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages) {
+bool complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTimes& stages) {
     stages.begin("place");
-    place_shown(device, run, quiet);
+    place_with_progress(device, run, quiet);
     stages.begin("scatter");
-    learn_scatter_shown(device, run, quiet);
+    learn_scatter_with_progress(device, run, quiet);
     if (interrupted()) return false;
     stages.begin("save");
     save_run(run);
     return true;
 }
 
-bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session) {
+bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session) {
     Progress progress(quiet);
-    session.progress = shown_by(progress);
+    session.progress = make_progress(progress);
     session.stop = interrupted;
     session.note = note;
     session.step = [&](const RefineProgress& p) {

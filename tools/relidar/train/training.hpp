@@ -13,8 +13,8 @@ namespace relidar::cli {
 
 /// Prepares a log for training with prepare_log() and shows the progress.
 /// @throws Error with exit code 130 after Ctrl-C
-void prepare_log_shown(Sequence& sequence, const Split& split, const Config& config, bool quiet,
-                       const ProcessGroup& group = {}, StageTimes* stages = nullptr);
+void prepare_log_with_progress(Sequence& sequence, const Split& split, const Config& config, bool quiet,
+                               const ProcessGroup& group = {}, StageTimes* stages = nullptr);
 
 /// Trains a scene with a progress line on stderr. For each progress report, one JSON line
 /// is written to log.jsonl. If the training is resumed, the lines up to its checkpoint
@@ -29,13 +29,13 @@ TrainResult train_logged(Device& device, const Sequence& sequence, const Split& 
 /// Then the run is saved again.
 /// @param stages receives the times of "place", "scatter" and "save"
 /// @return false if interrupted. The folder then holds the scene without these results.
-bool complete_scene_shown(Device& device, Run& run, bool quiet, StageTimes& stages);
+bool complete_scene_with_progress(Device& device, Run& run, bool quiet, StageTimes& stages);
 
 /// Trains the ray-drop network of a run and shows a progress line. The sequence of the
 /// run must contain its scans.
 /// @param session this function sets its members `progress`, `step`, `stop` and `note`
 /// @return false if the user interrupted the training
-bool refine_shown(Device& device, Run& run, bool quiet, RefineSession session = {});
+bool refine_with_progress(Device& device, Run& run, bool quiet, RefineSession session = {});
 
 /// Returns the text of the progress line, such as "iteration 1200/30000  4.20 it/s  eta
 /// 1:54:00  loss 0.0123 (depth 0.01 intensity 0.002 drop 0.0003)".

@@ -115,7 +115,7 @@ double seconds(std::int64_t time_ns, std::int64_t origin_ns) { return double(tim
 
 /// Reads the vehicle poses in the city frame and returns them at the times of some
 /// sweeps.
-PoseTrack read_way(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
+PoseTrack read_ego_poses(const fs::path& file, const std::vector<SweepFile>& sweeps, std::int64_t origin_ns) {
     const Feather table(file);
     const std::vector<std::int64_t> times_ns = table.integers("timestamp_ns");
     PoseTrack way{{}, poses_of(table)};
@@ -176,9 +176,9 @@ SweepPairs read_sweeps(const std::vector<SweepFile>& files, const std::vector<Li
                                  {lidars[0].vehicle_from_sensor, lidars[1].vehicle_from_sensor});
         });
     std::array<PoseTrack, 2> ways;
-    for (std::size_t l = 0; l < 2; ++l) ways[l] = moved_track(way, lidars[l].vehicle_from_sensor);
+    for (std::size_t l = 0; l < 2; ++l) ways[l] = mounted_track(way, lidars[l].vehicle_from_sensor);
     SweepPairs sweeps(files.size());
-    for_each_told(files.size(), progress, "reading sweeps", [&](std::size_t at) {
+    for_each_with_progress(files.size(), progress, "reading sweeps", [&](std::size_t at) {
         broken.attempt(at, [&] {
             const RawSweep raw = read_sweep(files[at].path);
             for (std::size_t l = 0; l < 2; ++l)
@@ -215,11 +215,13 @@ void add_sweeps(Sequence& sequence, const std::vector<SweepFile>& files, const P
     if (missing > 0)
         sequence.notes.push_back(fmt::format(
             "{} frames are skipped, because their sweep has no points of one of the LiDARs", missing));
-    for_each_told(of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t i) {
-        Frame& frame = sequence.frames[i];
-        frame.scan = spinning_scan(of_frame[i]->points, sequence.lidar_of(frame).sensor, of_frame[i]->sweep);
-        *of_frame[i] = {};
-    });
+    for_each_with_progress(
+        of_frame.size(), progress, "assigning points to the fired rays", [&](std::size_t i) {
+            Frame& frame = sequence.frames[i];
+            frame.scan =
+                spinning_scan(of_frame[i]->points, sequence.lidar_of(frame).sensor, of_frame[i]->sweep);
+            *of_frame[i] = {};
+        });
 }
 
 /// Reads the box labels at the times of the loaded sweeps. The file stores each box in
@@ -249,7 +251,7 @@ std::vector<BoxTrack> read_boxes(const fs::path& file, const std::vector<SweepFi
     }
     std::stable_sort(labels.begin(), labels.end(),
                      [](const BoxLabel& a, const BoxLabel& b) { return a.time_s < b.time_s; });
-    return tracks_of(labels);
+    return build_tracks(labels);
 }
 
 }  // namespace
@@ -259,7 +261,8 @@ Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& optio
     const fs::path folder = fs::canonical(log_folder);
     const std::vector<SweepFile> all = list_sweeps(folder / "sensors" / "lidar"),
                                  sweeps = in_range(all, options.frames);
-    const PoseTrack vehicle_track = read_way(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
+    const PoseTrack vehicle_track =
+        read_ego_poses(folder / "city_SE3_egovehicle.feather", sweeps, all[0].time_ns);
     Sequence sequence;
     sequence.name = "Argoverse 2 " + folder.filename().string();
     sequence.source = log_folder.string();
@@ -275,7 +278,7 @@ Sequence load_argoverse2(const fs::path& log_folder, const DatasetOptions& optio
     BrokenScans broken(options.skip_broken);
     SweepPairs read = read_sweeps(sweeps, sequence.lidars, vehicle_track, options.progress, broken);
     add_sweeps(sequence, sweeps, vehicle_track, std::move(read), options.progress, broken);
-    kitti::take_given_poses(sequence, options.poses_file);
+    kitti::use_pose_file(sequence, options.poses_file);
     recentre(sequence);
     return sequence;
 }

@@ -53,7 +53,7 @@ struct LaserPlace {
     double after_first_ns = 0.0;
     double elevation_rad = 0.0;
 };
-std::array<LaserPlace, kLasers> laser_places() {
+std::array<LaserPlace, kLasers> make_laser_table() {
     std::array<LaserPlace, kLasers> places;
     const std::array<int, kLasers> entries = rows_of_table();
     for (int row = 0; row < kLasers; ++row) {
@@ -69,7 +69,7 @@ std::array<LaserPlace, kLasers> laser_places() {
 /// elevations of their lasers. Each difference is limited to one degree, so that outliers
 /// have little weight.
 double misfit(const RawSweep& sweep, int half, const Pose& vehicle_from_lidar) {
-    const std::array<LaserPlace, kLasers> places = laser_places();
+    const std::array<LaserPlace, kLasers> places = make_laser_table();
     const Pose lidar_from_vehicle = inverse(vehicle_from_lidar);
     double sum = 0.0, n = 0.0;
     for (std::size_t i = 0; i < sweep.point_m.size(); ++i) {
@@ -120,7 +120,7 @@ std::array<int, 2> find_halves(const RawSweep& sweep, const std::array<Pose, 2>&
 
 LidarSweep lidar_sweep(const RawSweep& raw, int half, const Lidar& lidar, const PoseTrack& world_from_sensor,
                        double time_s) {
-    const std::array<LaserPlace, kLasers> places = laser_places();
+    const std::array<LaserPlace, kLasers> places = make_laser_table();
     const Pose lidar_from_vehicle = inverse(lidar.vehicle_from_sensor);
     LidarSweep result;
     std::vector<double> first_pair_ns;

@@ -28,7 +28,7 @@ public:
 
     /// Returns the pose of a frame, or nothing if it is unknown at that time.
     std::optional<Pose> at(const std::string& frame, double t_s) {
-        if (places_.is_own_world && frame == places_.poses.world) return Pose{};
+        if (places_.is_world_of_poses && frame == places_.poses.world) return Pose{};
         auto known = apart_.find(frame);
         if (known == apart_.end())
             known = apart_
@@ -36,7 +36,7 @@ public:
                                                              places_.poses.zero_ns))
                         .first;
         if (!known->second || !known->second->covers(t_s)) return std::nullopt;
-        if (places_.is_own_world && !places_.poses.path->covers(t_s)) return std::nullopt;
+        if (places_.is_world_of_poses && !places_.poses.path->covers(t_s)) return std::nullopt;
         return places_.world_from_vehicle(t_s) * known->second->at(t_s);
     }
 
@@ -118,7 +118,7 @@ public:
             result.notes.push_back(
                 fmt::format("{} boxes are left out: there is one of their thing and time already", n));
         settle(labels_);
-        result.tracks = tracks_of(labels_);
+        result.tracks = build_tracks(labels_);
         return result;
     }
 
@@ -135,7 +135,7 @@ private:
 
 BoxTracks read_tracks(const Bag& bag, const BoxTopic& boxes, const BoxPlaces& places,
                       const std::vector<double>& times_s) {
-    const double step_s = usual_step_s(times_s);
+    const double step_s = median_step_s(times_s);
     LabelReader reader(places, times_s.front() - step_s, times_s.back() + step_s);
     for (const BoxEntry& entry : boxes.lists)
         if (reader.is_wanted(reader.seconds(entry.stamp_ns, entry.log_ns)))

@@ -23,7 +23,7 @@ struct BoxPlaces {
     std::function<Pose(double)> world_from_vehicle;
     /// True if the recording contains the world poses. A box that is given in the world
     /// frame then needs no transform.
-    bool is_own_world = false;
+    bool is_world_of_poses = false;
 };
 
 struct BoxTracks {

@@ -82,7 +82,7 @@ Points BagScans::points_of_cloud(std::size_t frame, const CloudEntry& cloud, dou
     if (units.zero == TimeZero::none) table.remove(folder::PointValue::time);
     double zero_s = at.time_s - cloud_s;  // value of a point's time that corresponds to 0 s of the frame
     if (units.zero == TimeZero::epoch) zero_s += 1e-9 * double(cloud.stamp_ns);
-    if (units.zero == TimeZero::own_clock) zero_s += units.time_unit_s * first_time_of(table);
+    if (units.zero == TimeZero::sensor_clock) zero_s += units.time_unit_s * first_time_of(table);
     const folder::PointUnits point_units{.columns = {},
                                          .intensity_max = units.meaning.scale.max,
                                          .time_unit_s = units.time_unit_s,

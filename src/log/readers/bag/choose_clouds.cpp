@@ -128,7 +128,7 @@ std::vector<std::size_t> named_clouds(const Bag& bag, const Survey& survey,
 const std::string& sensor_of(const Survey& survey, const CloudTopic& clouds) {
     for (const CloudTopic& other : survey.clouds)
         if (!other.turns.empty() &&
-            std::ranges::find(other.frames_beside, clouds.frame) != other.frames_beside.end())
+            std::ranges::find(other.driver_frames, clouds.frame) != other.driver_frames.end())
             return other.frame;
     return clouds.frame;
 }

@@ -24,8 +24,8 @@ struct PoseSource {
 /// Returns the frame of the vehicle that carries a sensor. Searches the path from the
 /// sensor's frame to `outer` for the first frame that moves relative to its parent.
 /// Returns the sensor's frame if no frame moves.
-std::string vehicle_on(const FrameTree& frames, const std::vector<std::string>& way,
-                       const std::string& outer) {
+std::string find_vehicle_frame(const FrameTree& frames, const std::vector<std::string>& way,
+                               const std::string& outer) {
     for (const std::string& frame : way) {
         if (frame == outer) break;
         if (frames.moves(frame)) return frame;
@@ -39,7 +39,7 @@ bool moves_below(const FrameTree& frames, const std::vector<std::string>& way, c
 }
 
 PoseSource of_frame(const FrameTree& frames, const std::vector<std::string>& way, const std::string& outer) {
-    PoseSource source{outer, nullptr, vehicle_on(frames, way, outer), {}};
+    PoseSource source{outer, nullptr, find_vehicle_frame(frames, way, outer), {}};
     source.about = fmt::format(
         "poses of '{}' in '{}' from /tf (on the way {}){}", source.vehicle, outer, fmt::join(way, " < "),
         moves_below(frames, way, outer) ? "" : "; nothing moves there: the log stands");
@@ -124,7 +124,7 @@ std::int64_t first_time(const CloudTopic& clouds, Clock clock) {
 PoseChoice choose_poses(const Bag& bag, const Survey& survey, const CloudTopic& main,
                         const std::string& wanted) {
     PoseChoice choice;
-    const std::vector<std::string> way = survey.frames.way_up(main.frame);
+    const std::vector<std::string> way = survey.frames.path_to_root(main.frame);
     std::optional<PoseSource> source = named_source(bag, survey, way, wanted, choice.notes);
     if (!source) source = guessed_source(bag, survey, way, choice.notes);
     const bool has_stamps =

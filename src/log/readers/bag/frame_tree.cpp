@@ -70,7 +70,7 @@ const std::pair<const std::string, FrameTree::Link>* FrameTree::link(const std::
                                       [](const auto& parent) { return parent.second.samples.size(); });
 }
 
-std::vector<std::string> FrameTree::way_up(const std::string& frame) const {
+std::vector<std::string> FrameTree::path_to_root(const std::string& frame) const {
     std::vector<std::string> way{frame};
     while (way.size() < kDeepest) {
         const auto* up = link(way.back());
@@ -86,7 +86,7 @@ bool FrameTree::moves(const std::string& frame) const {
 }
 
 std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& from) const {
-    const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
+    const std::vector<std::string> way_to = path_to_root(to), way_from = path_to_root(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
     // Multiplies the transforms from a frame up to the common ancestor. Returns nothing
@@ -107,7 +107,7 @@ std::optional<Pose> FrameTree::fixed(const std::string& to, const std::string& f
 
 PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clock clock,
                          std::int64_t zero_ns) const {
-    const std::vector<std::string> way = way_up(frame);
+    const std::vector<std::string> way = path_to_root(frame);
     PosePath path;
     for (std::size_t k = std::size_t(std::ranges::find(way, outer) - way.begin()); k-- > 0;) {
         const Link& up = link(way[k])->second;
@@ -119,7 +119,7 @@ PosePath FrameTree::path(const std::string& outer, const std::string& frame, Clo
 
 std::optional<FramesApart> FrameTree::apart(const std::string& to, const std::string& from, Clock clock,
                                             std::int64_t zero_ns) const {
-    const std::vector<std::string> way_to = way_up(to), way_from = way_up(from);
+    const std::vector<std::string> way_to = path_to_root(to), way_from = path_to_root(from);
     const auto common = std::ranges::find_first_of(way_from, way_to);
     if (common == way_from.end()) return std::nullopt;
     return FramesApart{path(*common, to, clock, zero_ns), path(*common, from, clock, zero_ns)};

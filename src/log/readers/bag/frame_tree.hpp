@@ -65,7 +65,7 @@ public:
     void add(const Transform& transform, std::int64_t log_ns, bool is_static);
     bool empty() const { return parents_.empty(); }
     /// Returns a frame followed by its ancestors, up to the root of the tree.
-    std::vector<std::string> way_up(const std::string& frame) const;
+    std::vector<std::string> path_to_root(const std::string& frame) const;
     /// Returns true if the pose of a frame in its parent frame changes over time.
     bool moves(const std::string& frame) const;
     /// Returns the constant pose of frame `from` in frame `to`. Returns nothing if a

@@ -36,7 +36,7 @@ public:
     BagLog(const std::filesystem::path& path, const DatasetOptions& options)
         : options_(options),
           bag_(path, options.skip_broken),
-          survey_(take_survey(bag_, options.progress)),
+          survey_(survey_bag(bag_, options.progress)),
           clouds_(choose_clouds(bag_, survey_, options.lidars)),
           poses_(choose_poses(bag_, survey_, main(), options.bag.poses_from)),
           boxes_(choose_boxes(bag_, survey_)) {
@@ -141,20 +141,20 @@ private:
             note(fmt::format("{} clouds are left out: they are not later than the one before them", n_late));
         std::vector<double> times_s;
         for (const FrameCloud& sweep : sweeps) times_s.push_back(sweep.time_s);
-        const double step_s = usual_step_s(times_s);
+        const double step_s = median_step_s(times_s);
         note(gaps_text(times_s, step_s));
         std::vector<FrameCloud> all = sweeps;
         for (std::size_t l = 0; l < clouds_.lidars.size(); ++l)
-            if (l != clouds_.main) add_beside(all, sweeps, l, kBeside * step_s);
+            if (l != clouds_.main) add_nearby_scans(all, sweeps, l, kBeside * step_s);
         std::ranges::stable_sort(all, [](const FrameCloud& a, const FrameCloud& b) {
             return a.number != b.number ? a.number < b.number : a.lidar < b.lidar;
         });
-        keep_wanted(all);
+        remove_unselected(all);
         find_units_of(step_s);
     }
 
-    void add_beside(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps, std::size_t lidar,
-                    double most_s) {
+    void add_nearby_scans(std::vector<FrameCloud>& all, const std::vector<FrameCloud>& sweeps,
+                          std::size_t lidar, double most_s) {
         const std::vector<CloudEntry>& clouds = topic_of(lidar).clouds;
         std::vector<double> main_s, other_s;
         for (const FrameCloud& sweep : sweeps) main_s.push_back(sweep.time_s);
@@ -171,7 +171,7 @@ private:
                              name_of(topic_of(lidar)), n_left, name_of(main())));
     }
 
-    void keep_wanted(const std::vector<FrameCloud>& all) {
+    void remove_unselected(const std::vector<FrameCloud>& all) {
         std::size_t n_unplaced = 0;
         for (const FrameCloud& cloud : all) {
             if (cloud.number < options_.frames.begin ||
@@ -230,27 +230,27 @@ private:
         }
     }
 
-    Pose own_pose(double t_s) const {
+    Pose pose_from_bag(double t_s) const {
         const Pose world_from_vehicle = poses_.path->at(t_s);
         if (clouds_.lidars.size() > 1) return world_from_vehicle;
         return world_from_vehicle * *survey_.frames.fixed(poses_.vehicle, main().frame);
     }
 
     Pose lidar_pose(std::size_t lidar, double t_s) const {
-        const Pose pose = own_pose(t_s);
+        const Pose pose = pose_from_bag(t_s);
         return clouds_.lidars.size() > 1 ? pose * sequence_.lidars[lidar].vehicle_from_sensor : pose;
     }
 
     std::optional<Pose> recentred_pose(double t_s) const {
         if (!poses_.path->covers(t_s)) return std::nullopt;
-        Pose pose = own_pose(t_s);
+        Pose pose = pose_from_bag(t_s);
         pose.translation -= sequence_.world_offset_m;
         return pose;
     }
 
     /// Reads the vehicle poses from the user's file. The file has poses by frame number
     /// or by the time of the recording.
-    std::vector<Pose> given_poses() {
+    std::vector<Pose> pose_at_scans() {
         std::vector<folder::HeadFrame> frames;
         for (const FrameCloud& frame : frames_)
             frames.push_back({frame.number, frame.time_s + 1e-9 * double(poses_.zero_ns), 0, {}});
@@ -280,12 +280,12 @@ private:
 
     void add_frames() {
         std::vector<Pose> given;
-        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) given = given_poses();
+        if (!options_.poses_file.empty() && options_.poses_file != kNoPoses) given = pose_at_scans();
         sequence_.has_poses = has_poses_ || !given.empty();
         for (std::size_t i = 0; i < frames_.size(); ++i)
             add_frame(sequence_, frames_[i].number, frames_[i].time_s,
                       !given.empty() ? given[i]
-                      : has_poses_   ? own_pose(frames_[i].time_s)
+                      : has_poses_   ? pose_from_bag(frames_[i].time_s)
                                      : Pose{},
                       int(frames_[i].lidar));
         if (options_.poses_file == kNoPoses) note(kitti::kNoPosesNote);

@@ -133,7 +133,7 @@ public:
     void each(TopicTable& topics, const Pass& pass) override {
         const std::lock_guard guard(lock_);
         std::vector<std::string> broken;
-        ousters_ = packets::ouster_metadata_beside(path_, broken);
+        ousters_ = packets::find_ouster_metadata(path_, broken);
         for (const std::string& text : broken) pass.note(text);
         streams_.clear();
         seek(begin_);

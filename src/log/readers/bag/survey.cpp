@@ -42,9 +42,9 @@ public:
 
     /// Returns true if packets were recorded before the metadata that is needed to decode
     /// them. Such packets are read in a second pass.
-    bool wants_late_packets() const { return !late_.empty(); }
+    bool needs_late_packets() const { return !late_.empty(); }
     bool is_late(std::size_t topic) const { return late_.contains(topic); }
-    void take_late(const Message& message) {
+    void add_late_packet(const Message& message) {
         TopicFacts& facts = survey_.facts[message.topic];
         try {
             add_packets(bag_.topics()[message.topic], message);
@@ -54,13 +54,12 @@ public:
     }
     /// Reads the metadata files in the recording's folder. Bags need them before the
     /// second pass, network captures before the first packet.
-    void read_metadata_beside() {
-        if (is_beside_read_) return;
-        is_beside_read_ = true;
+    void read_nearby_metadata() {
+        if (has_read_metadata_) return;
+        has_read_metadata_ = true;
         std::vector<std::string> broken;
         for (const std::filesystem::path& file : bag_.files())
-            for (const auto& format : packets::ouster_metadata_beside(file, broken))
-                ousters_.push_back(format);
+            for (const auto& format : packets::find_ouster_metadata(file, broken)) ousters_.push_back(format);
         for (const std::string& text : broken) broken_metadata_ += fmt::format(" ({})", text);
     }
 
@@ -72,12 +71,12 @@ private:
     packets::OusterFormats ousters_;  ///< metadata known so far
     std::set<std::size_t> late_;      ///< topics with packets before their metadata
     std::string broken_metadata_;
-    bool is_beside_read_ = false;
+    bool has_read_metadata_ = false;
 
     void read_corrections() {
         std::vector<packets::Correction> corrections;
         for (const std::filesystem::path& file : bag_.files())
-            for (packets::Correction& correction : packets::corrections_beside(file))
+            for (packets::Correction& correction : packets::find_corrections(file))
                 if (std::ranges::find(corrections, correction.where, &packets::Correction::where) ==
                     corrections.end())
                     corrections.push_back(std::move(correction));
@@ -105,10 +104,10 @@ private:
         if (views.empty()) return;
         if (!corrections_) read_corrections();
         packets::Calibration calibration{*corrections_};
-        if (topic.encoding == packets::kDatagrams) read_metadata_beside();
+        if (topic.encoding == packets::kDatagrams) read_nearby_metadata();
         calibration.ouster = packets::format_of(ousters_, topic.name, views.front().bytes);
         if (packets::carries_ouster_packets(topic)) {
-            if (!is_beside_read_ && (late_.contains(message.topic) || !calibration.ouster))
+            if (!has_read_metadata_ && (late_.contains(message.topic) || !calibration.ouster))
                 return void(late_.insert(message.topic));
             if (!calibration.ouster)
                 throw DataError(packets::ouster_text(ousters_, bag_.files().front(), topic.name,
@@ -179,9 +178,9 @@ void place_ousters(const Bag& bag, Survey& survey) {
         if (ousters.size() == 1) prefixes.emplace_back();
         for (const std::string& prefix : prefixes) {
             for (const char* frame : {"os_lidar", "os_sensor"})
-                clouds->frames_beside.push_back(prefix + frame);
-            if (survey.frames.way_up(clouds->frame).size() > 1 ||
-                survey.frames.way_up(prefix + "os_lidar").size() < 2)
+                clouds->driver_frames.push_back(prefix + frame);
+            if (survey.frames.path_to_root(clouds->frame).size() > 1 ||
+                survey.frames.path_to_root(prefix + "os_lidar").size() < 2)
                 continue;
             survey.frames.add({{0, prefix + "os_lidar"}, clouds->frame, {glm::dquat(0.0, 0.0, 0.0, 1.0), {}}},
                               0, true);
@@ -224,20 +223,20 @@ std::size_t CloudTopic::usual_points() const {
     return counts[counts.size() / 2];
 }
 
-Survey take_survey(Bag& bag, const Progress& progress) {
+Survey survey_bag(Bag& bag, const Progress& progress) {
     Survey survey;
     Surveyor surveyor(bag, survey);
     bag.each([](const Topic& topic) { return use_of(topic) != Use::nothing; },
              [&](const Message& message) { surveyor.take(message); }, progress);
     survey.facts.resize(bag.topics().size());
-    if (surveyor.wants_late_packets()) {
-        surveyor.read_metadata_beside();
+    if (surveyor.needs_late_packets()) {
+        surveyor.read_nearby_metadata();
         std::vector<bool> is_late;
         for (std::size_t t = 0; t < bag.topics().size(); ++t) is_late.push_back(surveyor.is_late(t));
         bag.each([&](const Topic& topic) { return packets::carries_ouster_packets(topic); },
                  [&](const Message& message) {
                      if (message.topic < is_late.size() && is_late[message.topic])
-                         surveyor.take_late(message);
+                         surveyor.add_late_packet(message);
                  },
                  progress);
     }

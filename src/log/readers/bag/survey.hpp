@@ -46,7 +46,7 @@ struct CloudTopic {
     std::string frame;  ///< frame of the first cloud
     /// For packets: names of the frames in which drivers publish the clouds that they
     /// compute from these packets.
-    std::vector<std::string> frames_beside;
+    std::vector<std::string> driver_frames;
     std::vector<Cloud::Field> fields;  ///< fields of the first cloud
     /// Clouds that have points, in recording order. If clouds are parts of revolutions,
     /// these are the joined revolutions.
@@ -92,6 +92,6 @@ struct Survey {
 /// Reads all messages of a recording once and collects its content. Invalid messages are
 /// only counted.
 /// @throws DataError if a file is damaged
-Survey take_survey(Bag& bag, const Progress& progress);
+Survey survey_bag(Bag& bag, const Progress& progress);
 
 }  // namespace relidar::bag

@@ -120,7 +120,7 @@ PoseTrack read_boreas_poses(const fs::path& file, const stamped::StampedLog& log
             fmt::format("the angles of poses are read as {}, which differs from the documentation of Boreas, "
                         "because only then the vehicle drives forward along the road",
                         taken->name));
-    if (of_best.n_steps > 0) stamped::tell_unless_forward(notes, forwardness(of_best, forward));
+    if (of_best.n_steps > 0) stamped::warn_unless_forward(notes, forwardness(of_best, forward));
     return best;
 }
 

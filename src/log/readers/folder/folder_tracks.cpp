@@ -54,7 +54,7 @@ bool names_columns(const std::string& line) {
 
 /// Parses a line with column names. Returns the column index of each name in kPoseNames.
 /// Also accepts the names of the TUM format for time and position.
-std::vector<int> pose_places(const std::string& line, const std::string& where) {
+std::vector<int> find_pose_columns(const std::string& line, const std::string& where) {
     std::vector<std::string_view> words =
         pose_words(trimmed(line).substr(trimmed(line).starts_with('#') ? 1 : 0));
     for (std::string_view& word : words) {
@@ -94,7 +94,7 @@ PoseRows read_rows(const std::vector<std::string>& lines, const std::string& fil
     for (std::size_t i = 0; i < lines.size(); ++i) {
         const std::string where = fmt::format("{} line {}", file, i + 1);
         if (rows.rows.empty() && names_columns(lines[i])) {
-            at = pose_places(lines[i], where);
+            at = find_pose_columns(lines[i], where);
             rows.has_names = true;
             continue;
         }
@@ -272,7 +272,7 @@ std::vector<BoxTrack> read_boxes(const fs::path& path, const std::vector<HeadFra
         if ((from_start || label.time_s >= first_s) && (to_end || label.time_s <= last_s))
             labels.push_back(label);
     }
-    return tracks_of(labels);
+    return build_tracks(labels);
 }
 
 }  // namespace relidar::folder

@@ -21,7 +21,7 @@ using folder::HeadFrame;
 /// Returns the frames in the requested range whose scan file exists.
 /// @throws DataError if a scan file is missing and missing scans are not allowed
 /// @throws UsageError if the range has no scan file
-std::vector<HeadFrame> wanted_frames(const folder::Head& head, const DatasetOptions& options,
+std::vector<HeadFrame> select_frames(const folder::Head& head, const DatasetOptions& options,
                                      std::vector<std::string>& notes) {
     std::vector<HeadFrame> frames;
     std::size_t n_missing = 0;
@@ -78,9 +78,9 @@ folder::ScanPairs read_pairs(const folder::Head& head, const std::vector<HeadFra
 
 /// Returns the poses in poses.txt. If the file does not exist but the user has specified
 /// other poses, returns identity poses.
-std::vector<Pose> own_poses(const fs::path& folder, const folder::Head& head,
-                            const std::vector<HeadFrame>& frames, const DatasetOptions& options,
-                            std::vector<std::string>& notes) {
+std::vector<Pose> read_scan_poses(const fs::path& folder, const folder::Head& head,
+                                  const std::vector<HeadFrame>& frames, const DatasetOptions& options,
+                                  std::vector<std::string>& notes) {
     const fs::path file = folder / folder::kPosesFile;
     const auto pairs = [&] { return read_pairs(head, frames); };
     if (const auto poses = folder::read_poses(file, frames, pairs, notes)) return *poses;
@@ -126,8 +126,8 @@ Sequence load_plain_folder(const fs::path& log_folder, const DatasetOptions& opt
     sequence.notes = head.notes;
     sequence.lidars.clear();
     for (const folder::HeadLidar& lidar : head.lidars) sequence.lidars.push_back(lidar.lidar);
-    const std::vector<HeadFrame> frames = wanted_frames(head, options, sequence.notes);
-    const std::vector<Pose> poses = own_poses(folder, head, frames, options, sequence.notes);
+    const std::vector<HeadFrame> frames = select_frames(head, options, sequence.notes);
+    const std::vector<Pose> poses = read_scan_poses(folder, head, frames, options, sequence.notes);
     std::vector<fs::path> files;
     for (std::size_t i = 0; i < frames.size(); ++i) {
         add_frame(sequence, frames[i].number, frames[i].time_s, poses[i], frames[i].lidar);

@@ -93,7 +93,7 @@ std::string boxes_text(const Sequence& sequence) {
     return json.dump(1, ' ', false, Json::error_handler_t::replace) + "\n";
 }
 
-void check_place(const fs::path& folder, bool overwrite) {
+void check_target_folder(const fs::path& folder, bool overwrite) {
     if (!path_exists(folder) || (fs::is_directory(folder) && list_folder(folder).empty())) return;
     if (!fs::is_directory(folder) || !path_exists(folder / folder::kHeadFile))
         throw UsageError(
@@ -107,10 +107,10 @@ void check_place(const fs::path& folder, bool overwrite) {
 
 void save_folder(const Sequence& sequence, const fs::path& given, const FolderOptions& options) {
     const fs::path wanted = (fs::absolute(given) / "").lexically_normal().parent_path();
-    check_place(wanted, options.overwrite);
+    check_target_folder(wanted, options.overwrite);
     const StagedFolder staged(wanted);
     fs::create_directory(staged.path() / "scans");
-    for_each_told(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
+    for_each_with_progress(sequence.frames.size(), options.progress, "writing scans", [&](std::size_t i) {
         const Frame& frame = sequence.frames[i];
         folder::write_scan_npz(staged.path() / scan_name(sequence, frame), frame.scan,
                                !sequence.rolling_shutter);

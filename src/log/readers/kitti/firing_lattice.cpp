@@ -81,7 +81,7 @@ void refine(Phase& phase, const Polar& polar, double tick_rad) {
     phase.phase_rad += (se - left * su) / n;
 }
 
-Phase find_phase(const Polar& polar, double tick_rad) {
+Phase find_azimuth_phase(const Polar& polar, double tick_rad) {
     Phase best;
     const std::size_t stride = std::max<std::size_t>(polar.azimuth_rad.size() / 500, 1);
     for (int mm = -60; mm <= 60; mm += 2) {
@@ -108,7 +108,7 @@ Phases find_phases(const std::array<Polar, kRings>& polar, double tick_rad) {
     Phases phases;
     parallel_for(kRings, [&](int k) {
         const std::size_t at = static_cast<std::size_t>(k);
-        phases.ring[at] = find_phase(polar[at], tick_rad);
+        phases.ring[at] = find_azimuth_phase(polar[at], tick_rad);
     });
     double n = 0;
     for (std::size_t k = 0; k < kRings; ++k) {

@@ -168,7 +168,7 @@ Sequence load_kitti_360(const fs::path& log_folder, const DatasetOptions& option
     sensor.period_s = read_step(points / "timestamps.txt");
     sensor.max_range_m = options.max_range_m;
     read_world(sequence, folder, drive, frames, options.poses_file);
-    take_given_poses(sequence, options.poses_file);
+    use_pose_file(sequence, options.poses_file);
     recentre(sequence);
     read_sweeps(sequence, points / "data", 10, options);
     return sequence;

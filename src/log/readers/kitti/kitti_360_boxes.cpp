@@ -150,7 +150,7 @@ std::vector<BoxTrack> read_360_boxes(const std::filesystem::path& file, const st
     std::vector<BoxLabel> labels;
     for (const auto& [id, track] : tracks)
         for (const auto& [frame, label] : track) labels.push_back(label);
-    return tracks_of(labels);
+    return build_tracks(labels);
 }
 
 }  // namespace relidar::kitti

@@ -178,7 +178,7 @@ std::vector<Pose> read_pose_file(const fs::path& file, const std::vector<int>& f
     return poses;
 }
 
-void take_given_poses(Sequence& sequence, const fs::path& poses_file) {
+void use_pose_file(Sequence& sequence, const fs::path& poses_file) {
     if (poses_file.empty()) return;
     PoseTrack given{sequence.world_from_vehicle.time_s,
                     std::vector<Pose>(sequence.world_from_vehicle.time_s.size())};

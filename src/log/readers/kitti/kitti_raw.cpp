@@ -33,8 +33,8 @@ std::string describe_poses(const fs::path& poses_file) {
 
 /// Returns notes about missing data. Scans may be missing in the middle of a drive (drive
 /// 0009 lacks four). Some drives have no labels or no poses.
-std::vector<std::string> take_notes(const fs::path& drive, const std::vector<int>& frames,
-                                    const DatasetOptions& options) {
+std::vector<std::string> collect_notes(const fs::path& drive, const std::vector<int>& frames,
+                                       const DatasetOptions& options) {
     std::vector<std::string> notes;
     const std::string gaps = note_gaps(drive / "velodyne_points/data", frames, options.allow_missing_scans);
     if (!gaps.empty()) notes.push_back(gaps);
@@ -68,7 +68,7 @@ Sequence load_kitti_raw(const fs::path& folder, const DatasetOptions& options) {
         "sensor x forward, y left, z up; metres; time = head faces forward, seconds after the log's first "
         "sweep; {}; scans not motion-compensated; boxes in the front camera's view only",
         describe_poses(options.poses_file));
-    sequence.notes = take_notes(drive, frames, options);
+    sequence.notes = collect_notes(drive, frames, options);
     sequence.lidars[0].sensor.name = "HDL-64E fitted to " + sequence.name;
     sequence.lidars[0].sensor.period_s = read_period(drive);
     sequence.lidars[0].sensor.max_range_m = options.max_range_m;

@@ -160,7 +160,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
         return folder / fmt::format("{:0{}d}.bin", sequence.frames[at].index, digits);
     };
     std::vector<RawScan> raw(sequence.frames.size());
-    for_each_told(raw.size(), progress, "reading scans", [&](std::size_t at) {
+    for_each_with_progress(raw.size(), progress, "reading scans", [&](std::size_t at) {
         broken.attempt(at, [&] { raw[at] = split_rings(read_scan(file_of(at))); });
     });
     const ScanSizes scan_sizes(raw);
@@ -181,7 +181,7 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     check_rays(raw, lattice, folder.string());
 
     std::vector<std::vector<int>> firings(raw.size());
-    for_each_told(raw.size(), progress, "finding the firings of each sweep", [&](std::size_t at) {
+    for_each_with_progress(raw.size(), progress, "finding the firings of each sweep", [&](std::size_t at) {
         broken.attempt(at, [&] {
             firings[at] = find_firings(raw[at], lattice);
             if (firings[at].empty())
@@ -195,11 +195,13 @@ void read_sweeps(Sequence& sequence, const std::filesystem::path& folder, int di
     for (const auto& sweep : firings)
         sensor.columns = std::max(sensor.columns, static_cast<int>(sweep.size()));
     sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
-    for_each_told(raw.size(), progress, "putting points on the rays that were fired", [&](std::size_t at) {
-        if (!broken.has(at))
-            sequence.frames[at].scan = spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
-        raw[at] = {};
-    });
+    for_each_with_progress(raw.size(), progress, "putting points on the rays that were fired",
+                           [&](std::size_t at) {
+                               if (!broken.has(at))
+                                   sequence.frames[at].scan =
+                                       spinning_scan(points_of(raw[at]), sensor, {lattice.head, firings[at]});
+                               raw[at] = {};
+                           });
     broken.leave_out(sequence);
 }
 

@@ -109,9 +109,9 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, 
                         const DatasetOptions& options) {
     BrokenScans broken(options.skip_broken);
     std::vector<PoseTrack> ways;  // [lidars] poses of each LiDAR over time
-    for (const Lidar& lidar : sequence.lidars) ways.push_back(moved_track(own, lidar.vehicle_from_sensor));
+    for (const Lidar& lidar : sequence.lidars) ways.push_back(mounted_track(own, lidar.vehicle_from_sensor));
     std::vector<ReadSweep> sweeps(files.size());
-    for_each_told(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
+    for_each_with_progress(sweeps.size(), options.progress, "reading sweeps", [&](std::size_t at) {
         const Frame& frame = sequence.frames[at];
         broken.attempt(at, [&] {
             sweeps[at] = read_sweep(files[at], sequence.lidar_of(frame).sensor,
@@ -123,12 +123,13 @@ void read_hdl32e_sweeps(Sequence& sequence, const std::vector<fs::path>& files, 
         sensor.columns = std::max(sensor.columns, int(sweeps[at].sweep.firings.size()));
         sensor.first_azimuth_rad = kPi - kPi / sensor.columns;
     }
-    for_each_told(sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
-        if (broken.has(at)) return;
-        Frame& frame = sequence.frames[at];
-        frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
-        sweeps[at] = {};
-    });
+    for_each_with_progress(
+        sweeps.size(), options.progress, "assigning points to the fired rays", [&](std::size_t at) {
+            if (broken.has(at)) return;
+            Frame& frame = sequence.frames[at];
+            frame.scan = spinning_scan(sweeps[at].points, sequence.lidar_of(frame).sensor, sweeps[at].sweep);
+            sweeps[at] = {};
+        });
     broken.leave_out(sequence);
 }
 

@@ -113,7 +113,7 @@ SceneName choose_scene(const std::vector<SceneName>& scenes, const std::string& 
 std::vector<BoxTrack> boxes_at(const std::vector<BoxLabel>& labels, const std::vector<double>& times_s,
                                double beyond_s) {
     std::vector<BoxTrack> boxes;
-    for (const BoxTrack& labelled : tracks_of(labels)) {
+    for (const BoxTrack& labelled : build_tracks(labels)) {
         BoxTrack box{labelled.id, labelled.category, labelled.size_m, {}};
         const PoseTrack& track = labelled.world_from_box;
         for (const double time_s : times_s) {
@@ -145,7 +145,7 @@ public:
           split_(split_of(chosen_.tables)) {
         for (const SweepRecord& sweep : scene_.lidars[0].sweeps)
             main_s_.push_back(scene_.seconds(sweep.time_us));
-        step_s_ = usual_step_s(main_s_);
+        step_s_ = median_step_s(main_s_);
     }
 
     Sequence load() {
@@ -160,7 +160,7 @@ public:
         const PoseTrack vehicle_track = add_frames();
         if (scene_.labels.empty()) note("this scene has no annotations, so it has no labels");
         sequence_.boxes = boxes_at(scene_.labels, vehicle_track.time_s, kBeyondLabels * step_s_);
-        kitti::take_given_poses(sequence_, options_.poses_file);
+        kitti::use_pose_file(sequence_, options_.poses_file);
         recentre(sequence_);
         std::vector<fs::path> files;
         for (const NumberedSweep& frame : frames_) files.push_back(file_of(*frame.record));

@@ -113,12 +113,12 @@ PoseTrack world_from_turned(const OnceFile& content, const stamped::StampedLog& 
     const double last = -stamped::find_driving(w_last).mean.y, first = -stamped::find_driving(w_first).mean.y;
     const bool is_w_first = first > last;
     const double best = std::max(first, last);
-    if (best != 0.0) stamped::tell_unless_forward(notes, best);
+    if (best != 0.0) stamped::warn_unless_forward(notes, best);
     if (is_w_first)
         notes.push_back(
             "the quaternions of poses are read with w first, unlike in the code of ONCE, because "
             "only then the vehicle drives forward");
-    return moved_track(is_w_first ? w_first : w_last, {rotation_of(-kTurned_rad, 0.0, 0.0), {}});
+    return mounted_track(is_w_first ? w_first : w_last, {rotation_of(-kTurned_rad, 0.0, 0.0), {}});
 }
 
 }  // namespace
@@ -154,7 +154,7 @@ Sequence load_once(const fs::path& log_folder, const DatasetOptions& options) {
     if (!brightness.about.empty()) sequence.notes.push_back(brightness.about);
     format.turn_s = kTurn_s;
     format.turned_rad = kTurned_rad;
-    format.beams = std::get<SpinningSensor>(known_sensor(kSensor)->pattern).beams;
+    format.beams = std::get<SpinningSensor>(find_built_in_sensor(kSensor)->pattern).beams;
     stamped::read_points(sequence, files, format, options);
     return sequence;
 }

@@ -28,14 +28,14 @@ constexpr double kYardBegin_m = 6.0, kYardEnd_m = 32.0;
 
 double middle_time_s(const SyntheticOptions& options) { return frame_time_s(options.n_frames / 2); }
 
-double way_m(const SyntheticOptions& options) {
+double driven_length_m(const SyntheticOptions& options) {
     return options.speed_mps * frame_time_s(options.n_frames - 1);
 }
 
 /// Returns half the length of the street. In a short log, the sensor can see both ends of
 /// the street. In a long log, the street extends beyond the sensor's path.
 double half_length_m(const SyntheticOptions& options) {
-    const double way = way_m(options);
+    const double way = driven_length_m(options);
     return way > kLongWay_m ? 0.5 * way + kHalfLength_m : kHalfLength_m;
 }
 
@@ -190,8 +190,8 @@ MovingCar moving_car(const SyntheticOptions& options, double x_at_middle_m, doub
 void add_oncoming(Street& street, Random& random, const SyntheticOptions& options) {
     constexpr double kSpeed_mps = 9.0, kLane_m = 3.2;
     street.cars.push_back(moving_car(options, 14.0, kLane_m, kPi, kSpeed_mps, 0.35));
-    if (way_m(options) <= kLongWay_m) return;
-    for (double met_m = kBetweenCars_m; met_m < 0.5 * way_m(options); met_m += kBetweenCars_m)
+    if (driven_length_m(options) <= kLongWay_m) return;
+    for (double met_m = kBetweenCars_m; met_m < 0.5 * driven_length_m(options); met_m += kBetweenCars_m)
         for (const double x : {met_m, -met_m})
             street.cars.push_back(moving_car(options, x * (1.0 + kSpeed_mps / options.speed_mps), kLane_m,
                                              kPi, kSpeed_mps, random.uniform(0.15, 0.8)));
@@ -291,7 +291,8 @@ Street make_street(const SyntheticOptions& options) {
     if (options.moving_cars) {
         // Initial distance of the car ahead of the sensor, chosen so that the sensor
         // never overtakes the car.
-        const double ahead_m = way_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * way_m(options) : 12.0;
+        const double ahead_m =
+            driven_length_m(options) > kLongWay_m ? 12.0 + 0.05 * 0.5 * driven_length_m(options) : 12.0;
         street.cars.push_back(moving_car(options, ahead_m, 0.1, 0.0, 1.05 * options.speed_mps, 0.6));
         add_oncoming(street, random, options);
     }

@@ -69,7 +69,7 @@ double echo_intensity(const Hit& hit) {
 }
 
 /// Returns the part of the street that is close enough to be hit by the rays of a sweep.
-street::Street street_near(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
+street::Street crop_street(const street::Street& whole, const glm::dvec3& sensor_m, double time_s) {
     // upper limit of how far the sensor, ray origins and cars move during a sweep
     constexpr double kSweep_m = 20.0;
     street::Street near;
@@ -88,7 +88,7 @@ street::Street street_near(const street::Street& whole, const glm::dvec3& sensor
 template <class Receive>
 void cast_rays(const street::Street& whole, const glm::dvec3& offset_m, const PoseTrack& track, double time_s,
                const RayTable& rays, const Receive& receive) {
-    const street::StreetCaster street(street_near(whole, track.at(time_s).translation + offset_m, time_s));
+    const street::StreetCaster street(crop_street(whole, track.at(time_s).translation + offset_m, time_s));
     const std::size_t columns = rays.rows > 1 ? std::size_t(rays.columns) : 1;
     // one entry per column, because the rays of a column usually have the same time
     std::vector<street::CarPlaces> places(columns);
@@ -184,7 +184,7 @@ std::vector<BoxTrack> boxes_of(const street::Street& street, const std::vector<d
             labels.push_back(
                 {std::to_string(c), car.category, car.size_m, time_s, car.world_from_box(time_s)});
         }
-    return tracks_of(labels);
+    return build_tracks(labels);
 }
 
 /// Returns the sensors of the rig file. If the options name no rig, returns the default

@@ -45,7 +45,7 @@ void read_value(const toml::table& table, const char* key, const char* type, con
 
 /// Replaces the exact poses, from which the scans were cast, by poses from a file. The
 /// poses are in the street's world. This is used to study the effect of wrong poses.
-void take_poses(Sequence& sequence, const fs::path& poses_file) {
+void use_poses_file(Sequence& sequence, const fs::path& poses_file) {
     std::vector<int> frames;
     for (const Frame& frame : sequence.frames)  // one pose for all LiDARs of a rig
         if (frames.empty() || frames.back() != frame.index) frames.push_back(frame.index);
@@ -115,7 +115,7 @@ Sequence load_synthetic(const fs::path& folder, const DatasetOptions& options) {
         throw DataError(fmt::format("{}: {}", file.string(), error.what()));
     }
     sequence.source = folder.string();
-    if (!options.poses_file.empty()) take_poses(sequence, options.poses_file);
+    if (!options.poses_file.empty()) use_poses_file(sequence, options.poses_file);
     return sequence;
 }
 

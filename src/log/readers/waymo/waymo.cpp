@@ -89,7 +89,7 @@ std::pair<int, int> record_range(const TfRecords& records, const FrameRange& fra
     return {frames.begin, end};
 }
 
-std::string where_of(const TfRecords& records, int record) {
+std::string record_name(const TfRecords& records, int record) {
     return fmt::format("{}: record {}", records.file().string(), record);
 }
 
@@ -152,7 +152,7 @@ struct FrameHead {
 };
 
 FrameHead read_head(const TfRecords& records, int record) {
-    const std::string data = records.read(std::size_t(record)), where = where_of(records, record);
+    const std::string data = records.read(std::size_t(record)), where = record_name(records, record);
     FrameRecord frame = parse_frame(data, where);
     for (BoxLabel& label : frame.labels)
         label.world_from_box = frame.world_from_vehicle * label.world_from_box;
@@ -283,7 +283,7 @@ private:
 void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<FrameHead>& heads, int begin,
                 bool top_alone) {
     const double period_s = median_period(heads, records.file().string());
-    const std::string first = records.read(std::size_t(begin)), where = where_of(records, begin);
+    const std::string first = records.read(std::size_t(begin)), where = record_name(records, begin);
     const FrameRecord frame = parse_frame(first, where);
     sequence.lidars.clear();
     for (const LaserImages& images : frame.images)
@@ -292,7 +292,7 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
     if (sequence.lidars.empty())
         throw DataError(fmt::format("{}: found no range image{}, expected at least one", where,
                                     top_alone ? " of TOP" : ""));
-    const std::int64_t start_us = parse_frame(records.read(0), where_of(records, 0)).timestamp_us;
+    const std::int64_t start_us = parse_frame(records.read(0), record_name(records, 0)).timestamp_us;
     std::vector<BoxLabel> labels;
     for (std::size_t i = 0; i < heads.size(); ++i) {
         // a sweep begins when the head faces backward, half a period before it faces
@@ -305,7 +305,7 @@ void add_frames(Sequence& sequence, const TfRecords& records, const std::vector<
             labels.push_back(std::move(label));
         }
     }
-    sequence.boxes = tracks_of(labels);
+    sequence.boxes = build_tracks(labels);
 }
 
 void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptions& options) {
@@ -319,11 +319,11 @@ void read_scans(Sequence& sequence, const TfRecords& records, const DatasetOptio
             std::fill(model.time_offset_s.begin(), model.time_offset_s.end(), 0.0f);
     }
     const std::size_t n_lidars = sequence.lidars.size();
-    for_each_told(
+    for_each_with_progress(
         sequence.frames.size() / n_lidars, options.progress, "reading range images", [&](std::size_t sweep) {
             const int record = sequence.frames[sweep * n_lidars].index;
             // an earlier step has read the pose of this record, so the record is complete
-            const std::string data = records.read(std::size_t(record)), where = where_of(records, record);
+            const std::string data = records.read(std::size_t(record)), where = record_name(records, record);
             const FrameRecord parsed = parse_frame(data, where);
             for (std::size_t lidar = 0; lidar < n_lidars; ++lidar) {
                 Frame& frame = sequence.frames[sweep * n_lidars + lidar];
@@ -349,8 +349,9 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     const TfRecords records(segment.file);
     const auto [begin, end] = record_range(records, segment.frames);
     std::vector<FrameHead> heads(std::size_t(end - begin));
-    for_each_told(heads.size(), options.progress, "reading poses",
-                  [&, first = begin](std::size_t i) { heads[i] = read_head(records, first + int(i)); });
+    for_each_with_progress(
+        heads.size(), options.progress, "reading poses",
+        [&, first = begin](std::size_t i) { heads[i] = read_head(records, first + int(i)); });
     Sequence sequence;
     sequence.name = segment.file.stem().string();
     sequence.source = path.string();
@@ -365,7 +366,7 @@ Sequence load_waymo(const fs::path& path, const DatasetOptions& options) {
     add_frames(sequence, records, heads, begin, segment.top_alone);
     for (Lidar& lidar : sequence.lidars) lidar.sensor.max_range_m = options.max_range_m;
     read_scans(sequence, records, options);
-    kitti::take_given_poses(sequence, options.poses_file);
+    kitti::use_pose_file(sequence, options.poses_file);
     recentre(sequence);
     return sequence;
 }

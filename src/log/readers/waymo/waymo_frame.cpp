@@ -257,7 +257,7 @@ std::string inflate(std::string_view packed, const std::string& where) {
 
 /// Calls parse() and converts exceptions of the protobuf library protozero to DataError.
 template <class Parse>
-auto parse_told(const std::string& where, const Parse& parse) {
+auto parse_with_context(const std::string& where, const Parse& parse) {
     try {
         return parse();
     } catch (const protozero::exception& failure) {
@@ -270,7 +270,7 @@ auto parse_told(const std::string& where, const Parse& parse) {
 FrameRecord parse_frame(std::string_view record, const std::string& where) {
     FrameRecord frame;
     bool has_pose = false;
-    parse_told(where, [&] {
+    parse_with_context(where, [&] {
         for (pbf_reader from(record.data(), record.size()); from.next();) {
             switch (from.tag_and_type()) {
                 case message(1):
@@ -307,7 +307,8 @@ Image inflate_image(std::string_view packed, int channels, const std::string& wh
     Image image;
     std::vector<std::int32_t> dims;
     const std::string bytes = inflate(packed, where);
-    parse_told(where, [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), image.values, dims); });
+    parse_with_context(where,
+                       [&] { parse_matrix(pbf_reader(bytes.data(), bytes.size()), image.values, dims); });
     const bool fits =
         dims.size() == 3 && dims[0] >= 1 && dims[0] <= kMostRows && dims[1] >= 1 && dims[1] <= kMostColumns &&
         dims[2] == channels &&

@@ -230,7 +230,7 @@ TEST(SaveFolder, ReadsAFewScansForALook) {
     const fs::path folder = fresh("looked_at");
     save_folder(street, folder);
     DatasetOptions options;
-    options.most_scans = 2;
+    options.max_scans = 2;
     const Sequence sequence = load_sequence(folder.string(), options);
     expect_same_log(sequence, street);
     ASSERT_EQ(sequence.frames.size(), street.frames.size());
@@ -317,20 +317,20 @@ TEST(PlainFolder, TakesBeamsThatAreGiven) {
 }
 
 TEST(PlainFolder, CountsRingsFromBelowWhereItIsTold) {
-    const auto upside_down = [](test::FilePoints points) {
+    const auto mirror_vertically = [](test::FilePoints points) {
         for (test::FilePoint& p : points) p.ring = std::uint16_t(15 - p.ring);
         return test::bin(points);
     };
     // the sensor is fitted
-    expect_street({"lowest", "bin", upside_down, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"},
-                  1e-4);
+    expect_street(
+        {"lowest", "bin", mirror_vertically, R"(, "columns": ["x", "y", "z", "intensity", "ring"])"}, 1e-4);
     std::string csv = "elevation_deg\n";
     const Sequence street = make_synthetic_street({.n_frames = 1, .rows = 16, .columns = 8});
     for (const Beam& beam : street.lidars[0].sensor.beams)
         csv += fmt::format("{}\n", beam.elevation_rad * 180.0 / kPi);
     test::write_text(fs::path(testing::TempDir()) / "relidar_folder/lowest/beams.csv", csv);
     const PointLog log(
-        "lowest_given", "bin", upside_down,
+        "lowest_given", "bin", mirror_vertically,
         R"(, "columns": ["x", "y", "z", "intensity", "ring"], "lidars": [{"ring_0": "lowest", "sensor": "../lowest/beams.csv:360x10"}])");
     expect_street(log, 1e-4);
 }

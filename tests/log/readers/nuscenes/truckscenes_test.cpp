@@ -51,7 +51,7 @@ void expect_truth(const Sequence& actual, const Frame& frame, const TruckScenesF
         const WorldRay placed = world_ray(track, frame.time_s, frame.scan.rays, i, true);
         // The LiDAR moves along chords, less than 2.5 m from the axle, at 20 degrees per
         // second.
-        const TrackPlace place = track.place(fired_s);
+        const TrackPosition place = track.place(fired_s);
         const double turn_rad =
             20.0 * kPi / 180.0 * (track.time_s[place.left + 1] - track.time_s[place.left]);
         const double off_m = 2.5 * turn_rad * turn_rad * std::abs(place.s * (place.s - 1.0)) / 2.0 + 2e-5;

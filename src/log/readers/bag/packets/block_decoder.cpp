@@ -78,7 +78,7 @@ public:
         for (const LaserTimes& times : layout.loops)
             for (const std::int32_t time_ns : times)
                 if (time_ns >= 0) first_ns_ = std::min(first_ns_, time_ns);
-        table_ = known_firings(layout.sensor);
+        table_ = find_beam_firings(layout.sensor);
         for (std::size_t line = 0; line < table_.size(); ++line) add_beams(line);
         if (!angles_.empty()) std::ranges::stable_sort(beams_, std::greater(), &BlockBeam::elevation_deg);
         ring_of_.assign(layout.parts(), std::vector<int>(layout.lasers(), kNoRing));
@@ -93,7 +93,8 @@ public:
     std::string about() const override { return fmt::format("{}, {}", layout_.name, angles_about_); }
 
     SpinningSensor sensor(int columns, double rate_hz) const override {
-        auto sensor = std::get<SpinningSensor>(known_sensor(layout_.sensor, columns, rate_hz)->pattern);
+        auto sensor =
+            std::get<SpinningSensor>(find_built_in_sensor(layout_.sensor, columns, rate_hz)->pattern);
         const double turned_rad_us = 2e-6 * kPi * rate_hz;
         const std::vector<Beam> nominal = sensor.beams;
         sensor.beams.clear();

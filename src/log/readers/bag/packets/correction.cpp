@@ -83,7 +83,7 @@ Correction read_correction(const std::string& text, const std::string& where) {
     return correction;
 }
 
-std::vector<Correction> corrections_beside(const fs::path& recording) {
+std::vector<Correction> find_corrections(const fs::path& recording) {
     const fs::path folder = recording.has_parent_path() ? recording.parent_path() : fs::path(".");
     const bool is_ros2_folder = path_exists(folder / "metadata.yaml");
     std::vector<fs::path> named{fs::path(recording).replace_extension(".csv")};

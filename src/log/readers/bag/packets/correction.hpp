@@ -31,6 +31,6 @@ Correction read_correction(const std::string& text, const std::string& where);
 /// the folder of the recording for all .csv files with the first line of a correction.
 /// For a ROS 2 bag, also searches the folder that contains the bag's folder.
 /// @throws DataError if the file with the name of the recording is damaged
-std::vector<Correction> corrections_beside(const std::filesystem::path& recording);
+std::vector<Correction> find_corrections(const std::filesystem::path& recording);
 
 }  // namespace relidar::packets

@@ -63,8 +63,7 @@ std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text
 /// X.json exists, these are X.json and X*.json. Otherwise they are all files that do not
 /// belong to another recording.
 /// @param broken  output: error messages of files that cannot be read
-OusterFormats ouster_metadata_beside(const std::filesystem::path& recording,
-                                     std::vector<std::string>& broken);
+OusterFormats find_ouster_metadata(const std::filesystem::path& recording, std::vector<std::string>& broken);
 
 /// Returns the metadata of the sensor that sent a packet. The packet size must match. The
 /// port must also match, unless the packet's header has the serial number of the

@@ -51,7 +51,7 @@ JsonField part_with(const Json& json, const std::string& where, const std::strin
         if (!root.has(key) && root.has(part) && root.at(part).has(key)) return root.at(part);
     return root;
 }
-int whole_number(const Json& json, const std::string& where, const std::string& key, int missing, int most) {
+int parse_integer(const Json& json, const std::string& where, const std::string& key, int missing, int most) {
     const JsonField part = part_with(json, where, key);
     return part.has(key) ? int(part.at(key).integer(0, most)) : missing;
 }
@@ -108,10 +108,10 @@ std::vector<bool> columns_in_window(const Json& json, const std::string& where, 
 /// checks the size of a packet.
 void check_sizes(OusterFormat& format, const Json& json) {
     const int columns = format.sensor.columns, beams = int(format.sensor.beams.size());
-    if (const int n = whole_number(json, format.where, "columns_per_frame", columns, 65536); n != columns)
+    if (const int n = parse_integer(json, format.where, "columns_per_frame", columns, 65536); n != columns)
         throw DataError(fmt::format("{}: columns_per_frame is {}, expected the {} of its lidar_mode",
                                     format.where, n, columns));
-    if (const int n = whole_number(json, format.where, "pixels_per_column", beams, 65536); n != beams)
+    if (const int n = parse_integer(json, format.where, "pixels_per_column", beams, 65536); n != beams)
         throw DataError(
             fmt::format("{}: pixels_per_column is {}, expected the {} of its beam_altitude_angles",
                         format.where, n, beams));
@@ -199,9 +199,9 @@ std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text
             fmt::format("{}: a sensor that does not spin, expected the metadata of an Ouster", where));
     format->sensor = *spinning;
     format->profile = &profile_of(json, where);
-    format->columns_per_packet = whole_number(json, where, "columns_per_packet", kUsualColumns, 65536);
+    format->columns_per_packet = parse_integer(json, where, "columns_per_packet", kUsualColumns, 65536);
     check_sizes(*format, json);
-    format->port = whole_number(json, where, "udp_port_lidar", 0, 65535);
+    format->port = parse_integer(json, where, "udp_port_lidar", 0, 65535);
     const double serial = parse_number(short_text(json, where, "prod_sn", "")).value_or(0.0);
     format->serial = serial > 0.0 && serial < kMostSerial ? std::uint64_t(serial) : 0;
     format->fires = columns_in_window(json, where, spinning->columns);
@@ -209,7 +209,7 @@ std::shared_ptr<const OusterFormat> read_ouster_metadata(const std::string& text
     return format;
 }
 
-OusterFormats ouster_metadata_beside(const fs::path& recording, std::vector<std::string>& broken) {
+OusterFormats find_ouster_metadata(const fs::path& recording, std::vector<std::string>& broken) {
     const std::string own = recording.stem().string();
     const bool has_own = is_metadata_file(fs::path(recording).replace_extension(".json"));
     const std::vector<fs::path> files = files_of(recording.has_parent_path() ? recording.parent_path() : ".");

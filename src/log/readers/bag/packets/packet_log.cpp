@@ -182,7 +182,7 @@ std::size_t PacketLog::steps_to(std::size_t packet) const {
 
 /// Returns the number of packets that were lost before a packet. Packets in which the
 /// sensor does not fire are not counted.
-std::size_t PacketLog::missing_before(std::size_t packet) const {
+std::size_t PacketLog::count_missing_before(std::size_t packet) const {
     const std::size_t n = steps_to(packet) - 1;
     const std::vector<bool>& fires = decoder_->timing().fires;
     if (fires.empty() || n * std::size_t(n_slots_) > 2 * fires.size()) return n;
@@ -234,7 +234,7 @@ std::vector<PacketTurn> PacketLog::turns() const {
             begin = std::max(begin, kBehind_deg + 360.0 * (std::floor((next - kBehind_deg) / 360.0) - 1.0));
             continue;
         }
-        for (std::size_t i = turn.first + 1; i <= turn.last; ++i) turn.n_missing += missing_before(i);
+        for (std::size_t i = turn.first + 1; i <= turn.last; ++i) turn.n_missing += count_missing_before(i);
         find_times(turn);
         if (2 * turn.n_missing < turn.last - turn.first && is_even(turn)) turns.push_back(turn);
     }
@@ -322,8 +322,8 @@ std::string PacketLog::about() const {
 }
 
 /// Decodes a packet again when the scan of its revolution is read.
-Packet PacketLog::packet_again(const PacketTurn& turn, const Entry& entry,
-                               const std::vector<std::vector<PacketView>>& packets) const {
+Packet PacketLog::reread_packet(const PacketTurn& turn, const Entry& entry,
+                                const std::vector<std::vector<PacketView>>& packets) const {
     const std::size_t m = entry.message - packets_[turn.first].message;
     if (m >= packets.size() || entry.in_message >= packets[m].size())
         throw DataError("a message of packets has fewer of them than when it was first read");
@@ -365,7 +365,7 @@ Scan PacketLog::scan(const PacketTurn& turn, const std::vector<std::vector<Packe
     for (std::size_t p = turn.first; p <= turn.last; ++p) {
         const Entry& entry = packets_[p];
         if (p > turn.first) before += steps_to(p);
-        Packet packet = packet_again(turn, entry, packets);
+        Packet packet = reread_packet(turn, entry, packets);
         if (packet.firings.empty()) continue;
         if (p > turn.first && n_columns > 0) mark_missing(turn, p, has_fired);
         const std::int64_t begin_ns =

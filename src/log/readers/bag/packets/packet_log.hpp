@@ -90,14 +90,14 @@ private:
     void mark_missing(const PacketTurn& turn, std::size_t packet, std::vector<bool>& has_fired) const;
     int column_in(const PacketTurn& turn, double azimuth_deg) const;
     std::size_t steps_to(std::size_t packet) const;
-    std::size_t missing_before(std::size_t packet) const;
+    std::size_t count_missing_before(std::size_t packet) const;
     bool is_even(const PacketTurn& turn) const;
     void find_times(PacketTurn& turn) const;
     double slot_deg(const PacketTurn& turn) const;
     double brightest() const;
     double intensity_max() const;
-    Packet packet_again(const PacketTurn& turn, const Entry& entry,
-                        const std::vector<std::vector<PacketView>>& packets) const;
+    Packet reread_packet(const PacketTurn& turn, const Entry& entry,
+                         const std::vector<std::vector<PacketView>>& packets) const;
 };
 
 }  // namespace relidar::packets

@@ -213,19 +213,19 @@ TEST(BlockPackets, AngleFilesNextToABag) {
     write("drive/metadata.yaml", "");
     write("poses.csv", "time,x,y\n1,2,3\n");
     write("damaged.csv", "Laser id,Elevation,Azimuth\n1,2,north\n");
-    EXPECT_TRUE(packets::corrections_beside(recording).empty());
+    EXPECT_TRUE(packets::find_corrections(recording).empty());
     write("PandarXT.csv", "Channel,Elevation,Azimuth\n1,2,0\n2,1,0\n");
-    const auto any = packets::corrections_beside(recording);
+    const auto any = packets::find_corrections(recording);
     ASSERT_EQ(any.size(), 1u);
     EXPECT_EQ(any[0].where, "PandarXT.csv");
     EXPECT_FALSE(any[0].is_named);
     write("drive.csv", "Laser id,Elevation,Azimuth\n1,3,0\n");
-    const auto named = packets::corrections_beside(recording);
+    const auto named = packets::find_corrections(recording);
     ASSERT_EQ(named.size(), 1u);
     EXPECT_TRUE(named[0].is_named);
     EXPECT_EQ(named[0].lasers.size(), 1u);
     write("drive.csv", "Laser id,Elevation,Azimuth\n2,3,0\n");
-    EXPECT_THROW(packets::corrections_beside(recording), DataError);
+    EXPECT_THROW(packets::find_corrections(recording), DataError);
 }
 
 /// Returns a packet of an OT128 with one return per laser. The range value of a laser is

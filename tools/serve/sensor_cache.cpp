@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "sensor_shelf.hpp"
+#include "sensor_cache.hpp"
 
 #include <algorithm>
 
@@ -9,7 +9,7 @@
 
 namespace relidar::serve {
 
-std::string SensorShelf::add(SensorChoice sensor) {
+std::string SensorCache::add(SensorChoice sensor) {
     std::string key;
     {
         const std::lock_guard lock(mutex_);
@@ -19,7 +19,7 @@ std::string SensorShelf::add(SensorChoice sensor) {
     return key;
 }
 
-std::shared_ptr<const SensorChoice> SensorShelf::put(const std::string& key, SensorChoice sensor) {
+std::shared_ptr<const SensorChoice> SensorCache::put(const std::string& key, SensorChoice sensor) {
     const auto kept = std::make_shared<const SensorChoice>(std::move(sensor));
     const std::lock_guard lock(mutex_);
     while (!entries_.empty() &&
@@ -29,7 +29,7 @@ std::shared_ptr<const SensorChoice> SensorShelf::put(const std::string& key, Sen
     return kept;
 }
 
-std::shared_ptr<const SensorChoice> SensorShelf::find(const std::string& key) {
+std::shared_ptr<const SensorChoice> SensorCache::find(const std::string& key) {
     const std::lock_guard lock(mutex_);
     const auto entry = entries_.find(key);
     if (entry == entries_.end()) return nullptr;
@@ -37,13 +37,13 @@ std::shared_ptr<const SensorChoice> SensorShelf::find(const std::string& key) {
     return entry->second.sensor;
 }
 
-void SensorShelf::forget_oldest() {
+void SensorCache::forget_oldest() {
     entries_.erase(std::min_element(entries_.begin(), entries_.end(), [](const auto& a, const auto& b) {
         return a.second.used < b.second.used;
     }));
 }
 
-std::size_t SensorShelf::count_rays() const {
+std::size_t SensorCache::count_rays() const {
     std::size_t rays = 0;
     for (const auto& [handle, entry] : entries_) rays += entry.sensor->rays.size();
     return rays;

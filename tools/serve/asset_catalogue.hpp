@@ -11,14 +11,14 @@ namespace relidar::serve {
 
 /// List of assets by name. The list does not change after construction, so any thread may
 /// read it.
-class AssetShelf {
+class AssetCatalogue {
 public:
     /// Reads the description of each asset, but not its surfels. The surfels are read
     /// when a client inserts the asset.
     /// @param folders folders written by `relidar assets`
     /// @throws DataError if a folder cannot be read
     /// @throws UsageError if two assets have the same name
-    explicit AssetShelf(const std::vector<std::string>& folders);
+    explicit AssetCatalogue(const std::vector<std::string>& folders);
 
     struct Entry {
         std::filesystem::path folder;  ///< Folder of the asset.

@@ -16,7 +16,7 @@ struct SensorChoice;
 namespace relidar::serve {
 
 /// Cache of sensors with their rays. Any thread may use it.
-class SensorShelf {
+class SensorCache {
 public:
     static constexpr std::size_t kMostSensors = 64;
     /// Maximum number of rays of all cached sensors together (about 120 MB).

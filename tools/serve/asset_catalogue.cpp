@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "asset_shelf.hpp"
+#include "asset_catalogue.hpp"
 
 #include <algorithm>
 
@@ -9,7 +9,7 @@
 
 namespace relidar::serve {
 
-AssetShelf::AssetShelf(const std::vector<std::string>& folders) {
+AssetCatalogue::AssetCatalogue(const std::vector<std::string>& folders) {
     for (const std::string& folder : folders) {
         for (const std::filesystem::path& entry : asset_folders(folder)) {
             AssetFacts facts = read_asset_facts(entry);
@@ -22,7 +22,7 @@ AssetShelf::AssetShelf(const std::vector<std::string>& folders) {
     }
 }
 
-const AssetShelf::Entry* AssetShelf::find(const std::string& name) const {
+const AssetCatalogue::Entry* AssetCatalogue::find(const std::string& name) const {
     const auto entry = std::ranges::find_if(entries_, [&](const Entry& e) { return e.facts.name == name; });
     return entry == entries_.end() ? nullptr : &*entry;
 }
