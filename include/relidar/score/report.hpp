@@ -67,8 +67,8 @@ struct ReportKeyMetric {
     std::string hint;    ///< a line that explains the metric
 };
 /// Contents of a self-contained HTML page, which needs no other file and no network. The
-/// summary, views, figures, curves, bars, tables and key metrics come first. All other parts are
-/// collapsed. The page has a script only if it has views.
+/// summary, views, figures, curves, bars, tables and key metrics come first. All other
+/// parts are collapsed. The page has a script only if it has views.
 struct Report {
     std::string title;
     /// One sentence about what was done, the quality of the result and the duration.

@@ -15,7 +15,7 @@ namespace relidar {
 /// Scores of each moving box in a frame, and metrics over groups of boxes.
 struct ActorScores {
     std::vector<ActorScore> actors;  ///< Labelled and discovered boxes.
-    /// Metrics over all points, and over the labelled boxes with at least ten real points.
+    /// Metrics over all points, and over the labelled boxes with at least 10 real points.
     ///   actors/{tail_share,tail_share_real}  fraction of the simulated and of the real
     ///                              points in comet tails
     ///   actors/people_*            people and cyclists

@@ -16,13 +16,14 @@ namespace relidar {
 /// Points in the comet tails of a scan.
 struct TailCounts {
     double share = 0.0;  ///< Fraction of all returned points that are in a tail.
-    /// Number of points in the tail of each moving box, by the id of the box. The tails of
-    /// several boxes can contain the same point.
+    /// Number of points in the tail of each moving box, by the id of the box. The tails
+    /// of several boxes can contain the same point.
     std::map<std::string, std::size_t> n_of_box;
 };
 /// Counts the returned points that lie in comet tails. The tail of a moving box is the
-/// volume that the box occupies at other times of the log, but in which no box is now. The
-/// current boxes are enlarged by 0.3 m. The lowest 0.3 m of the boxes counts as ground.
+/// volume that the box occupies at other times of the log, but in which no box is now.
+/// The current boxes are enlarged by 0.3 m. The lowest 0.3 m of the boxes counts as
+/// ground.
 /// Each point is tested at the time at which the head faces it.
 /// @param points_m [n] ranges of the points of the image
 TailCounts count_tails(const RangeImage& image, const std::vector<float>& points_m, const Sequence& sequence,
