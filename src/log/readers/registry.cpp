@@ -203,10 +203,10 @@ void note_outside_range(Sequence& sequence, const std::vector<OutsideRange>& cou
                                              100.0 * double(sum.near + sum.far) / double(sum.all), parts));
     }
     if (n_all > 0 && n_kept == 0)
-        throw DataError(fmt::format(
-            "{}: none of its {} returns is within the range limits, expected other values of "
-            "dataset.min_range_m or dataset.max_range_m: {}",
-            sequence.source, n_all, sequence.notes.back()));
+        throw DataError(
+            fmt::format("{}: none of its {} returns is within the range limits, expected other values of "
+                        "dataset.min_range_m or dataset.max_range_m: {}",
+                        sequence.source, n_all, sequence.notes.back()));
 }
 
 /// Restricts the range limits of each LiDAR to the requested limits. Then drops all
