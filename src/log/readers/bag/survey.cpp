@@ -242,6 +242,7 @@ Survey take_survey(Bag& bag, const Progress& progress) {
                  progress);
     }
     for (CloudTopic& clouds : survey.clouds) {
+        clouds.packets.finish();
         clouds.turns = clouds.packets.turns();
         for (std::size_t t = 0; t < clouds.turns.size(); ++t) {
             const packets::PacketTurn& turn = clouds.turns[t];
