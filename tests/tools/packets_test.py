@@ -7,6 +7,7 @@ its time, in its ring, with its reflectivity; dropped rays are dropped.
 import json
 import pathlib
 import shutil
+import struct
 import subprocess
 import sys
 
@@ -293,6 +294,56 @@ def test_captures():
     expect("no " in run("train", capture, "--out", WORK / "run", code=3), "a capture without a LiDAR")
 
 
+def firings_of(product, packets, dual):
+    """(first azimuth of the packet, bytes of the lasers) of each firing."""
+    blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8}.get(product.name, 12)
+    start = {"Pandar64": 8, "XT32": 12}.get(product.name, 0)
+    head = 2 if product.name in ("Pandar64", "XT32") else 4
+    unit = product.lasers * (4 if product.name == "XT32" else 3)
+    per_block = 2 if product.name == "VLP-16" else 1
+    size = head + unit * per_block
+    out = []
+    for data in packets:
+        for b in range(0, blocks, 2 if dual else 1):
+            first = data[start + b * size:][:size]
+            second = data[start + (b + 1) * size:][:size] if dual else first
+            azimuth = int.from_bytes(first[head - 2:head], "little")
+            for f in range(per_block):
+                part = slice(head + f * unit, head + (f + 1) * unit)
+                out.append((azimuth if f == 0 else None, first[part], second[part]))
+    return out
+
+
+def test_written_again():
+    """`convert --out FILE.pcap` writes the firings of a capture again, byte by byte."""
+    for product in lidars.PRODUCTS:
+        dual = product.name in ("VLP-32C", "Pandar64", "XT32")
+        blocks = {"Pandar40P": 10, "Pandar64": 6, "XT32": 8, "VLP-16": 24}.get(product.name, 12)
+        n = int(2.3 * lidars.TURN_S / (product.cycle_us * 1e-6 * blocks / (1 + dual)))
+        packets, _ = lidars.packets(product, n, dual)
+        capture, again = WORK / f"{product.name}_first.pcap", WORK / f"{product.name}_again.pcap"
+        captures.write(capture, [(T0 + ns, f) for ns, data in packets for f in captures.frames(data)])
+        run("convert", capture, "--out", again, "--set", "dataset.max_range_m=200")
+        expect(again.with_suffix(".csv").exists() == product.hesai, f"{product.name}: the angles of the lasers")
+        data, at, found = again.read_bytes(), 24, []
+        while at < len(data):
+            size = struct.unpack_from("<I", data, at + 8)[0]
+            found.append(data[at + 16 + 42:at + 16 + size])
+            at += 16 + size
+        expect({len(p) for p in found} == {len(packets[0][1])}, f"{product.name}: bytes a packet")
+        old, new = (firings_of(product, p, dual) for p in ([d for _, d in packets], found))
+        lit = [k for k, f in enumerate(new) if any(f[1])]
+        new = new[lit[0]:lit[-1] + 1]
+        expect(len(new) > 0.99 * lidars.TURN_S / (product.cycle_us * 1e-6), f"{product.name}: {len(new)} firings")
+        # opposite walls are equal, so a single firing does not define its place
+        begin = next(k for k in range(len(old)) if [f[1:] for f in old[k:k + 200]] == [f[1:] for f in new[:200]])
+        for k, firing in enumerate(new):
+            expect(firing[1:] == old[begin + k][1:], f"{product.name}: firing {k} has other bytes")
+            if None not in (firing[0], old[begin + k][0]):
+                expect(abs((firing[0] - old[begin + k][0] + 18000) % 36000 - 18000) <= 1, f"{product.name}: azimuth {firing[0]} of firing {k}, expected {old[begin + k][0]}")
+        print(f"{product.name}, {1 + dual} returns: {len(new)} firings as they were")
+
+
 shutil.rmtree(WORK, ignore_errors=True)
 WORK.mkdir(parents=True)
 test_bags()
@@ -301,4 +352,5 @@ test_strangers()
 test_ousters()
 if PCAP:
     test_captures()
+    test_written_again()
 print("done")

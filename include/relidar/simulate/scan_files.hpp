@@ -29,7 +29,7 @@ struct Run;
 struct SensorChoice;
 
 /// Returns the names of all formats: the file extensions for single scans, and the
-/// recordings `mcap` and `rosbag`.
+/// recordings `mcap`, `rosbag` and `pcap`.
 std::vector<std::string> scan_formats();
 /// Returns true if a format stores all scans in a single file. Only one process can write
 /// such a file.
@@ -37,6 +37,13 @@ bool is_recording(const std::string& format);
 
 /// Coordinate frame of points, and of the rays in npz and exr files.
 enum class PointFrame { sensor, world };
+
+/// Description of a sensor for the format pcap.
+struct PacketFormatOptions {
+    std::optional<SpinningSensor> sensor;  ///< empty if the sensor does not spin
+    std::string ouster_profile;            ///< see PacketOptions
+    std::int64_t log_start_ns = 0;         ///< see log_start_ns()
+};
 
 /// Options for writing scans, and the metadata that the files contain.
 struct ScanFormat {
@@ -73,6 +80,7 @@ struct ScanFormat {
     /// Trajectory file that set the poses of the sensor. Empty if the poses are those of
     /// the log's sensor.
     std::string trajectory;
+    PacketFormatOptions packets;
     Config config;
 };
 /// Returns the default format for scans of a run: npz in the sensor frame, with the
@@ -105,6 +113,9 @@ std::string topic_word(const std::string& name);
 ///     /odom                 nav_msgs/Odometry
 ///     /actors               vision_msgs/Detection3DArray
 ///     /actors_autoware      autoware_perception_msgs/TrackedObjects
+///   pcap    packets.pcap, or packets_NAME.pcap for each sensor of a rig: the packets that
+///           the sensor sends, see PacketEncoder; with packets.csv or packets.json, the
+///           calibration for its driver
 /// Transforms: world -> base_link (the log's vehicle) on /tf, every 10 ms of a sweep and
 /// at every pose of its path; base_link -> each sensor on /tf_static.
 ///

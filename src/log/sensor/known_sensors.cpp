@@ -135,6 +135,8 @@ SensorModel tabled(const Tabled& row, int columns, double rate_hz) {
     const std::string table = table_of(row.name);
     SpinningSensor sensor = parse_beam_table(table, row.name, columns ? columns : row.columns, rate_hz);
     sensor.name = row.name;
+    // An Ouster fires at fixed azimuths. The first azimuth is exactly behind the sensor.
+    if (sensor.name.starts_with("OS")) sensor.first_azimuth_rad = kPi;
     sensor.min_range_m = row.min_range_m;
     sensor.max_range_m = row.max_range_m;
     sensor.divergence_rad = row.divergence_rad;

@@ -14,6 +14,8 @@
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/point_files.hpp>
 #include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_packets.hpp>
+#include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/placed_scan.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
@@ -134,6 +136,7 @@ std::vector<std::string> scan_formats() {
     for (const Format& format : kFormats) names.emplace_back(format.name);
     for (const scan_files::RecordingFormat& format : scan_files::recording_formats())
         names.emplace_back(format.name);
+    names.emplace_back(scan_files::kPacketFormat);
     return names;
 }
 
@@ -154,6 +157,8 @@ ScanFormat scan_format(const Run& run, const SensorChoice& sensor) {
     if (!run.folder.empty()) format.run = fs::absolute(run.folder).lexically_normal().string();
     format.sensor = sensor.name;
     format.limits = sensor.limits;
+    if (sensor.is_own && !lidar.pattern) format.packets.sensor = lidar.sensor;
+    format.packets.log_start_ns = log_start_ns(run.sequence);
     format.config = run.config;
     if (sensor.returns > 0) format.config.sensor.returns = sensor.returns;
     return format;

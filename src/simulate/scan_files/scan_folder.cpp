@@ -13,6 +13,7 @@
 #include <relidar/base/files.hpp>
 #include <relidar/run/run.hpp>
 #include <relidar/simulate/render.hpp>
+#include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/recording_format.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
 
@@ -28,7 +29,9 @@ constexpr const char* kSummary = "scans.json";
 /// Only such files are removed, never files of other programs.
 bool is_of_rendering(const fs::path& name) {
     const auto is_named = [&](const scan_files::RecordingFormat& format) { return name == format.file; };
-    if (name == kSummary || std::ranges::any_of(scan_files::recording_formats(), is_named)) return true;
+    if (name == kSummary || scan_files::PacketFiles::is_file(name) ||
+        std::ranges::any_of(scan_files::recording_formats(), is_named))
+        return true;
     const std::string stem = name.stem().string(), prefix = "frame_", extension = name.extension().string();
     const std::vector<std::string> formats = scan_formats();
     return stem.starts_with(prefix) && stem.size() > prefix.size() &&

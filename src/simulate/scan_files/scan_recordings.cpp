@@ -12,6 +12,7 @@
 #include <relidar/base/error.hpp>
 #include <relidar/simulate/render.hpp>
 #include "simulate/scan_files/moment_recorder.hpp"
+#include "simulate/scan_files/packet_files.hpp"
 #include "simulate/scan_files/scan_entry.hpp"
 #include "simulate/scan_files/scan_recording.hpp"
 
@@ -102,7 +103,8 @@ void name_in_recordings(ScanFormat& format, const std::string& name) {
 }
 
 bool is_recording(const std::string& format) {
-    return std::ranges::any_of(scan_files::recording_formats(),
+    return format == scan_files::kPacketFormat ||
+           std::ranges::any_of(scan_files::recording_formats(),
                                [&](const auto& known) { return format == known.name; });
 }
 
@@ -110,11 +112,12 @@ struct ScanRecordings::Impl {
     scan_files::MomentRecorder recorder;
     std::vector<std::string> names;
     std::vector<std::unique_ptr<scan_files::ScanRecording>> files;
+    std::unique_ptr<scan_files::PacketFiles> packets;
 };
 
 ScanRecordings::ScanRecordings(fs::path folder, std::vector<ScanFormat> sensors) {
     scan_files::remove_scans(folder);
-    impl_ = std::make_shared<Impl>(Impl{scan_files::MomentRecorder(sensors), {}, {}});
+    impl_ = std::make_shared<Impl>(Impl{scan_files::MomentRecorder(sensors), {}, {}, {}});
     const std::vector<std::string>& wanted = sensors.front().formats;
     const scan_files::RecordedRig rig = impl_->recorder.rig();
     for (const scan_files::RecordingFormat& format : scan_files::recording_formats()) {
@@ -124,9 +127,13 @@ ScanRecordings::ScanRecordings(fs::path folder, std::vector<ScanFormat> sensors)
         impl_->files.push_back(std::make_unique<scan_files::ScanRecording>(folder / format.file, format, rig,
                                                                            recording_notes(sensors)));
     }
+    if (std::ranges::find(wanted, scan_files::kPacketFormat) == wanted.end()) return;
+    impl_->packets = std::make_unique<scan_files::PacketFiles>(folder, sensors);
+    for (const std::string& name : impl_->packets->names()) impl_->names.push_back(name);
 }
 
 void ScanRecordings::write(std::span<const RenderedScan> scans) {
+    if (impl_->packets) impl_->packets->add(scans);
     if (impl_->files.empty()) return;
     const scan_files::RecordedMoment moment = impl_->recorder.take(scans);
     for (const auto& file : impl_->files) file->add(moment, impl_->recorder.shift_s());
@@ -134,6 +141,7 @@ void ScanRecordings::write(std::span<const RenderedScan> scans) {
 
 void ScanRecordings::finish() {
     for (const auto& file : impl_->files) file->finish();
+    if (impl_->packets) impl_->packets->finish();
 }
 
 std::vector<std::string> ScanRecordings::names() const { return impl_->names; }

@@ -1,16 +1,18 @@
 // SPDX-License-Identifier: Apache-2.0
-// relidar convert: writes any log as a plain folder.
+// relidar convert: writes any log as a plain folder, or as a capture of packets.
 #include <memory>
 
 #include <fmt/format.h>
 #include <CLI/CLI.hpp>
 
 #include <relidar/log/dataset.hpp>
+#include <relidar/log/packets.hpp>
 
 #include "command.hpp"
 #include "console.hpp"
 #include "interrupt.hpp"
 #include "options.hpp"
+#include "output_folder.hpp"
 
 namespace relidar::cli {
 namespace {
@@ -24,6 +26,25 @@ struct ConvertOptions {
     bool quiet = false;
 };
 
+/// Writes a log as a capture of the packets that its sensor sends.
+void convert_to_packets(const Sequence& sequence, const ConvertOptions& options) {
+    const std::filesystem::path out = options.out;
+    if (!options.overwrite && std::filesystem::exists(out))
+        throw UsageError(
+            fmt::format("--out {}: found a file of this name, expected a new one, or --force", options.out));
+    const OutputFolder folder(out.has_parent_path() ? out.parent_path() : ".");
+    Progress progress(options.quiet);
+    const relidar::Progress shown = shown_by(progress);
+    const std::size_t n = save_packets(sequence, out, [&](std::string_view what, double done) {
+        stop_if_interrupted();
+        shown(what, done);
+    });
+    end_progress_line();
+    if (!options.quiet)
+        print(fmt::format("{}: {} packets of {} scans\n", absolute_path(options.out), n,
+                          sequence.frames.size()));
+}
+
 void run_convert(const ConvertOptions& options) {
     check_sets(options.settings.sets, {"dataset.", "sensor.rolling_shutter"}, "convert");
     Config config = resolve(options.settings);
@@ -35,6 +56,8 @@ void run_convert(const ConvertOptions& options) {
     }
     const Sequence sequence = load_dataset(config, options.quiet);
     catch_interrupts();
+    if (std::filesystem::path(options.out).extension() == ".pcap")
+        return convert_to_packets(sequence, options);
     Progress progress(options.quiet);
     const relidar::Progress shown = shown_by(progress);
     const bool has_poses = config.dataset.poses != kNoPoses && sequence.has_poses;
@@ -54,21 +77,27 @@ constexpr const char* kConvertHelp =
     R"(The folder holds all rays, including dropped rays and second returns, and the beams, mountings,
 poses and boxes. Reading it gives the same log. docs/datasets.md describes the format; a short
 Python script can write it too.
+With --out FILE.pcap it is the capture of the packets that the sensor sends, for the drivers of
+its maker. The log must have one LiDAR of a product whose packets relidar can write.
 Examples:
   relidar convert data/2011_09_26_drive_0005_sync --out log --frames 0:50
-  relidar train log --out run)";
+  relidar train log --out run
+  relidar convert recording.mcap --out packets.pcap)";
 
 }  // namespace
 
 void add_convert(CLI::App& app, Call& call) {
-    CLI::App* command = app.add_subcommand("convert", "write a log as a plain folder: npz, text and JSON");
+    CLI::App* command = app.add_subcommand(
+        "convert", "write a log as a plain folder (npz, text, JSON) or as packets of its sensor");
     const auto options = std::make_shared<ConvertOptions>();
     command->add_option("DATASET", options->dataset, "log: a path, or kind:path")->required();
-    command->add_option("--out", options->out, "folder to create")->required()->type_name("FOLDER");
+    command->add_option("--out", options->out, "folder or capture to create")
+        ->required()
+        ->type_name("FOLDER|FILE.pcap");
     command->add_option("--frames", options->frames, "frames to convert, first:end (default: all)")
         ->type_name("A:B");
     add_set_option(*command, options->settings.sets);
-    command->add_flag("--force", options->overwrite, "replace an existing plain folder of this name");
+    command->add_flag("--force", options->overwrite, "replace an existing folder or file of this name");
     command->add_flag("--quiet", options->quiet, "print errors only");
     command->footer(kConvertHelp);
     command->callback([&call, options] { call.run = [options] { run_convert(*options); }; });

@@ -23,8 +23,10 @@
 #include "output_folder.hpp"
 #include "ranks.hpp"
 #include "render/choose_frames.hpp"
+#include "render/packet_sender.hpp"
 #include "render/recording_names.hpp"
 #include "render/render_notes.hpp"
+#include "render/target_sensors.hpp"
 #include "render/trajectory.hpp"
 
 namespace relidar::cli {
@@ -41,6 +43,7 @@ struct RenderOptions {
     std::string formats = "npz";
     std::optional<std::string> channels;
     RecordingNames names;
+    PacketTarget packets;
     std::vector<std::string> sets;
     std::vector<std::string> only;
     DeviceChoice device;
@@ -161,6 +164,9 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
                 format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
+    check_packet_options(options.packets);
+    if (!options.packets.address.empty() && (ranks.size() > 1 || options.merge))
+        throw UsageError("--udp: found --merge or several processes, expected separate sensors, one process");
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
@@ -203,26 +209,18 @@ std::vector<Sweep> sweeps_along(const Run& run, const RenderOptions& options, co
     return sweeps;
 }
 
-/// A sensor to simulate, and where it is mounted. It replaces the sensor of the log or
-/// follows a path of the user.
-struct TargetSensor {
-    /// Subfolder for the files of this sensor. If it is empty, the files are written into
-    /// the output folder.
-    std::string folder;
-    SensorChoice sensor;
-    Pose mounting;
-};
-
-using Rig = std::optional<std::vector<MountedSensor>>;
-
-std::vector<TargetSensor> list_target_sensors(const RenderOptions& options, const Rig& rig, const Run& run,
-                                              int lidar) {
-    if (options.sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
-    if (!rig) return {{"", choose_sensor(options.sensor, run.config, run.sequence, lidar), {}}};
-    std::vector<TargetSensor> targets;
-    for (const MountedSensor& mounted : *rig)
-        targets.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor});
-    return targets;
+/// Returns the format of the files of each sensor.
+std::vector<ScanFormat> sensor_formats(const RenderOptions& options, const Run& run,
+                                       const std::vector<TargetSensor>& targets, const Pose& offset) {
+    std::vector<ScanFormat> formats;
+    for (const TargetSensor& target : targets) {
+        formats.push_back(
+            scan_file_format(options, run, target.sensor, offset * target.mounting, target.folder));
+        PacketFormatOptions& packets = formats.back().packets;
+        if (target.spinning) packets.sensor = target.spinning;
+        packets.ouster_profile = ouster_profile_of(options.sensor);
+    }
+    return formats;
 }
 
 /// Returns the format of files that contain the merged scans of all sensors of a rig.
@@ -243,6 +241,7 @@ ScanFormat merged_format(const RenderOptions& options, const Run& run,
 struct Output {
     std::vector<ScanFolder> folders;
     std::optional<ScanRecordings> recordings;
+    std::unique_ptr<PacketSender> sender;
 };
 
 /// Creates the output folders. The first process creates them before the other processes
@@ -258,9 +257,9 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
         output.folders.emplace_back(folder, format);
     };
     if (options.merge) sensors = {merged_format(options, run, targets, offset)};
-    else
-        for (const TargetSensor& w : targets)
-            sensors.push_back(scan_file_format(options, run, w.sensor, offset * w.mounting, w.folder));
+    else sensors = sensor_formats(options, run, targets, offset);
+    if (!options.packets.address.empty())
+        output.sender = std::make_unique<PacketSender>(options.packets, sensors);
     const bool is_rig = !options.merge && !targets.front().folder.empty();
     if (is_rig && ranks.is_first()) output.recordings.emplace(options.out, sensors);
     for (std::size_t s = 0; s < sensors.size(); ++s) {
@@ -276,6 +275,10 @@ Output make_output(const RenderOptions& options, const Run& run, const std::vect
 /// Writes a list of the scans of all processes, and completes the recordings.
 void finish(Output& output, const Ranks& ranks, bool quiet) {
     if (output.recordings) output.recordings->finish();
+    if (output.sender) {
+        const std::string sent = output.sender->finish();
+        if (!quiet) print(sent);
+    }
     for (ScanFolder& folder : output.folders) {
         std::vector<std::string> entries;
         for (const std::string& of_one : ranks.gather(fmt::format("{}", fmt::join(folder.entries(), "\n"))))
@@ -314,6 +317,7 @@ public:
             scans.back().unseen_sides = find_unseen_sides(scans.back(), run_.scene, run_.sequence);
             count(scans.back());
         }
+        if (output.sender) output.sender->add(scans);
         if (options_.merge) scans = {merge_scans(scans, mountings_)};
         for (std::size_t s = 0; s < scans.size(); ++s) output.folders[s].write(sweep.number, scans[s]);
         if (output.recordings) output.recordings->write(scans);
@@ -380,7 +384,7 @@ void run_render(const RenderOptions& typed_options) {
     const int lidar = find_lidar(run.sequence, options.lidar);
     const std::vector<Sweep> sweeps =
         drives ? sweeps_along(run, options, track, lidar) : sweeps_of_log(run, options, lidar);
-    const std::vector<TargetSensor> targets = list_target_sensors(options, rig, run, lidar);
+    const std::vector<TargetSensor> targets = list_target_sensors(options.sensor, rig, run, lidar);
     const std::vector<bool> shown = select_instances(run.scene, options.only);
     Device device(device_options(options.device));
     ScanRenderer renderer(device, run);
@@ -432,7 +436,7 @@ void add_trajectory_options(CLI::App& command, TrajectoryChoice& trajectory) {
 void add_file_options(CLI::App& command, RenderOptions& options) {
     command
         .add_option("--format", options.formats,
-                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, separated by commas (default: npz)")
+                    "npz, exr, ply, pcd, bin, png, mcap, rosbag, pcap, separated by commas (default: npz)")
         ->type_name("LIST");
     command
         .add_option("--frame", options.point_frame,
@@ -444,6 +448,7 @@ void add_file_options(CLI::App& command, RenderOptions& options) {
                      "transform all points of a scan to the sensor's frame at the scan's time, as in a "
                      "motion-compensated log; in mcap and rosbag to the frame at the stamp");
     add_recording_options(command, options.names);
+    add_packet_options(command, options.packets);
     command.add_flag("--merge", options.merge,
                      "merge the scans of a rig's sensors into one scan in the frame of the rig (default: a "
                      "folder for each sensor)");
@@ -466,6 +471,10 @@ instance (npz, exr, ply, pcd): surface that the ray hits first, the number in `r
 mcap: DIR/scans.mcap, one file with all scans of all sensors, for Foxglove. rosbag:
 DIR/rosbag.mcap, a ROS 2 bag. Both contain the transforms of world, base_link (the log's vehicle)
 and sensors, and the boxes of actors. --deskew moves points to the time of the first ray.
+pcap: DIR/packets.pcap, the packets that the sensor sends, with its rounding and timing; with
+packets.csv (Hesai) or packets.json (Ouster), the calibration for its driver. The message for
+another sensor lists all sensors whose packets can be written. The sensor turns without a gap only
+with --trajectory and --rate.
 )";
 
 /// Returns the help text for --channels.

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// Writes scans as the packets that a LiDAR sends. Ranges, azimuths and times are rounded
+// as in the sensor. The block order, the firing times and the packet counters follow the
+// manuals of the makers. load_sequence() reads the packets again.
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <fstream>
+#include <memory>
+#include <string>
+#include <vector>
+
+#include <relidar/base/progress.hpp>
+#include <relidar/log/sensor.hpp>
+#include <relidar/log/sequence.hpp>
+
+namespace relidar {
+
+/// A datagram of a LiDAR.
+struct SensorPacket {
+    /// Time of the packet since 1970, as the maker defines it: the time of the first
+    /// firing (Velodyne), the time after the last firing (Hesai) or the time of the last
+    /// column (Ouster).
+    std::int64_t time_ns = 0;
+    std::string bytes;
+};
+
+/// Options for PacketEncoder.
+struct PacketOptions {
+    /// Time since 1970 at which the log's time is 0. See log_start_ns().
+    std::int64_t start_ns = 0;
+    int returns = 1;  ///< returns per ray, 1 or 2
+    /// Packet format of an Ouster (udp_profile_lidar). If the text is empty, the encoder
+    /// chooses RNG19_RFL8_SIG16_NIR16 or RNG19_RFL8_SIG16_NIR16_DUAL.
+    std::string ouster_profile = {};
+    /// True: the times are those at which a computer received the packets of a real
+    /// sensor. The number of firings between two times then follows from the rotation.
+    bool times_jitter = false;
+};
+
+/// A file that drivers need in addition to the packets.
+struct PacketCalibration {
+    std::string ending;  ///< ".csv" or ".json"; empty if the packets need no such file
+    std::string text;
+};
+
+/// Returns the names of the sensors whose packets can be written, for messages.
+std::string packet_sensors();
+/// Returns the packet format in the metadata of an Ouster (udp_profile_lidar). Returns an
+/// empty text if the file is not the metadata of an Ouster or does not contain a format.
+std::string ouster_profile_of(const std::filesystem::path& file);
+/// Returns the time since 1970 at which the time of a log is 0. Returns 0 if the log does
+/// not say it. Only recordings (ROS bags and captures) do.
+std::int64_t log_start_ns(const Sequence& sequence);
+
+/// Converts the scans of one sensor to packets. A packet holds a fixed number of firings.
+/// Therefore a packet may contain the end of a scan and the start of the next scan. Where
+/// scans do not follow each other, a packet without returns ends the first scan, so that
+/// drivers can complete it.
+class PacketEncoder {
+public:
+    /// @param sensor  its name selects the product
+    /// @throws UsageError if packets of this sensor cannot be written. The message lists
+    /// the sensors that can be written.
+    PacketEncoder(const SpinningSensor& sensor, const PacketOptions& options);
+    ~PacketEncoder();
+
+    /// Adds a scan and returns the packets that are complete.
+    /// @param scan  scan of the sensor in image order (RayTable)
+    /// @param time_s  reference time of the scan, not before that of the last scan
+    /// @throws UsageError if the rays have no firing times, are not those of the sensor,
+    /// or were fired before the end of the last scan
+    std::vector<SensorPacket> encode(const Scan& scan, double time_s);
+    /// Returns the packets after the last scan.
+    std::vector<SensorPacket> finish();
+    /// Returns the calibration of the sensor as a file. Must be called after the last
+    /// scan, because it holds the azimuths at which an Ouster has fired.
+    PacketCalibration calibration() const;
+    int port() const;  ///< UDP port to which the sensor usually sends
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+/// Writes packets to a network capture (pcap with nanoseconds). Each packet is a UDP
+/// datagram from 192.168.1.201 to all receivers.
+class PacketCapture {
+public:
+    /// Creates the file.
+    /// @param port  destination port of the datagrams
+    /// @throws DataError if the file cannot be written
+    PacketCapture(const std::filesystem::path& file, int port);
+    /// @throws DataError if the disk is full
+    void add(const std::vector<SensorPacket>& packets);
+    void close();
+
+private:
+    std::filesystem::path file_;
+    std::ofstream out_;
+    int port_;
+    std::uint16_t n_written_ = 0;
+};
+
+/// Writes the scans of a log with one LiDAR as a capture of its packets. Writes the
+/// calibration next to it, with the same name and another ending.
+/// @return number of packets
+/// @throws UsageError if the log has several LiDARs, or like PacketEncoder
+/// @throws DataError if a file cannot be written
+std::size_t save_packets(const Sequence& sequence, const std::filesystem::path& file,
+                         const Progress& progress = {});
+
+}  // namespace relidar

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// Converts rendered scans to the packets that their sensors send.
+#pragma once
+
+#include <memory>
+#include <span>
+#include <vector>
+
+#include <relidar/log/packets.hpp>
+#include <relidar/simulate/scan_files.hpp>
+
+namespace relidar {
+
+/// Returns a rendered scan in the form of a measured scan: rays without a return have
+/// range 0.
+Scan measured_scan(const RenderedScan& scan, const Config& config);
+
+/// Packets of the sensors of a rig, or of one sensor.
+class ScanPackets {
+public:
+    /// @param sensors  formats of the sensors; ScanFormat::packets names the sensor
+    /// @throws UsageError if packets of a sensor cannot be written
+    explicit ScanPackets(std::vector<ScanFormat> sensors);
+    ~ScanPackets();
+
+    /// Adds the scans of a sweep.
+    /// @param scans  a scan for each sensor
+    /// @return [sensors] packets that are complete
+    /// @throws UsageError like PacketEncoder::encode()
+    std::vector<std::vector<SensorPacket>> encode(std::span<const RenderedScan> scans);
+    /// Returns the packets after the last scans.
+    std::vector<std::vector<SensorPacket>> finish();
+    /// Returns the encoder of a sensor.
+    const PacketEncoder& encoder(std::size_t sensor) const;
+
+private:
+    struct Impl;
+    std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace relidar

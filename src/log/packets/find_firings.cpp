@@ -1,0 +1,158 @@
+// SPDX-License-Identifier: Apache-2.0
+// Groups the rays of a scan by firing. In an image, firing f of a beam is stored in the
+// column f - column_shift(beam).
+#include <algorithm>
+#include <cmath>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+
+#include "log/packets/packet_format.hpp"
+#include "log/sensor/beam_geometry.hpp"
+
+namespace relidar::packets {
+namespace {
+
+constexpr double kLeastTurn = 0.05;  // share of a turn that a scan covers at least
+constexpr double kSameFiring_us = 1.0;
+constexpr double kFar_m = 1e4;  // distance at which the direction of a dropped ray is evaluated
+
+/// Indices of the rays of a scan, by ring and firing.
+class FiringImage {
+public:
+    FiringImage(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
+        if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
+            throw UsageError(fmt::format(
+                "packets of {}: found a scan of {} rows, expected an image with a row for each of {} beams",
+                sensor.name, scan.rays.rows, sensor.beams.size()));
+        for (const Beam& beam : sensor.beams) shift_.push_back(column_shift(beam, columns_));
+    }
+    std::size_t n_rings() const { return shift_.size(); }
+    int n_firings() const { return columns_; }
+    std::size_t ray(std::size_t ring, int firing) const {
+        const int column = ((firing - shift_[ring]) % columns_ + columns_) % columns_;
+        return ring * std::size_t(columns_) + std::size_t(column);
+    }
+
+private:
+    int columns_;
+    std::vector<int> shift_;
+};
+
+/// Returns the sum over all firings of the difference between the latest and the earliest
+/// time of their returns.
+double time_spread(const Scan& scan, const FiringImage& image, const std::vector<double>& offset_us) {
+    double sum_us = 0.0;
+    for (int firing = 0; firing < image.n_firings(); ++firing) {
+        double first = INFINITY, last = -INFINITY;
+        for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
+            const std::size_t ray = image.ray(ring, firing);
+            if (scan.range_m[ray] <= 0.0f) continue;
+            const double time_us = 1e6 * double(scan.rays.time_offset_s[ray]) - offset_us[ring];
+            first = std::min(first, time_us), last = std::max(last, time_us);
+        }
+        if (last > first) sum_us += last - first;
+    }
+    return sum_us;
+}
+
+/// Computes time and azimuth of one firing from its rays. Uses the rays that return,
+/// because their directions are measured. Uses all rays if none returns.
+FiredColumn fired_column(const Scan& scan, const FiringImage& image, int firing,
+                         const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
+    FiredColumn column{.is_measured = true, .returns = {}};
+    column.returns.resize(image.n_rings());
+    std::size_t n_returned = 0, n_used = 0;
+    for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
+        const std::size_t ray = image.ray(ring, firing);
+        auto& [first, second] = column.returns[ring];
+        first = {scan.range_m[ray], scan.intensity[ray]};
+        if (!scan.second_returns.empty())
+            second = {scan.second_returns[0].range_m[ray], scan.second_returns[0].intensity[ray]};
+        n_returned += first.range_m > 0.0f;
+    }
+    double east = 0.0, north = 0.0;
+    for (std::size_t ring = 0; ring < image.n_rings(); ++ring) {
+        const std::size_t ray = image.ray(ring, firing);
+        const double range_m = n_returned > 0 ? double(scan.range_m[ray]) : kFar_m;
+        if (range_m <= 0.0) continue;
+        const double head = beams[ring].head_azimuth(glm::dvec3(scan.rays.origin[ray]) +
+                                                     glm::dvec3(scan.rays.direction[ray]) * range_m);
+        east += std::cos(head), north += std::sin(head);
+        column.time_s += double(scan.rays.time_offset_s[ray]) - 1e-6 * offset_us[ring];
+        ++n_used;
+    }
+    column.has_returns = n_returned > 0;
+    column.time_s /= double(std::max<std::size_t>(n_used, 1));
+    column.azimuth_deg = std::fmod(360.0 - std::atan2(north, east) * 180.0 / kPi, 360.0);
+    return column;
+}
+
+/// Corrects the times of firings without returns. A log has no times of their lasers. The
+/// times are computed from the nearest firing with a return and the rotation since then.
+void correct_empty_times(std::vector<FiredColumn>& columns, double period_s) {
+    const auto n = std::ptrdiff_t(columns.size());
+    std::vector<std::ptrdiff_t> before(columns.size(), -1), after(columns.size(), -1);
+    for (std::ptrdiff_t i = 0; i < n; ++i)
+        before[std::size_t(i)] =
+            columns[std::size_t(i)].has_returns ? i : (i > 0 ? before[std::size_t(i - 1)] : -1);
+    for (std::ptrdiff_t i = n; i-- > 0;)
+        after[std::size_t(i)] =
+            columns[std::size_t(i)].has_returns ? i : (i + 1 < n ? after[std::size_t(i + 1)] : -1);
+    for (std::ptrdiff_t i = 0; i < n; ++i) {
+        const std::ptrdiff_t left = before[std::size_t(i)], right = after[std::size_t(i)];
+        if (left == i || (left < 0 && right < 0)) continue;
+        const bool is_right = left < 0 || (right >= 0 && right - i < i - left);
+        FiredColumn& column = columns[std::size_t(i)];
+        const FiredColumn& near = columns[std::size_t(is_right ? right : left)];
+        double turned_deg = std::fmod(column.azimuth_deg - near.azimuth_deg + 720.0, 360.0);
+        if (is_right) turned_deg -= 360.0;
+        column.time_s = near.time_s + turned_deg / 360.0 * period_s;
+    }
+}
+
+/// Sorts firings by the angle through which the head has turned. The times of a log may
+/// jitter. They only decide between angles that differ by a full turn.
+void sort_by_rotation(std::vector<FiredColumn>& columns, double period_s) {
+    const FiredColumn middle = columns[columns.size() / 2];
+    const auto turns_since = [&](const FiredColumn& column) {
+        const double turned = (column.azimuth_deg - middle.azimuth_deg) / 360.0;
+        return turned + std::round((column.time_s - middle.time_s) / period_s - turned);
+    };
+    std::ranges::stable_sort(columns, {}, turns_since);
+}
+
+}  // namespace
+
+std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const SpinningSensor& sensor,
+                                      const std::vector<double>& offset_us) {
+    const FiringImage image(scan, sensor);
+    const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
+    if (!(double(last - first) > kLeastTurn * sensor.period_s))
+        throw UsageError(
+            fmt::format("packets of {}: the rays of a scan were fired within {:.3g} s, expected the {:.3g} s "
+                        "of a turn; a "
+                        "motion-compensated log has no firing times",
+                        sensor.name, last - first, sensor.period_s));
+    // Logs have the time of each laser. Rendered scans have one time for all lasers of a
+    // firing.
+    const std::vector<double> no_offset(offset_us.size(), 0.0);
+    const bool has_laser_times = time_spread(scan, image, offset_us) < time_spread(scan, image, no_offset);
+    const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);
+    std::vector<FiredColumn> columns;
+    for (int firing = 0; firing < image.n_firings(); ++firing)
+        columns.push_back(fired_column(scan, image, firing, beams, has_laser_times ? offset_us : no_offset));
+    if (has_laser_times) correct_empty_times(columns, sensor.period_s);
+    sort_by_rotation(columns, sensor.period_s);
+    // A log may repeat a firing to complete its image.
+    const auto repeated = std::ranges::unique(columns, [&](const FiredColumn& a, const FiredColumn& b) {
+        return 1e6 * std::abs(a.time_s - b.time_s) < kSameFiring_us;
+    });
+    columns.erase(repeated.begin(), repeated.end());
+    for (FiredColumn& column : columns) column.time_s += time_s;
+    return columns;
+}
+
+}  // namespace relidar::packets

@@ -1,0 +1,144 @@
+// SPDX-License-Identifier: Apache-2.0
+// Writes captures in the format pcap with nanoseconds (draft-ietf-opsawg-pcap), as frames
+// of Ethernet with IPv4 and UDP. Also writes all scans of a log as a capture.
+#include <algorithm>
+#include <bit>
+#include <cmath>
+#include <system_error>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/files.hpp>
+#include <relidar/log/packets.hpp>
+
+#include "base/bytes.hpp"
+#include "base/csv.hpp"
+#include "base/files.hpp"
+#include "log/readers/bag/packets/ouster.hpp"
+
+namespace relidar {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr std::uint32_t kMagic = 0xA1B23C4D, kMostBytes = 262144, kEthernetLink = 1;
+constexpr std::size_t kIpBytes = 20, kUdpBytes = 8;
+constexpr const char* kStartText = "0 s is ";
+
+void append_big(std::string& bytes, unsigned value) {
+    bytes += char(value >> 8 & 0xFF);
+    bytes += char(value & 0xFF);
+}
+
+/// Returns the checksum of an IPv4 header (RFC 791).
+unsigned ip_checksum(std::string_view header) {
+    unsigned sum = 0;
+    for (std::size_t i = 0; i + 1 < header.size(); i += 2)
+        sum += static_cast<unsigned char>(header[i]) * 256u + static_cast<unsigned char>(header[i + 1]);
+    while (sum >> 16) sum = (sum & 0xFFFF) + (sum >> 16);
+    return ~sum & 0xFFFF;
+}
+
+/// Returns the Ethernet frame of a datagram.
+/// @param number  number of the datagram
+std::string ethernet_frame(const std::string& payload, int port, unsigned number) {
+    std::string ip;
+    for (const unsigned value :
+         {0x4500u, unsigned(kIpBytes + kUdpBytes + payload.size()), number, 0x4000u, 0x4011u, 0u})
+        append_big(ip, value);
+    ip += std::string("\xC0\xA8\x01\xC9\xFF\xFF\xFF\xFF", 8);  // 192.168.1.201 to all
+    const unsigned sum = ip_checksum(ip);
+    ip[10] = char(sum >> 8), ip[11] = char(sum & 0xFF);
+    std::string frame = std::string("\xFF\xFF\xFF\xFF\xFF\xFF\x02\0\0\0\0\x01\x08\0", 14) + ip;
+    append_big(frame, unsigned(port)), append_big(frame, unsigned(port));
+    append_big(frame, unsigned(kUdpBytes + payload.size())), append_big(frame, 0);
+    return frame + payload;
+}
+
+void check_written(const std::ofstream& out, const fs::path& file) {
+    if (!out) throw DataError(fmt::format("cannot write '{}': is the disk full?", file.string()));
+}
+
+}  // namespace
+
+std::string ouster_profile_of(const fs::path& file) {
+    std::error_code failed;
+    if (!fs::is_regular_file(file, failed) || file.extension() != ".json") return {};
+    const std::string text = read_text(file);
+    if (!packets::is_ouster_metadata(text)) return {};
+    return packets::read_ouster_metadata(text, file.string())->profile->name;
+}
+
+std::int64_t log_start_ns(const Sequence& sequence) {
+    const std::size_t at = sequence.conventions.find(kStartText);
+    if (at == std::string::npos) return 0;
+    const std::string text = sequence.conventions.substr(at + std::string(kStartText).size());
+    const std::size_t dot = text.find('.'), end = text.find(' ');
+    if (dot == std::string::npos || end == std::string::npos || end < dot || end - dot != 10) return 0;
+    const auto seconds = parse_number(text.substr(0, dot));
+    const auto nanoseconds = parse_number(text.substr(dot + 1, 9));
+    if (!seconds || !nanoseconds) return 0;
+    return std::int64_t(*seconds) * 1'000'000'000 + std::int64_t(*nanoseconds);
+}
+
+PacketCapture::PacketCapture(const fs::path& file, int port)
+    : file_(file), out_(file, std::ios::binary), port_(port) {
+    std::string head;
+    append(head, kMagic);
+    append(head, std::uint16_t(2)), append(head, std::uint16_t(4));
+    append(head, std::int32_t(0)), append(head, std::uint32_t(0));
+    append(head, kMostBytes), append(head, kEthernetLink);
+    out_ << head;
+    check_written(out_, file_);
+}
+
+void PacketCapture::add(const std::vector<SensorPacket>& packets) {
+    constexpr std::int64_t kSecond = 1'000'000'000;
+    for (const SensorPacket& packet : packets) {
+        const std::string frame = ethernet_frame(packet.bytes, port_, n_written_++);
+        std::string head;
+        append(head, std::uint32_t(packet.time_ns / kSecond));
+        append(head, std::uint32_t(packet.time_ns % kSecond));
+        append(head, std::uint32_t(frame.size())), append(head, std::uint32_t(frame.size()));
+        out_ << head << frame;
+    }
+    check_written(out_, file_);
+}
+
+void PacketCapture::close() {
+    out_.close();
+    check_written(out_, file_);
+}
+
+std::size_t save_packets(const Sequence& sequence, const fs::path& file, const Progress& progress) {
+    if (sequence.lidars.size() != 1)
+        throw UsageError(fmt::format(
+            "writing '{}': found {} LiDARs in the log, expected one in a capture; dataset.lidars selects it",
+            file.string(), sequence.lidars.size()));
+    PacketOptions options;
+    options.start_ns = log_start_ns(sequence);
+    options.times_jitter = true;
+    for (const Frame& frame : sequence.frames)
+        if (!frame.scan.second_returns.empty()) options.returns = 2;
+    PacketEncoder encoder(sequence.lidars.front().sensor, options);
+    std::size_t n_packets = 0;
+    write_atomically(file, [&](const fs::path& temporary) {
+        PacketCapture capture(temporary, encoder.port());
+        const auto add = [&](const std::vector<SensorPacket>& packets) {
+            capture.add(packets);
+            n_packets += packets.size();
+        };
+        for (std::size_t f = 0; f < sequence.frames.size(); ++f) {
+            if (progress) progress("writing packets", double(f) / double(sequence.frames.size()));
+            add(encoder.encode(sequence.frames[f].scan, sequence.frames[f].time_s));
+        }
+        add(encoder.finish());
+        capture.close();
+    });
+    if (const PacketCalibration calibration = encoder.calibration(); !calibration.ending.empty())
+        write_text(fs::path(file).replace_extension(calibration.ending), calibration.text);
+    return n_packets;
+}
+
+}  // namespace relidar

@@ -1,0 +1,266 @@
+// SPDX-License-Identifier: Apache-2.0
+// Distributes the firings of scans to packets. Every firing has a position: the number of
+// firings that the sensor has fired before. A packet holds the firings of consecutive
+// positions. Positions without a firing become firings without returns.
+#include <algorithm>
+#include <cmath>
+#include <optional>
+
+#include <fmt/format.h>
+
+#include <relidar/base/error.hpp>
+
+#include "log/packets/packet_format.hpp"
+
+namespace relidar {
+namespace {
+
+using packets::FiredColumn;
+using packets::PacketFormat;
+
+constexpr double kMostStepError = 0.02;   // relative, between the time steps of a sensor and its product
+constexpr double kMostColumnError = 0.1;  // in columns, from the azimuths of a sensor with fixed columns
+constexpr double kJump_us = 1.0;
+constexpr double kBehindSensor_deg = 180.0;
+
+std::unique_ptr<PacketFormat> make_format(const SpinningSensor& sensor, const PacketOptions& options) {
+    for (auto* make :
+         {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
+        if (auto format = make(sensor, options)) return format;
+    throw UsageError(fmt::format("writing packets: found sensor \"{}\", expected one of {}", sensor.name,
+                                 packet_sensors()));
+}
+
+}  // namespace
+
+std::string packet_sensors() {
+    std::string names;
+    for (const auto& of_maker : {packets::velodyne_names(), packets::hesai_names()})
+        for (const std::string& name : of_maker) names += name + ", ";
+    return names + "an Ouster (OS0-32, OS1-64 and so on, or its metadata)";
+}
+
+struct PacketEncoder::Impl {
+    SpinningSensor sensor;
+    PacketOptions options;
+    std::unique_ptr<PacketFormat> format;
+    std::vector<double> offsets_us;
+
+    struct Anchor {
+        std::int64_t position;
+        double time_s, azimuth_deg;
+        double clock_less_time_s = 0.0;
+    };
+    std::optional<Anchor> last;         ///< last firing of all scans
+    std::optional<Anchor> clock_start;  ///< firing at which the even clock starts
+    std::int64_t packet = 0;            ///< number of the pending packet: its first position / firings
+    std::vector<FiredColumn> pending;   ///< [firings] firings of the pending packet
+    std::vector<bool> fired;            ///< [columns] columns of all scans
+    std::uint32_t n_written = 0;
+    std::vector<SensorPacket> complete;
+
+    double cycle_s() const { return 1e-6 * format->cycle_us(); }
+    double step_deg() const { return 360.0 * cycle_s() / sensor.period_s; }
+    std::int64_t firings() const { return format->firings(); }
+    bool has_columns() const { return format->columns() > 0; }
+
+    void check_steps() const {
+        const double step_us = 1e6 * sensor.period_s / sensor.columns;
+        if (has_columns() || std::abs(step_us / format->cycle_us() - 1.0) < kMostStepError) return;
+        throw UsageError(
+            fmt::format("packets of {}: found {} columns in {} s, expected {:.0f} columns, because this "
+                        "sensor fires every "
+                        "{} us",
+                        sensor.name, sensor.columns, sensor.period_s,
+                        1e6 * sensor.period_s / format->cycle_us(), format->cycle_us()));
+    }
+
+    /// Returns the column of a firing, for a sensor that fires at fixed azimuths.
+    std::int64_t column_of(const FiredColumn& firing) const {
+        const double place = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns();
+        if (std::abs(place - std::round(place)) > kMostColumnError)
+            throw UsageError(fmt::format(
+                "packets of {}: found a column at {:.3f} degrees, expected a multiple of {:.3f}: an Ouster "
+                "fires at fixed azimuths, the first one behind it",
+                sensor.name, firing.azimuth_deg, 360.0 / format->columns()));
+        return (std::llround(place) + format->columns()) % format->columns();
+    }
+
+    /// Returns the number of positions between two firings. It is less than 1 if the
+    /// second firing is not later.
+    double steps_between(const Anchor& from, const FiredColumn& firing) const {
+        const double by_time = (firing.time_s - from.time_s) / cycle_s();
+        if (has_columns()) {
+            const double n = format->columns();
+            const double turned = std::fmod(double(column_of(firing) - from.position) + n * 1e6, n);
+            return turned + n * std::round((by_time - turned) / n);
+        }
+        if (!options.times_jitter) return std::round(by_time);
+        const double turned_deg = std::remainder(firing.azimuth_deg - from.azimuth_deg, 360.0);
+        const double turns = std::round(by_time * step_deg() / 360.0 - turned_deg / 360.0);
+        return std::round((turned_deg + 360.0 * turns) / step_deg());
+    }
+
+    /// Returns the number of positions from the last firing to this firing. Returns 0 for
+    /// a firing without returns whose position already has a firing.
+    std::int64_t steps_to(const FiredColumn& firing) const {
+        const double steps = steps_between(*last, firing);
+        if (steps < 1.0 && !firing.has_returns) return 0;
+        if (steps < 1.0)
+            throw UsageError(
+                fmt::format("packets of {}: found a scan that starts {:.3g} s before the last one ends, "
+                            "expected scans that "
+                            "do not overlap; the sensor needs {:.3g} s for a turn",
+                            sensor.name, last->time_s - firing.time_s, sensor.period_s));
+        return std::int64_t(steps);
+    }
+
+    /// Returns the position of the first firing. In a log, the times of packets jitter,
+    /// and the time jumps at the start of a packet. The packets then start at the same
+    /// firings as those of the log.
+    std::int64_t first_position(const std::vector<FiredColumn>& firings_of_scan) const {
+        if (has_columns()) return column_of(firings_of_scan.front());
+        if (!options.times_jitter) return 1;
+        std::vector<int> n_jumps(std::size_t(firings()), 0);
+        std::int64_t place = 0;
+        for (std::size_t i = 1; i < firings_of_scan.size(); ++i) {
+            const FiredColumn &firing = firings_of_scan[i], &before = firings_of_scan[i - 1];
+            const double steps = steps_between({place, before.time_s, before.azimuth_deg}, firing);
+            place += std::max<std::int64_t>(std::llround(steps), 1);
+            if (1e6 * std::abs(firing.time_s - before.time_s - steps * cycle_s()) > kJump_us)
+                ++n_jumps[std::size_t(place % firings())];
+        }
+        const auto start = std::ranges::max_element(n_jumps) - n_jumps.begin();
+        return firings() - start;
+    }
+
+    /// Returns the number of positions up to which a gap is filled with firings without
+    /// returns. The frames of a log may follow each other more slowly than the turns of
+    /// the sensor. A log leaves out firings at the end of a turn if none of them returns.
+    std::int64_t longest_gap() const {
+        return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
+    }
+
+    /// Sets the time that the sensor's clock shows for a firing. The clock runs evenly
+    /// even if the times at which the packets were received do not.
+    void set_clock(FiredColumn& firing, std::int64_t position) {
+        firing.clock_s = firing.time_s;
+        if (!options.times_jitter || has_columns()) return;
+        const double even_s =
+            clock_start ? clock_start->time_s + double(position - clock_start->position) * cycle_s() : 0.0;
+        if (!clock_start || std::abs(even_s - firing.time_s) > sensor.period_s)
+            clock_start = {position, firing.time_s, firing.azimuth_deg};
+        else firing.clock_s = even_s;
+    }
+
+    /// Stores a firing in its packet. Writes the packets before it.
+    void put(FiredColumn firing, std::int64_t position) {
+        if (pending.empty()) begin(position / firings());
+        while (packet < position / firings()) {
+            write();
+            // A sensor with fixed columns sends nothing where it does not measure.
+            begin(has_columns() ? position / firings() : packet + 1);
+        }
+        pending[std::size_t(position % firings())] = std::move(firing);
+    }
+
+    /// Fills the positions between the last firing and the next firing of a sensor that
+    /// turns freely. The head turns evenly between the two azimuths.
+    void fill_gap(const FiredColumn& next, std::int64_t position) {
+        const double turned_deg = std::remainder(next.azimuth_deg - last->azimuth_deg, 360.0);
+        const double n = double(position - last->position);
+        const double by_rate_deg = n * step_deg();
+        const double all_deg = turned_deg + 360.0 * std::round((by_rate_deg - turned_deg) / 360.0);
+        for (std::int64_t p = last->position + 1; p < position; ++p) {
+            const double share = double(p - last->position) / n;
+            FiredColumn firing{.time_s = last->time_s + share * (next.time_s - last->time_s)};
+            firing.azimuth_deg = std::fmod(last->azimuth_deg + share * all_deg + 360.0, 360.0);
+            firing.is_filled = true;
+            set_clock(firing, p);
+            put(std::move(firing), p);
+        }
+    }
+
+    void add(FiredColumn firing, std::int64_t start) {
+        std::int64_t position = last ? last->position + steps_to(firing) : start;
+        if (last && position == last->position) return;
+        if (has_columns()) fired[std::size_t(position % format->columns())] = true;
+        else if (last && position - last->position > longest_gap()) {
+            end_packets();
+            position = (packet + 1) * firings() + 1;
+        } else if (last) fill_gap(firing, position);
+        set_clock(firing, position);
+        last = {position, firing.time_s, firing.azimuth_deg, firing.clock_s - firing.time_s};
+        put(std::move(firing), position);
+    }
+
+    void begin(std::int64_t number) {
+        packet = number;
+        pending.assign(std::size_t(firings()), FiredColumn{});
+    }
+
+    /// Computes time and azimuth of the firings that no scan contains.
+    void complete_firings() {
+        const auto first = std::ranges::find_if(pending, &FiredColumn::is_placed) - pending.begin();
+        const std::int64_t begin = packet * firings();
+        const auto anchor_at = [&](std::int64_t slot) {
+            const FiredColumn& firing = pending[std::size_t(slot)];
+            return Anchor{begin + slot, firing.time_s, firing.azimuth_deg, firing.clock_s - firing.time_s};
+        };
+        Anchor anchor = first < firings() ? anchor_at(first) : *last;
+        for (std::int64_t slot = 0; slot < firings(); ++slot) {
+            FiredColumn& firing = pending[std::size_t(slot)];
+            if (firing.is_placed()) anchor = anchor_at(slot);
+            const auto steps = double(begin + slot - anchor.position);
+            firing.time_s = anchor.time_s + steps * cycle_s();
+            firing.clock_s = firing.time_s + anchor.clock_less_time_s;
+            firing.azimuth_deg = std::fmod(anchor.azimuth_deg + steps * step_deg() + 720.0, 360.0);
+        }
+    }
+
+    void write() {
+        complete_firings();
+        complete.push_back(format->write(pending, has_columns() ? std::uint32_t(packet) : n_written));
+        ++n_written;
+    }
+
+    /// Writes the pending packet and, for a sensor that turns freely, a packet without
+    /// returns.
+    void end_packets() {
+        if (pending.empty()) return;
+        write();
+        if (has_columns()) return;
+        begin(packet + 1);
+        write();
+    }
+};
+
+PacketEncoder::PacketEncoder(const SpinningSensor& sensor, const PacketOptions& options)
+    : impl_(std::make_unique<Impl>()) {
+    impl_->sensor = sensor;
+    impl_->options = options;
+    impl_->format = make_format(sensor, options);
+    impl_->offsets_us = impl_->format->offsets_us();
+    impl_->fired.resize(std::size_t(impl_->format->columns()));
+    impl_->check_steps();
+}
+
+PacketEncoder::~PacketEncoder() = default;
+
+std::vector<SensorPacket> PacketEncoder::encode(const Scan& scan, double time_s) {
+    std::vector<FiredColumn> firings = packets::find_firings(scan, time_s, impl_->sensor, impl_->offsets_us);
+    const std::int64_t start = impl_->last ? 0 : impl_->first_position(firings);
+    for (FiredColumn& firing : firings) impl_->add(std::move(firing), start);
+    return std::exchange(impl_->complete, {});
+}
+
+std::vector<SensorPacket> PacketEncoder::finish() {
+    impl_->end_packets();
+    impl_->pending.clear();
+    return std::exchange(impl_->complete, {});
+}
+
+PacketCalibration PacketEncoder::calibration() const { return impl_->format->calibration(impl_->fired); }
+int PacketEncoder::port() const { return impl_->format->port(); }
+
+}  // namespace relidar

@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+// Packets of Velodyne's VLP-16, VLP-32C, HDL-32E and VLS-128 (manuals 63-9243, 63-9325,
+// 63-9113 and 63-9483): 12 blocks, then microseconds of the hour (4 bytes), return mode, product.
+#include "base/bytes.hpp"
+#include "log/packets/packet_format.hpp"
+
+namespace relidar::packets {
+namespace {
+
+constexpr int kVelodynePort = 2368;
+constexpr std::uint8_t kStrongest = 0x37, kDual = 0x39;
+constexpr std::int64_t kHour_ns = 3'600'000'000'000;
+
+struct VelodyneProduct {
+    const char* sensor;
+    std::uint8_t code;
+};
+constexpr VelodyneProduct kVelodynes[] = {
+    {"VLP-16", 0x22}, {"VLP-32C", 0x28}, {"HDL-32E", 0x21}, {"VLS-128", 0xA1}};
+
+class VelodyneFormat : public PacketFormat {
+public:
+    VelodyneFormat(const VelodyneProduct& product, const SpinningSensor& sensor, const PacketOptions& options)
+        : code_(product.code), blocks_(layout_of(product.sensor), sensor, options) {}
+
+    int port() const override { return kVelodynePort; }
+    int firings() const override { return blocks_.firings(); }
+    double cycle_us() const override { return blocks_.layout().cycle_us; }
+    std::vector<double> offsets_us() const override { return blocks_.offsets_us(); }
+
+    SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t) const override {
+        SensorPacket packet{blocks_.packet_ns(columns, &FiredColumn::time_s), {}};
+        const std::int64_t clock_ns = blocks_.packet_ns(columns, &FiredColumn::clock_s);
+        blocks_.append_blocks(packet.bytes, columns, blocks_.layout().range_unit_m);
+        append(packet.bytes, std::uint32_t((clock_ns + 500) % kHour_ns / 1000));
+        append(packet.bytes, blocks_.is_dual() ? kDual : kStrongest);
+        append(packet.bytes, code_);
+        return packet;
+    }
+
+private:
+    std::uint8_t code_;
+    BlockWriter blocks_;
+};
+
+}  // namespace
+
+std::vector<std::string> velodyne_names() {
+    std::vector<std::string> names;
+    for (const VelodyneProduct& product : kVelodynes) names.emplace_back(product.sensor);
+    return names;
+}
+
+std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
+                                                   const PacketOptions& options) {
+    for (const VelodyneProduct& product : kVelodynes)
+        if (sensor.name == product.sensor) return std::make_unique<VelodyneFormat>(product, sensor, options);
+    return nullptr;
+}
+
+}  // namespace relidar::packets

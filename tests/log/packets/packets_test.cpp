@@ -1,0 +1,269 @@
+// SPDX-License-Identifier: Apache-2.0
+// Tests the packets of scans. Expected bytes come from the manuals of the makers. All
+// products are also read again: every return must have its range, time and reflectivity.
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <filesystem>
+#include <map>
+#include <set>
+
+#include <gtest/gtest.h>
+
+#include <relidar/base/error.hpp>
+#include <relidar/base/math.hpp>
+#include <relidar/log/dataset.hpp>
+#include <relidar/log/packets.hpp>
+#include <relidar/log/sensor_pattern.hpp>
+
+namespace relidar {
+namespace {
+
+constexpr double kStart_s = 1'700'000'000.0;  // 2023-11-14 22:13:20 UTC
+constexpr std::int64_t kStart_ns = 1'700'000'000'000'000'000;
+
+SpinningSensor sensor_named(const std::string& name) {
+    // A VLS-128 fires every 55.3 us, not every 53.3 us as its manual states.
+    const int columns = name == "VLS-128" ? 1808 : 0;
+    return std::get<SpinningSensor>(known_sensor(name, columns)->pattern);
+}
+
+/// Returns the range that ray `i` measures. It is a multiple of 8 mm, and every fifth ray
+/// has no return.
+float range_of(std::size_t i) { return i % 5 == 0 ? 0.0f : 0.008f * float(500 + i * 7 % 4000); }
+float intensity_of(std::size_t i) { return float(1 + i % 250) / 255.0f; }
+
+/// Returns a scan with known returns.
+Scan known_scan(const SpinningSensor& sensor, bool has_second_returns = false) {
+    Scan scan;
+    scan.rays = make_rays(sensor);
+    const std::size_t n = scan.rays.size();
+    if (has_second_returns) scan.second_returns.resize(1);
+    for (std::size_t i = 0; i < n; ++i) {
+        scan.range_m.push_back(range_of(i));
+        scan.intensity.push_back(range_of(i) > 0.0f ? intensity_of(i) : 0.0f);
+        if (!has_second_returns) continue;
+        const bool is_split = i % 3 == 1 && range_of(i) > 0.0f;
+        scan.second_returns[0].range_m.push_back(is_split ? range_of(i) + (i % 2 ? 0.8f : -0.8f) : 0.0f);
+        scan.second_returns[0].intensity.push_back(0.0f);
+    }
+    return scan;
+}
+
+std::vector<SensorPacket> packets_of(const SpinningSensor& sensor, const PacketOptions& options, int n_scans,
+                                     bool has_second_returns = false) {
+    PacketEncoder encoder(sensor, options);
+    std::vector<SensorPacket> packets;
+    for (int k = 0; k < n_scans; ++k)
+        for (SensorPacket& packet :
+             encoder.encode(known_scan(sensor, has_second_returns), 1.0 + sensor.period_s * k))
+            packets.push_back(std::move(packet));
+    for (SensorPacket& packet : encoder.finish()) packets.push_back(std::move(packet));
+    return packets;
+}
+
+template <class T>
+T number_at(const std::string& bytes, std::size_t at) {
+    T value{};
+    std::memcpy(&value, bytes.data() + at, sizeof value);
+    return value;
+}
+
+/// Manual 63-9243: laser k of a VLP-16 has the elevation -15 + k for even k and k for odd
+/// k, and fires k * 2.304 us after the first laser. A block has two firings.
+TEST(Packets, OfAVlp16AreThoseOfItsManual) {
+    const SpinningSensor sensor = sensor_named("VLP-16");
+    const std::vector<SensorPacket> packets = packets_of(sensor, {.start_ns = kStart_ns}, 2);
+    const Scan scan = known_scan(sensor);
+    // One firing precedes the scan, and one packet follows it.
+    ASSERT_EQ(packets.size(), std::size_t((1 + 2 * sensor.columns + 23) / 24 + 1));
+    const double step_deg = 360.0 / sensor.columns;
+    for (std::size_t p = 0; p + 2 < packets.size(); ++p) {
+        const std::string& bytes = packets[p].bytes;
+        ASSERT_EQ(bytes.size(), 1206u);
+        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1204), 0x37) << "the strongest return";
+        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1205), 0x22) << "VLP-16";
+        const double first = 24.0 * double(p) - 1.0;  // firing of the scans
+        const double time_s = kStart_s + 0.95 + (first + 0.5) * sensor.period_s / sensor.columns;
+        EXPECT_NEAR(1e-6 * number_at<std::uint32_t>(bytes, 1200), std::fmod(time_s, 3600.0), 1.1e-6) << p;
+        EXPECT_NEAR(1e-9 * double(packets[p].time_ns - kStart_ns), time_s - kStart_s, 1e-6);
+        for (std::size_t b = 0; b < 12; ++b) {
+            EXPECT_EQ(number_at<std::uint16_t>(bytes, 100 * b), 0xEEFF);
+            const double azimuth_deg = 180.0 + (first + 2.0 * double(b) + 0.5) * step_deg;
+            EXPECT_NEAR(
+                std::remainder(0.01 * number_at<std::uint16_t>(bytes, 100 * b + 2) - azimuth_deg, 360.0), 0.0,
+                0.00501);
+        }
+        for (std::size_t unit = 0; unit < 24 * 16; ++unit) {
+            const std::ptrdiff_t firing = std::ptrdiff_t(first) + std::ptrdiff_t(unit / 16);
+            if (firing < 0) continue;
+            const std::size_t laser = unit % 16;
+            const int elevation_deg = laser % 2 == 0 ? -15 + int(laser) : int(laser);
+            const auto ring = std::size_t((15 - elevation_deg) / 2);
+            const double turned_deg = 2.304 * double(laser) * 1e-6 / sensor.period_s * 360.0;
+            const int shift = -int(std::lround(turned_deg / step_deg));
+            const auto n = std::ptrdiff_t(sensor.columns);
+            const std::size_t ray = ring * std::size_t(n) + std::size_t(((firing % n) - shift + n) % n);
+            const std::size_t at = 100 * (unit / 32) + 4 + 3 * (unit % 32);
+            ASSERT_EQ(number_at<std::uint16_t>(bytes, at), std::lround(scan.range_m[ray] / 0.002f))
+                << p << unit;
+            ASSERT_EQ(number_at<std::uint8_t>(bytes, at + 2), std::lround(255.0f * scan.intensity[ray]));
+        }
+    }
+}
+
+/// User manual of the PandarXT: the tail has the return mode, the motor speed, the date
+/// from 1900, the time of the second, a constant and the packet number.
+TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
+    const std::vector<SensorPacket> packets =
+        packets_of(sensor_named("XT32"), {.start_ns = kStart_ns, .returns = 2}, 1, true);
+    for (std::size_t p = 0; p < packets.size(); ++p) {
+        const std::string& bytes = packets[p].bytes;
+        ASSERT_EQ(bytes.size(), 1080u);
+        EXPECT_EQ(bytes.substr(0, 12), std::string("\xEE\xFF\x06\x01\0\0\x20\x08\x01\x04\x02\x01", 12));
+        EXPECT_EQ(number_at<std::uint8_t>(bytes, 1062), 0x39) << "last and strongest return";
+        EXPECT_EQ(number_at<std::uint16_t>(bytes, 1063), 600) << "turns per minute";
+        const std::string date = bytes.substr(1065, 5);
+        EXPECT_EQ(date, std::string({123, 11, 14, 22, 13}));
+        const std::int64_t time_us = std::int64_t(number_at<std::uint8_t>(bytes, 1070)) * 1'000'000 +
+                                     number_at<std::uint32_t>(bytes, 1071);
+        EXPECT_EQ(time_us, 20'000'000 + (packets[p].time_ns - kStart_ns + 500) / 1000);
+        EXPECT_EQ(number_at<std::uint32_t>(bytes, 1076), p);
+        for (std::size_t unit = 0; unit < 4 * 32; ++unit) {  // of two returns, the first one is the last
+            const std::size_t at = 12 + 260 * (unit / 32) + 2 + 4 * (unit % 32);
+            EXPECT_GE(number_at<std::uint16_t>(bytes, at), number_at<std::uint16_t>(bytes, at + 130));
+        }
+    }
+}
+
+struct WrittenProduct {
+    const char *sensor, *profile;
+    int returns;
+    double quantum_m;
+};
+
+/// Writes two turns of a scan as a capture, and reads the capture as a log.
+Sequence written_log(const SpinningSensor& sensor, const PacketOptions& options, const Scan& scan) {
+    const std::filesystem::path folder =
+        std::filesystem::path(::testing::TempDir()) / "relidar_sensor_packets";
+    std::filesystem::create_directories(folder);
+    const std::filesystem::path file = folder / "packets.pcap";
+    for (const char* ending : {".csv", ".json"})
+        std::filesystem::remove(std::filesystem::path(file).replace_extension(ending));
+    PacketEncoder encoder(sensor, options);
+    PacketCapture capture(file, encoder.port());
+    for (int k = 0; k < 2; ++k) capture.add(encoder.encode(scan, 1.0 + sensor.period_s * k));
+    capture.add(encoder.finish());
+    capture.close();
+    const PacketCalibration calibration = encoder.calibration();
+    if (!calibration.ending.empty())
+        std::ofstream(std::filesystem::path(file).replace_extension(calibration.ending)) << calibration.text;
+    DatasetOptions reading;
+    reading.poses_file = kNoPoses;
+    reading.max_range_m = sensor.max_range_m;
+    return load_sequence(file.string(), reading);
+}
+
+class WrittenPackets : public ::testing::TestWithParam<WrittenProduct> {};
+
+TEST_P(WrittenPackets, GiveTheSameReturnsAgain) {
+    const auto& [name, profile, returns, quantum_m] = GetParam();
+    const SpinningSensor sensor = sensor_named(name);
+    const PacketOptions options{.start_ns = kStart_ns, .returns = returns, .ouster_profile = profile};
+    const Scan scan = known_scan(sensor, returns == 2);
+    const Sequence log = written_log(sensor, options, scan);
+    ASSERT_EQ(log.frames.size(), 2u);
+    const double start_s = 1e-9 * double(log_start_ns(log) - kStart_ns);
+    const std::vector<BeamFiring> beams = std::string(name).starts_with("OS")
+                                              ? std::vector<BeamFiring>(sensor.beams.size())
+                                              : known_firings(name);
+    // [ring, nearest firing] of each written return
+    const double step_s = sensor.period_s / sensor.columns;
+    const double phase = sensor.first_azimuth_rad == kPi ? 0.0 : 0.5;
+    const auto key = [&](std::size_t ring, double time_s) {
+        return std::pair(ring, std::lround((time_s - 0.95) / step_s - phase));
+    };
+    std::map<std::pair<std::size_t, long>, std::size_t> written;
+    for (int k = 0; k < 2; ++k)
+        for (std::size_t i = 0; i < scan.range_m.size(); ++i)
+            if (scan.range_m[i] > 0.0f)
+                written[key(scan.rays.channel[i],
+                            1.0 + sensor.period_s * k + double(scan.rays.time_offset_s[i]))] = i;
+    std::set<std::pair<std::size_t, long>> found;
+    for (const Frame& frame : log.frames) {
+        for (std::size_t i = 0; i < frame.scan.range_m.size(); ++i) {
+            if (!(frame.scan.range_m[i] > 0.0f)) continue;
+            const std::size_t ring = frame.scan.rays.channel[i];
+            const double time_s = start_s + frame.time_s + double(frame.scan.rays.time_offset_s[i]) -
+                                  1e-6 * beams[ring].offset_us;
+            const auto at = written.find(key(ring, time_s));
+            ASSERT_NE(at, written.end()) << "ring " << ring << " at " << time_s << " s";
+            const std::size_t ray = at->second;
+            const double fired_s = double(scan.rays.time_offset_s[ray]);
+            ASSERT_NEAR(std::remainder(time_s - 1.0 - fired_s, sensor.period_s), 0.0, 1e-6);
+            ASSERT_NEAR(frame.scan.range_m[i], scan.range_m[ray], 0.5001 * quantum_m);
+            ASSERT_NEAR(frame.scan.intensity[i], scan.intensity[ray], 1e-6);
+            if (returns == 2) {
+                ASSERT_NEAR(frame.scan.second_returns[0].range_m[i], scan.second_returns[0].range_m[ray],
+                            0.5001 * quantum_m);
+            }
+            found.insert(at->first);
+        }
+    }
+    EXPECT_GE(found.size() + 2 * sensor.beams.size(), written.size())
+        << "only firings at the ends of the log may be lost";
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    All, WrittenPackets,
+    ::testing::Values(WrittenProduct{"VLP-16", "", 1, 0.002}, WrittenProduct{"VLP-16", "", 2, 0.002},
+                      WrittenProduct{"VLP-32C", "", 1, 0.004}, WrittenProduct{"HDL-32E", "", 2, 0.002},
+                      WrittenProduct{"Pandar40P", "", 1, 0.004}, WrittenProduct{"Pandar64", "", 2, 0.004},
+                      WrittenProduct{"XT32", "", 2, 0.004}, WrittenProduct{"XT16", "", 1, 0.004},
+                      WrittenProduct{"XT32M", "", 2, 0.004}, WrittenProduct{"VLS-128", "", 1, 0.004},
+                      WrittenProduct{"OS1-64", "RNG19_RFL8_SIG16_NIR16", 1, 0.001},
+                      WrittenProduct{"OS0-32", "RNG15_RFL8_NIR8", 1, 0.008},
+                      WrittenProduct{"OS0-32", "RNG19_RFL8_SIG16_NIR16_DUAL", 2, 0.001}));
+
+TEST(Packets, OfOtherSensorsAreRefused) {
+    SpinningSensor sensor = sensor_named("HDL-64E");
+    try {
+        const PacketEncoder encoder(sensor, {});
+        FAIL() << "packets of an HDL-64E";
+    } catch (const UsageError& error) {
+        for (const char* name : {"HDL-64E", "VLP-16", "XT32", "Ouster"})
+            EXPECT_NE(std::string(error.what()).find(name), std::string::npos) << error.what();
+    }
+    sensor.name = "VLP-16";
+    EXPECT_THROW(PacketEncoder(sensor, {}), UsageError) << "64 beams";
+    sensor = sensor_named("VLP-16");
+    sensor.columns = 900;
+    EXPECT_THROW(PacketEncoder(sensor, {}), UsageError) << "it fires 1808 times in a turn";
+    EXPECT_THROW(PacketEncoder(sensor_named("OS1-64"), {.ouster_profile = "RNG99"}), DataError);
+    sensor = sensor_named("VLP-16");
+    PacketEncoder encoder(sensor, {});
+    Scan scan = known_scan(sensor);
+    encoder.encode(scan, 0.0);
+    EXPECT_THROW(encoder.encode(scan, 0.05), UsageError) << "scans that overlap";
+    std::ranges::fill(scan.rays.time_offset_s, 0.0f);
+    EXPECT_THROW(encoder.encode(scan, 1.0), UsageError) << "no firing times";
+}
+
+/// If frames follow each other more slowly than the sensor turns, the packets still
+/// follow each other evenly, and the azimuth never decreases.
+TEST(Packets, FollowEachOtherEvenlyThroughAGap) {
+    const SpinningSensor sensor = sensor_named("HDL-32E");
+    PacketEncoder encoder(sensor, {.start_ns = kStart_ns});
+    const Scan scan = known_scan(sensor);
+    std::vector<SensorPacket> packets = encoder.encode(scan, 1.0);
+    for (SensorPacket& packet : encoder.encode(scan, 1.1035)) packets.push_back(std::move(packet));
+    for (std::size_t p = 1; p < packets.size(); ++p) {
+        EXPECT_NEAR(1e-3 * double(packets[p].time_ns - packets[p - 1].time_ns), 12 * 46.08, 24.0) << p;
+        const double before = 0.01 * number_at<std::uint16_t>(packets[p - 1].bytes, 2),
+                     after = 0.01 * number_at<std::uint16_t>(packets[p].bytes, 2);
+        EXPECT_GE(std::remainder(after - before, 360.0), 0.0) << p;
+    }
+}
+
+}  // namespace
+}  // namespace relidar

@@ -1,0 +1,127 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render/packet_sender.hpp"
+
+#include <algorithm>
+#include <cerrno>
+#include <chrono>
+#include <cstring>
+#include <thread>
+
+#include <netdb.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <fmt/format.h>
+#include <CLI/CLI.hpp>
+
+#include <relidar/base/error.hpp>
+#include <relidar/simulate/render.hpp>
+#include <relidar/simulate/scan_packets.hpp>
+#include "../network/host_port.hpp"
+#include "interrupt.hpp"
+
+namespace relidar::cli {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+/// UDP socket that is connected to one address.
+class UdpSocket {
+public:
+    explicit UdpSocket(const HostPort& address) {
+        addrinfo hints{}, *found = nullptr;
+        hints.ai_socktype = SOCK_DGRAM;
+        const std::string port = fmt::format("{}", address.port);
+        if (const int error = ::getaddrinfo(address.host.c_str(), port.c_str(), &hints, &found); error != 0)
+            throw UsageError(
+                fmt::format("--udp {}: {}, expected a reachable host", address.host, ::gai_strerror(error)));
+        socket_ = ::socket(found->ai_family, found->ai_socktype, found->ai_protocol);
+        const int on = 1;
+        (void)::setsockopt(socket_, SOL_SOCKET, SO_BROADCAST, &on, sizeof on);
+        const bool is_connected = socket_ >= 0 && ::connect(socket_, found->ai_addr, found->ai_addrlen) == 0;
+        const std::string why = std::strerror(errno);
+        ::freeaddrinfo(found);
+        if (!is_connected) throw DataError(fmt::format("--udp {}:{}: {}", address.host, address.port, why));
+    }
+    UdpSocket(UdpSocket&& other) noexcept : socket_(std::exchange(other.socket_, -1)) {}
+    ~UdpSocket() {
+        if (socket_ >= 0) ::close(socket_);
+    }
+
+    void send(const std::string& bytes) {
+        // An earlier packet may have been refused, because nobody listens at the port.
+        if (::send(socket_, bytes.data(), bytes.size(), 0) < 0 && errno == ECONNREFUSED)
+            (void)::send(socket_, bytes.data(), bytes.size(), 0);
+    }
+
+private:
+    int socket_ = -1;
+};
+
+struct QueuedPacket {
+    std::size_t sensor;
+    SensorPacket packet;
+};
+
+}  // namespace
+
+void add_packet_options(CLI::App& command, PacketTarget& target) {
+    command
+        .add_option("--udp", target.address,
+                    "also send the packets of the sensor to this address; the sensors of a rig use the "
+                    "ports after it")
+        ->type_name("HOST:PORT");
+    command.add_flag("--realtime", target.is_realtime,
+                     "with --udp: render first, then send the packets with the timing of the sensor");
+}
+
+void check_packet_options(const PacketTarget& target) {
+    if (!target.address.empty()) (void)parse_host_port(target.address, "--udp", 1);
+    else if (target.is_realtime)
+        throw UsageError("--realtime: found no --udp, expected the address of the receiver");
+}
+
+struct PacketSender::Impl {
+    ScanPackets packets;
+    std::vector<UdpSocket> sockets;
+    std::vector<QueuedPacket> queue;
+    std::size_t n_sent = 0;
+    bool is_realtime;
+
+    void add(std::vector<std::vector<SensorPacket>> of_sensors) {
+        for (std::size_t s = 0; s < of_sensors.size(); ++s)
+            for (SensorPacket& packet : of_sensors[s]) queue.push_back({s, std::move(packet)});
+        if (!is_realtime) send_all();
+    }
+
+    void send_all() {
+        std::ranges::stable_sort(queue, {}, [](const QueuedPacket& queued) { return queued.packet.time_ns; });
+        const Clock::time_point start = Clock::now();
+        for (const auto& [sensor, packet] : queue) {
+            const std::int64_t after_ns = packet.time_ns - queue.front().packet.time_ns;
+            if (is_realtime) std::this_thread::sleep_until(start + std::chrono::nanoseconds(after_ns));
+            stop_if_interrupted();
+            sockets[sensor].send(packet.bytes);
+            ++n_sent;
+        }
+        queue.clear();
+    }
+};
+
+PacketSender::PacketSender(const PacketTarget& target, const std::vector<ScanFormat>& sensors)
+    : impl_(new Impl{ScanPackets(sensors), {}, {}, 0, target.is_realtime}) {
+    HostPort address = parse_host_port(target.address, "--udp", 1);
+    for (std::size_t s = 0; s < sensors.size(); ++s, ++address.port) impl_->sockets.emplace_back(address);
+}
+
+PacketSender::~PacketSender() = default;
+
+void PacketSender::add(std::span<const RenderedScan> scans) { impl_->add(impl_->packets.encode(scans)); }
+
+std::string PacketSender::finish() {
+    impl_->add(impl_->packets.finish());
+    impl_->send_all();
+    return fmt::format("{} packets sent\n", impl_->n_sent);
+}
+
+}  // namespace relidar::cli

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "render/target_sensors.hpp"
+
+namespace relidar::cli {
+namespace {
+
+/// Returns the model of a sensor if the sensor spins.
+std::optional<SpinningSensor> spinning_sensor(const SensorModel& model) {
+    const auto* spinning = std::get_if<SpinningSensor>(&model.pattern);
+    return spinning ? std::optional(*spinning) : std::nullopt;
+}
+
+/// Returns the model of the sensor with a name or from a file. Returns nothing for a grid
+/// and for a sensor that does not spin.
+std::optional<SpinningSensor> known_spinning(const std::string& name_or_file, const SensorChoice& choice) {
+    if (choice.is_own || choice.grid || choice.pattern) return std::nullopt;
+    return spinning_sensor(find_sensor(name_or_file));
+}
+
+}  // namespace
+
+std::vector<TargetSensor> list_target_sensors(const std::string& sensor, const Rig& rig, const Run& run,
+                                              int lidar) {
+    if (sensor.empty()) return {{"", configured_sensor(run.config, run.sequence, lidar), {}}};
+    if (!rig) {
+        const SensorChoice choice = choose_sensor(sensor, run.config, run.sequence, lidar);
+        return {{"", choice, {}, known_spinning(sensor, choice)}};
+    }
+    std::vector<TargetSensor> targets;
+    for (const MountedSensor& mounted : *rig)
+        targets.push_back({mounted.name, sensor_choice(mounted, lidar), mounted.rig_from_sensor,
+                           spinning_sensor(mounted.sensor)});
+    return targets;
+}
+
+}  // namespace relidar::cli
