@@ -20,6 +20,7 @@ constexpr double kBeyond = 0.02;
 // A LiDAR without known firing times may fire this many seconds before or after the
 // reference time.
 constexpr double kUnknownSweep_s = 0.1;
+constexpr double kVelocityStep_s = 0.005;
 
 /// First and last time of an interval, in seconds.
 struct TimeSpan {
@@ -95,13 +96,17 @@ InstancePose pose_in_sweep(const Sequence& sequence, const PoseTrack& world_from
                            const glm::dvec3& half_size_m, const SweepMoment& sweep) {
     const TimeSpan span = facing_span(sequence, world_from_box, half_size_m, sweep);
     const double half_s = 0.5 * (span.last_s - span.first_s), middle_s = 0.5 * (span.first_s + span.last_s);
-    if (half_s <= 0.0) return {world_from_box.at(middle_s), true, middle_s};
-    const Pose first = world_from_box.at(span.first_s), last = world_from_box.at(span.last_s);
+    // Without a rolling shutter, the actor has a velocity, but it does not move during
+    // the sweep.
+    const bool moves = half_s > 0.0;
+    const TimeSpan measured = moves ? span : TimeSpan{middle_s - kVelocityStep_s, middle_s + kVelocityStep_s};
+    const Pose first = world_from_box.at(measured.first_s), last = world_from_box.at(measured.last_s);
     const Twist twist = twist_between(first, last);
-    const double per_s = 0.5 / half_s;
+    const double per_s = 0.5 / (moves ? half_s : kVelocityStep_s);
     const PoseMotion motion{per_s * glm::dvec3(twist[0], twist[1], twist[2]),
                             per_s * glm::dvec3(twist[3], twist[4], twist[5]), middle_s - sweep.time_s,
                             (1.0 + kBeyond) * half_s};
+    if (!moves) return {world_from_box.at(middle_s), true, middle_s, 0.0, motion};
     return {interpolate(first, last, 0.5), true, middle_s, 0.0, motion};
 }
 

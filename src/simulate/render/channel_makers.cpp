@@ -34,9 +34,43 @@ ChannelValues incidence(std::span<const shared::MeasuredRay> measured) {
     return cosine;
 }
 
-ChannelValues spread(const RenderedScan& scan, const SeenByLog&) { return range_spread(scan); }
+ChannelValues spread(const RenderedScan& scan, const ScanContext&) { return range_spread(scan); }
 
-ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
+/// Returns the velocity of a point on an instance, in the world frame. The motion of the
+/// limbs of a walking actor is ignored.
+glm::dvec3 surface_velocity(const InstancePose& placed, double after_s, const glm::dvec3& point_m) {
+    const glm::dvec3 middle_m = placed.motion.at(placed.world_from_model, after_s).translation;
+    return placed.motion.velocity_mps + glm::cross(placed.motion.turn_radps, point_m - middle_m);
+}
+
+/// Returns the rate of change of each ray's range:
+///   direction * (velocity of the surface - velocity of the ray's origin)
+/// The rotation of the LiDAR's head is not a motion of the sensor.
+ChannelValues velocities(const RenderedScan& scan, const ScanContext& context) {
+    constexpr double kStep_s = 0.005;
+    std::vector<float> velocity(scan.median_range_m.size(), 0.0f);
+    const PoseTrack& track = context.world_from_sensor;
+    for (std::size_t i = 0; i < velocity.size(); ++i) {
+        if (scan.instance[i] < 0 || !(scan.median_range_m[i] > 0.0f)) continue;
+        const double after_s = scan.time_offset_s[i], time_s = scan.time_s + after_s;
+        const Pose world_from_firing = track.at(time_s);
+        const glm::dvec3 origin_m(scan.image.origin[i]);
+        const glm::dvec3 direction = world_from_firing.rotation * glm::dvec3(scan.image.direction[i]);
+        const glm::dvec3 start_m = world_from_firing * origin_m;
+        glm::dvec3 sensor_mps{0.0}, surface_mps{0.0};
+        if (track.pose.size() > 1)
+            sensor_mps = (track.at(time_s + kStep_s) * origin_m - track.at(time_s - kStep_s) * origin_m) /
+                         (2.0 * kStep_s);
+        if (std::size_t(scan.instance[i]) < context.placed.size())
+            surface_mps = surface_velocity(context.placed[std::size_t(scan.instance[i])], after_s,
+                                           start_m + double(scan.median_range_m[i]) * direction);
+        velocity[i] = float(glm::dot(direction, surface_mps - sensor_mps));
+    }
+    return velocity;
+}
+
+ChannelValues seen(const RenderedScan& scan, const ScanContext& context) {
+    const SeenByLog& log = context.log;
     if (log.coverage.empty()) return {};
     std::vector<std::size_t> rays;
     for (std::size_t i = 0; i < scan.median_range_m.size(); ++i) rays.push_back(i);
@@ -45,11 +79,11 @@ ChannelValues seen(const RenderedScan& scan, const SeenByLog& log) {
 
 // Returns "surface" for all rays. If there is weather, add_weather() later overwrites the
 // values with the cause of each return.
-ChannelValues surfaces(const RenderedScan& scan, const SeenByLog&) {
+ChannelValues surfaces(const RenderedScan& scan, const ScanContext&) {
     return std::vector<std::int32_t>(scan.median_range_m.size(), std::int32_t(PointSource::surface));
 }
 
-ChannelValues surfel_drop_prob(const RenderedScan& scan, const SeenByLog&) { return scan.image.drop_prob; }
+ChannelValues surfel_drop_prob(const RenderedScan& scan, const ScanContext&) { return scan.image.drop_prob; }
 
 /// Describes how an optional channel is computed. Exactly one of the three functions is
 /// set.
@@ -57,14 +91,12 @@ struct Maker {
     std::string_view name;
     ChannelValues (*of_rendering)(const Rendering&, const RenderedScan&);
     ChannelValues (*of_measured)(std::span<const shared::MeasuredRay>);
-    ChannelValues (*of_scan)(const RenderedScan&, const SeenByLog&);
+    ChannelValues (*of_scan)(const RenderedScan&, const ScanContext&);
 };
 constexpr Maker kMakers[] = {
-    {"normal", normals, nullptr, nullptr},
-    {kIncidence, nullptr, incidence, nullptr},
-    {"spread", nullptr, nullptr, spread},
-    {"seen", nullptr, nullptr, seen},
-    {"surfel_drop_prob", nullptr, nullptr, surfel_drop_prob},
+    {"normal", normals, nullptr, nullptr},      {kIncidence, nullptr, incidence, nullptr},
+    {"velocity", nullptr, nullptr, velocities}, {"spread", nullptr, nullptr, spread},
+    {"seen", nullptr, nullptr, seen},           {"surfel_drop_prob", nullptr, nullptr, surfel_drop_prob},
     {"source", nullptr, nullptr, surfaces},
 };
 
@@ -90,11 +122,12 @@ void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> m
     }
 }
 
-void add_scan_channels(RenderedScan& scan, const SeenByLog& log, const std::vector<ChannelInfo>& wanted) {
+void add_scan_channels(RenderedScan& scan, const ScanContext& context,
+                       const std::vector<ChannelInfo>& wanted) {
     for (const ChannelInfo& channel : wanted) {
         const Maker maker = maker_of(channel);
         if (!maker.of_scan) continue;
-        ChannelValues values = maker.of_scan(scan, log);
+        ChannelValues values = maker.of_scan(scan, context);
         if (size(values) == scan.image.range_m.size()) scan.channels.push_back({channel, std::move(values)});
     }
 }

@@ -6,6 +6,8 @@
 #include <vector>
 
 #include <relidar/log/channels.hpp>
+#include <relidar/log/sequence.hpp>
+#include <relidar/scene/scene.hpp>
 #include <relidar/simulate/render.hpp>
 #include "simulate/render/seen.hpp"
 #include "simulate/shared/render.h"
@@ -13,6 +15,15 @@
 namespace relidar {
 
 struct Rendering;
+
+/// Data that channels of a scan are computed from.
+struct ScanContext {
+    SeenByLog log;
+    /// Poses of the scanning LiDAR in relidar's world frame
+    PoseTrack world_from_sensor;
+    /// [instances] poses and motions during the scan
+    std::vector<InstancePose> placed;
+};
 
 /// If the blending weight of a ray is smaller than this, the ray counts as having hit
 /// nothing.
@@ -30,6 +41,7 @@ void add_ray_channels(RenderedScan& scan, std::span<const shared::MeasuredRay> m
 /// Adds the optional channels that are computed after sub-rays were joined to beams. Call
 /// it before a network or a random sample changes the drop probabilities. Leaves out
 /// channels without values.
-void add_scan_channels(RenderedScan& scan, const SeenByLog& log, const std::vector<ChannelInfo>& wanted);
+void add_scan_channels(RenderedScan& scan, const ScanContext& context,
+                       const std::vector<ChannelInfo>& wanted);
 
 }  // namespace relidar

@@ -261,7 +261,9 @@ RenderedScan ScanRenderer::Impl::render(const Sweep& sweep, std::optional<std::u
     load_scene(lanes.first(), sweep);
     auto [scan, drops] = plan.splits_beams() ? TracedScan{trace_beams(sweep, plan.beams), {}}
                                              : trace(sweep, sweep.rays(), plan.network == Network::device);
-    add_scan_channels(scan, seen_by_log(sensor), settings.channels);
+    add_scan_channels(
+        scan, {seen_by_log(sensor), sweeps.log().world_from_sensor(sensor.lidar), sweep.instances},
+        settings.channels);
     tell_unseen(scan, seen_by_log(sensor));
     if (plan.network == Network::cells) scan = project_scan(scan, *sensor.grid);
     if (plan.network == Network::device) replace_drops(scan, drops);

@@ -194,6 +194,27 @@ TEST_F(RenderedChannels, AllThatCanBeAskedForAreThere) {
     }
 }
 
+/// The sensor drives along the street, and its head does not tilt. A standing surface
+/// approaches with the speed of the sensor in the direction of the ray.
+TEST_F(RenderedChannels, TheStreetHasTheVelocityOfTheSensor) {
+    const RenderedScan found = scan();
+    const std::vector<float>& velocity = *find_values<float>(found.channels, "velocity");
+    const glm::dvec3 way_m =
+        log.world_from_vehicle.pose[2].translation - log.world_from_vehicle.pose[0].translation;
+    ASSERT_NEAR(glm::length(way_m) / (log.frames[2].time_s - log.frames[0].time_s),
+                SyntheticOptions{}.speed_mps, 0.01);
+    std::size_t n_standing = 0;
+    for (std::size_t i = 0; i < velocity.size(); ++i) {
+        if (found.instance[i] != 0) continue;
+        const glm::dvec3 direction =
+            found.world_from_firing(i).rotation * glm::dvec3(found.image.direction[i]);
+        ASSERT_NEAR(velocity[i], -SyntheticOptions{}.speed_mps * glm::dot(direction, glm::normalize(way_m)),
+                    0.01);
+        ++n_standing;
+    }
+    EXPECT_GT(n_standing, velocity.size() / 4);
+}
+
 TEST_F(RenderedChannels, AreWantedByName) {
     config.render.channels = "normal,sprad";
     EXPECT_THROW(ScanRenderer(device(), scene, config, log), UsageError);

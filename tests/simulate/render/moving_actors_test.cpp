@@ -173,5 +173,57 @@ TEST_F(MovingActors, WithoutRollingShutterActorsStand) {
     EXPECT_NEAR(last_m, 8.0, 1e-3);
 }
 
+/// A van drives ahead of the sensor in a bend, next to a standing wall. The radial
+/// velocity of a point is the derivative of its distance, here from differences of exact
+/// positions.
+TEST_F(MovingActors, TheVelocityIsTheRateOfTheRange) {
+    const glm::dvec3 size_m(4.0, 2.0, 2.0);
+    Surfels wall, rear;
+    add_wall(wall, {0.0f, 12.0f, 0.0f}, glm::quat(std::sqrt(0.5f), 0.0f, 0.0f, -std::sqrt(0.5f)),
+             {2.0f, 30.0f});
+    add_wall(rear, {-2.0f, 0.0f, 0.0f}, glm::quat(0, 0, 0, 1), glm::vec2(1.0f));
+    Scene scene = one_actor(rear, size_m);
+    scene.surfels = wall;
+    scene.surfels.append(rear);
+    scene.models[0].count = scene.models[1].first = 1;
+    const PoseAt sensor = [](double t_s) {
+        return Pose{glm::angleAxis(0.4 * (t_s - 0.5), glm::dvec3(0, 0, 1)), {15.0 * (t_s - 0.5), 0.0, 0.0}};
+    };
+    const PoseAt van = [](double t_s) {
+        return Pose{glm::angleAxis(0.5 * (t_s - 0.5), glm::dvec3(0, 0, 1)),
+                    {10.0 + 9.0 * (t_s - 0.5), 2.0 * (t_s - 0.5), 0.0}};
+    };
+    for (const bool rolls : {true, false}) {
+        Sequence log = drive(720, sensor, van, size_m);
+        log.rolling_shutter = rolls;
+        Config config;
+        config.render.channels = "velocity";
+        ScanRenderer renderer(device(), scene, config, log);
+        const RenderedScan scan = renderer.render(configured_sensor(config, log), 0.5);
+        const std::vector<float>& velocity = *find_values<float>(scan.channels, "velocity");
+        int n[2] = {};
+        for (std::size_t i = 0; i < velocity.size(); ++i) {
+            if (scan.instance[i] < 0) {
+                EXPECT_EQ(velocity[i], 0.0f);
+                continue;
+            }
+            constexpr double kStep_s = 1e-3;
+            const double time_s = 0.5 + double(scan.time_offset_s[i]);
+            const glm::dvec3 hit_m =
+                sensor(time_s) * (double(scan.median_range_m[i]) * glm::dvec3(scan.image.direction[i]));
+            const bool is_van = scan.instance[i] == 1;
+            const auto range_at = [&](double t_s) {
+                const glm::dvec3 point_m = is_van ? van(t_s) * (inverse(van(time_s)) * hit_m) : hit_m;
+                return glm::distance(point_m, sensor(t_s).translation);
+            };
+            const double rate = (range_at(time_s + kStep_s) - range_at(time_s - kStep_s)) / (2.0 * kStep_s);
+            EXPECT_NEAR(velocity[i], rate, 0.01) << (is_van ? "van" : "wall") << " at " << hit_m.x;
+            ++n[is_van];
+        }
+        EXPECT_GT(n[0], 100);
+        EXPECT_GT(n[1], 10);
+    }
+}
+
 }  // namespace
 }  // namespace relidar
