@@ -34,8 +34,8 @@ struct PacketOptions {
     /// Packet format of an Ouster (udp_profile_lidar). If the text is empty, the encoder
     /// chooses RNG19_RFL8_SIG16_NIR16 or RNG19_RFL8_SIG16_NIR16_DUAL.
     std::string ouster_profile = {};
-    /// True: the times are those at which a computer received the packets of a real
-    /// sensor. The number of firings between two times then follows from the rotation.
+    /// True: a computer measured the times when it received the packets of a real sensor.
+    /// The encoder then computes the number of firings between two times from the azimuth.
     bool times_jitter = false;
 };
 
@@ -50,14 +50,14 @@ std::string packet_sensors();
 /// Returns the packet format in the metadata of an Ouster (udp_profile_lidar). Returns an
 /// empty text if the file is not the metadata of an Ouster or does not contain a format.
 std::string ouster_profile_of(const std::filesystem::path& file);
-/// Returns the time since 1970 at which the time of a log is 0. Returns 0 if the log does
-/// not say it. Only recordings (ROS bags and captures) do.
+/// Returns the time since 1970 at which the time of a log is 0. Only ROS bags and
+/// captures contain this time. Returns 0 for all other logs.
 std::int64_t log_start_ns(const Sequence& sequence);
 
-/// Converts the scans of one sensor to packets. A packet holds a fixed number of firings.
-/// Therefore a packet may contain the end of a scan and the start of the next scan. Where
-/// scans do not follow each other, a packet without returns ends the first scan, so that
-/// drivers can complete it.
+/// Converts the scans of a sensor to packets. A packet holds a fixed number of firings.
+/// Therefore a packet may contain the end of a scan and the start of the next scan. After
+/// the last scan and before a long gap, the encoder adds a packet without returns, so
+/// that drivers can complete the scan.
 class PacketEncoder {
 public:
     /// @param sensor  its name selects the product
@@ -69,7 +69,7 @@ public:
     /// Adds a scan and returns the packets that are complete.
     /// @param scan  scan of the sensor in image order (RayTable)
     /// @param time_s  reference time of the scan, not before that of the last scan
-    /// @throws UsageError if the rays have no firing times, are not those of the sensor,
+    /// @throws UsageError if the rays have no firing times, do not belong to the sensor,
     /// or were fired before the end of the last scan
     std::vector<SensorPacket> encode(const Scan& scan, double time_s);
     /// Returns the packets after the last scan.
@@ -103,8 +103,8 @@ private:
     std::uint16_t n_written_ = 0;
 };
 
-/// Writes the scans of a log with one LiDAR as a capture of its packets. Writes the
-/// calibration next to it, with the same name and another ending.
+/// Writes the scans of a log with a single LiDAR as a capture of its packets. Writes the
+/// calibration to a file with the same name and the ending .csv or .json.
 /// @return number of packets
 /// @throws UsageError if the log has several LiDARs, or like PacketEncoder
 /// @throws DataError if a file cannot be written

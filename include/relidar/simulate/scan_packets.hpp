@@ -15,7 +15,7 @@ namespace relidar {
 /// range 0.
 Scan measured_scan(const RenderedScan& scan, const Config& config);
 
-/// Packets of the sensors of a rig, or of one sensor.
+/// Encoders of all sensors of a rig, or of a single sensor.
 class ScanPackets {
 public:
     /// @param sensors  formats of the sensors; ScanFormat::packets names the sensor

@@ -29,11 +29,11 @@ void check_beams(const Layout& layout, const SpinningSensor& sensor) {
                       });
     if (!fits)
         throw UsageError(fmt::format(
-            "packets of {}: found {} beams with other elevations, expected the {} beams of this product",
+            "packets of {}: found {} beams with other elevations; expected the {} beams of this product",
             layout.sensor, sensor.beams.size(), nominal.beams.size()));
     if (!sensor.clockwise)
         throw UsageError(
-            fmt::format("packets of {}: found a head that turns counter-clockwise, expected one "
+            fmt::format("packets of {}: found a head that turns counter-clockwise; expected one "
                         "that turns clockwise",
                         layout.sensor));
 }
@@ -50,13 +50,15 @@ std::uint8_t reflectivity_of(const LaserReturn& echo) {
     return std::uint8_t(std::lround(255.0 * std::clamp(double(echo.intensity), 0.0, 1.0)));
 }
 
-BlockWriter::BlockWriter(const Layout& layout, const SpinningSensor& sensor,
-                         const PacketOptions& options)
-    : layout_(layout), returns_(std::max(options.returns, 1)), start_ns_(options.start_ns), ring_of_(layout.lasers()) {
+BlockWriter::BlockWriter(const Layout& layout, const SpinningSensor& sensor, const PacketOptions& options)
+    : layout_(layout),
+      returns_(std::max(options.returns, 1)),
+      start_ns_(options.start_ns),
+      ring_of_(layout.lasers()) {
     check_beams(layout, sensor);
     if (layout.n_blocks % (layout.banks * std::size_t(returns_)) != 0)
         throw UsageError(
-            fmt::format("packets of {}: found {} returns, expected 1", layout.sensor, options.returns));
+            fmt::format("packets of {}: found {} returns; expected 1", layout.sensor, options.returns));
     for (const BeamFiring& beam : known_firings(layout.sensor)) {
         offsets_us_.push_back(beam.offset_us);
         laser_of_.push_back(std::size_t(beam.channel - layout.first_channel));

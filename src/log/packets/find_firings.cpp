@@ -25,7 +25,7 @@ public:
     FiringImage(const Scan& scan, const SpinningSensor& sensor) : columns_(scan.rays.columns) {
         if (scan.rays.rows != int(sensor.beams.size()) || columns_ < 1)
             throw UsageError(fmt::format(
-                "packets of {}: found a scan of {} rows, expected an image with a row for each of {} beams",
+                "packets of {}: found a scan of {} rows; expected an image with a row for each of {} beams",
                 sensor.name, scan.rays.rows, sensor.beams.size()));
         for (const Beam& beam : sensor.beams) shift_.push_back(column_shift(beam, columns_));
     }
@@ -59,7 +59,7 @@ double time_spread(const Scan& scan, const FiringImage& image, const std::vector
 }
 
 /// Computes time and azimuth of one firing from its rays. Uses the rays that return,
-/// because their directions are measured. Uses all rays if none returns.
+/// because their directions are measured. Uses all rays if no ray returns.
 FiredColumn fired_column(const Scan& scan, const FiringImage& image, int firing,
                          const std::vector<BeamGeometry>& beams, const std::vector<double>& offset_us) {
     FiredColumn column{.is_measured = true, .returns = {}};
@@ -132,12 +132,12 @@ std::vector<FiredColumn> find_firings(const Scan& scan, double time_s, const Spi
     const auto [first, last] = std::ranges::minmax(scan.rays.time_offset_s);
     if (!(double(last - first) > kLeastTurn * sensor.period_s))
         throw UsageError(
-            fmt::format("packets of {}: the rays of a scan were fired within {:.3g} s, expected the {:.3g} s "
+            fmt::format("packets of {}: the rays of a scan were fired within {:.3g} s; expected the {:.3g} s "
                         "of a turn; a "
                         "motion-compensated log has no firing times",
                         sensor.name, last - first, sensor.period_s));
-    // Logs have the time of each laser. Rendered scans have one time for all lasers of a
-    // firing.
+    // Logs have the time of each laser. In rendered scans, all lasers of a firing have the
+    // same time.
     const std::vector<double> no_offset(offset_us.size(), 0.0);
     const bool has_laser_times = time_spread(scan, image, offset_us) < time_spread(scan, image, no_offset);
     const std::vector<BeamGeometry> beams = geometries_of(sensor.beams);

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
-// Packets of Ouster's sensors (firmware user manual, "Lidar Data"). The layouts are those
-// that ouster_metadata.cpp reads. The encoder writes the metadata, parses it, and then
-// writes packets in the format that the metadata describes. Signal and ambient light are
-// 0, because a scan has no values for them.
+// Packets of Ouster's sensors (firmware user manual, "Lidar Data"). The encoder writes
+// the metadata, parses it with ouster_metadata.cpp, and then writes packets in the format
+// that the metadata describes. Signal and ambient light are 0, because a scan has no
+// values for them.
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -84,7 +84,7 @@ public:
                                        sensor.name)) {
         if (format_->profile->returns < options.returns)
             throw UsageError(fmt::format(
-                "packets of {}: found 2 returns and the packet format {}, expected a format of two returns",
+                "packets of {}: found 2 returns and the packet format {}; expected a format of two returns",
                 sensor.name, format_->profile->name));
     }
 

@@ -114,7 +114,7 @@ void PacketCapture::close() {
 std::size_t save_packets(const Sequence& sequence, const fs::path& file, const Progress& progress) {
     if (sequence.lidars.size() != 1)
         throw UsageError(fmt::format(
-            "writing '{}': found {} LiDARs in the log, expected one in a capture; dataset.lidars selects it",
+            "writing '{}': found {} LiDARs in the log; expected one in a capture; dataset.lidars selects it",
             file.string(), sequence.lidars.size()));
     PacketOptions options;
     options.start_ns = log_start_ns(sequence);

@@ -27,7 +27,7 @@ std::unique_ptr<PacketFormat> make_format(const SpinningSensor& sensor, const Pa
     for (auto* make :
          {packets::make_velodyne_format, packets::make_hesai_format, packets::make_ouster_format})
         if (auto format = make(sensor, options)) return format;
-    throw UsageError(fmt::format("writing packets: found sensor \"{}\", expected one of {}", sensor.name,
+    throw UsageError(fmt::format("writing packets: found sensor \"{}\"; expected one of {}", sensor.name,
                                  packet_sensors()));
 }
 
@@ -68,7 +68,7 @@ struct PacketEncoder::Impl {
         const double step_us = 1e6 * sensor.period_s / sensor.columns;
         if (has_columns() || std::abs(step_us / format->cycle_us() - 1.0) < kMostStepError) return;
         throw UsageError(
-            fmt::format("packets of {}: found {} columns in {} s, expected {:.0f} columns, because this "
+            fmt::format("packets of {}: found {} columns in {} s; expected {:.0f} columns, because this "
                         "sensor fires every "
                         "{} us",
                         sensor.name, sensor.columns, sensor.period_s,
@@ -80,7 +80,7 @@ struct PacketEncoder::Impl {
         const double place = (firing.azimuth_deg - kBehindSensor_deg) / 360.0 * format->columns();
         if (std::abs(place - std::round(place)) > kMostColumnError)
             throw UsageError(fmt::format(
-                "packets of {}: found a column at {:.3f} degrees, expected a multiple of {:.3f}: an Ouster "
+                "packets of {}: found a column at {:.3f} degrees; expected a multiple of {:.3f}: an Ouster "
                 "fires at fixed azimuths, the first one behind it",
                 sensor.name, firing.azimuth_deg, 360.0 / format->columns()));
         return (std::llround(place) + format->columns()) % format->columns();
@@ -116,8 +116,8 @@ struct PacketEncoder::Impl {
     }
 
     /// Returns the position of the first firing. In a log, the times of packets jitter,
-    /// and the time jumps at the start of a packet. The packets then start at the same
-    /// firings as those of the log.
+    /// and the time jumps at the start of a packet. The new packets then start at the
+    /// same firings as the packets of the log.
     std::int64_t first_position(const std::vector<FiredColumn>& firings_of_scan) const {
         if (has_columns()) return column_of(firings_of_scan.front());
         if (!options.times_jitter) return 1;
@@ -136,7 +136,7 @@ struct PacketEncoder::Impl {
 
     /// Returns the number of positions up to which a gap is filled with firings without
     /// returns. The frames of a log may follow each other more slowly than the turns of
-    /// the sensor. A log leaves out firings at the end of a turn if none of them returns.
+    /// the sensor. A log leaves out firings without returns at the end of a turn.
     std::int64_t longest_gap() const {
         return std::llround((options.times_jitter ? 1.0 : 0.5) * sensor.period_s / cycle_s());
     }
@@ -158,7 +158,7 @@ struct PacketEncoder::Impl {
         if (pending.empty()) begin(position / firings());
         while (packet < position / firings()) {
             write();
-            // A sensor with fixed columns sends nothing where it does not measure.
+            // A sensor with fixed columns sends no packet outside its azimuth window.
             begin(has_columns() ? position / firings() : packet + 1);
         }
         pending[std::size_t(position % firings())] = std::move(firing);

@@ -31,7 +31,7 @@ struct FiredColumn {
     bool is_measured = false;  ///< false: the scans do not contain this firing
     bool is_filled = false;    ///< true: time and azimuth were interpolated in a gap of the scans
     bool has_returns = false;
-    /// [rings] strongest return and other return of each beam, highest beam first. Empty
+    /// [rings] strongest and second return of each beam, highest beam first. Empty
     /// if the firing was not measured.
     std::vector<std::array<LaserReturn, 2>> returns = {};
 
@@ -65,12 +65,12 @@ public:
         return {};
     }
     /// Returns a packet with its time. Its bytes contain the time by the sensor's clock.
-    /// @param columns  [firings] firings of the packet; at least one is measured, or none
+    /// @param columns  [firings] firings of the packet
     /// @param number  number of the packet, from 0
     virtual SensorPacket write(std::span<const FiredColumn> columns, std::uint32_t number) const = 0;
 };
 
-/// Create the format of a sensor. Return null for a sensor of another maker.
+/// Create the format of a sensor. Return null if a different maker built the sensor.
 std::unique_ptr<PacketFormat> make_velodyne_format(const SpinningSensor& sensor,
                                                    const PacketOptions& options);
 std::unique_ptr<PacketFormat> make_hesai_format(const SpinningSensor& sensor, const PacketOptions& options);
@@ -79,7 +79,7 @@ std::unique_ptr<PacketFormat> make_ouster_format(const SpinningSensor& sensor, c
 /// Writes the blocks that the packets of Velodyne and Hesai have in common.
 class BlockWriter {
 public:
-    /// @throws UsageError if the beams are not those of the product
+    /// @throws UsageError if the beams do not belong to the product
     BlockWriter(const Layout& layout, const SpinningSensor& sensor, const PacketOptions& options);
 
     const Layout& layout() const { return layout_; }

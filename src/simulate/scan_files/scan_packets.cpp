@@ -71,7 +71,7 @@ std::vector<std::vector<SensorPacket>> ScanPackets::encode(std::span<const Rende
     if (!std::exchange(impl_->has_started, true)) {
         double first_s = 0.0;
         for (const RenderedScan& scan : scans) first_s = std::min(first_s, scan.time_s);
-        // One more second, because a scan starts before its reference time.
+        // Adds a second, because a scan starts before its reference time.
         if (impl_->sensors.front().packets.log_start_ns == 0) impl_->create(1.0 + std::ceil(-first_s));
     }
     std::vector<std::vector<SensorPacket>> packets;

@@ -33,7 +33,7 @@ SpinningSensor sensor_named(const std::string& name) {
 float range_of(std::size_t i) { return i % 5 == 0 ? 0.0f : 0.008f * float(500 + i * 7 % 4000); }
 float intensity_of(std::size_t i) { return float(1 + i % 250) / 255.0f; }
 
-/// Returns a scan with known returns.
+/// Returns a scan with the returns of range_of() and intensity_of().
 Scan known_scan(const SpinningSensor& sensor, bool has_second_returns = false) {
     Scan scan;
     scan.rays = make_rays(sensor);
@@ -75,7 +75,7 @@ TEST(Packets, OfAVlp16AreThoseOfItsManual) {
     const SpinningSensor sensor = sensor_named("VLP-16");
     const std::vector<SensorPacket> packets = packets_of(sensor, {.start_ns = kStart_ns}, 2);
     const Scan scan = known_scan(sensor);
-    // One firing precedes the scan, and one packet follows it.
+    // A firing without returns precedes the scan, and a packet follows the scan.
     ASSERT_EQ(packets.size(), std::size_t((1 + 2 * sensor.columns + 23) / 24 + 1));
     const double step_deg = 360.0 / sensor.columns;
     for (std::size_t p = 0; p + 2 < packets.size(); ++p) {
@@ -129,7 +129,7 @@ TEST(Packets, OfAnXt32HaveModeDateAndNumber) {
                                      number_at<std::uint32_t>(bytes, 1071);
         EXPECT_EQ(time_us, 20'000'000 + (packets[p].time_ns - kStart_ns + 500) / 1000);
         EXPECT_EQ(number_at<std::uint32_t>(bytes, 1076), p);
-        for (std::size_t unit = 0; unit < 4 * 32; ++unit) {  // of two returns, the first one is the last
+        for (std::size_t unit = 0; unit < 4 * 32; ++unit) {  // the last return precedes the strongest return
             const std::size_t at = 12 + 260 * (unit / 32) + 2 + 4 * (unit % 32);
             EXPECT_GE(number_at<std::uint16_t>(bytes, at), number_at<std::uint16_t>(bytes, at + 130));
         }

@@ -25,7 +25,7 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-/// UDP socket that is connected to one address.
+/// UDP socket that is connected to an address.
 class UdpSocket {
 public:
     explicit UdpSocket(const HostPort& address) {
@@ -34,7 +34,7 @@ public:
         const std::string port = fmt::format("{}", address.port);
         if (const int error = ::getaddrinfo(address.host.c_str(), port.c_str(), &hints, &found); error != 0)
             throw UsageError(
-                fmt::format("--udp {}: {}, expected a reachable host", address.host, ::gai_strerror(error)));
+                fmt::format("--udp {}: {}; expected a reachable host", address.host, ::gai_strerror(error)));
         socket_ = ::socket(found->ai_family, found->ai_socktype, found->ai_protocol);
         const int on = 1;
         (void)::setsockopt(socket_, SOL_SOCKET, SO_BROADCAST, &on, sizeof on);
@@ -75,10 +75,16 @@ void add_packet_options(CLI::App& command, PacketTarget& target) {
                      "with --udp: render first, then send the packets with the timing of the sensor");
 }
 
-void check_packet_options(const PacketTarget& target) {
+void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges) {
+    const bool writes_packets =
+        !target.address.empty() || std::ranges::find(formats, "pcap") != formats.end();
+    if (writes_packets && merges)
+        throw UsageError(
+            "--merge: found --udp or --format pcap; expected neither, because packets hold the "
+            "scan of a single sensor");
     if (!target.address.empty()) (void)parse_host_port(target.address, "--udp", 1);
     else if (target.is_realtime)
-        throw UsageError("--realtime: found no --udp, expected the address of the receiver");
+        throw UsageError("--realtime: found no --udp; expected the address of the receiver");
 }
 
 struct PacketSender::Impl {

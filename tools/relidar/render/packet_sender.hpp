@@ -27,8 +27,12 @@ struct PacketTarget {
     bool is_realtime = false;
 };
 void add_packet_options(CLI::App& command, PacketTarget& target);
-/// @throws UsageError if the address is invalid, or if --realtime is used without --udp
-void check_packet_options(const PacketTarget& target);
+/// Checks the options for packets.
+/// @param formats  formats of the output files
+/// @param merges  true if the scans of all sensors are merged
+/// @throws UsageError if the address is invalid, if --realtime is used without --udp, or
+/// if merged scans should be written as packets
+void check_packet_options(const PacketTarget& target, const std::vector<std::string>& formats, bool merges);
 
 class PacketSender {
 public:

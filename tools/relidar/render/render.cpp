@@ -164,9 +164,9 @@ void check_options(const RenderOptions& options, bool is_rig, const Ranks& ranks
                 format, ranks.size()));
     check_recording_names(options.names, parse_formats(options.formats), is_rig && !options.merge);
     parse_point_frame(options.point_frame), parse_weather(options.weather);
-    check_packet_options(options.packets);
-    if (!options.packets.address.empty() && (ranks.size() > 1 || options.merge))
-        throw UsageError("--udp: found --merge or several processes, expected separate sensors, one process");
+    check_packet_options(options.packets, parse_formats(options.formats), options.merge);
+    if (!options.packets.address.empty() && ranks.size() > 1)
+        throw UsageError(fmt::format("--udp: found {} MPI processes; expected one", ranks.size()));
     if (ranks.is_first()) check_empty(options.out, options);
     if (options.merge && !is_rig)
         throw UsageError("--merge needs a rig with several sensors, but --sensor names a single sensor");
